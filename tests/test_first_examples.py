@@ -24,6 +24,7 @@ _CONNECTS = {
 }
 #: Pages whose first example cannot use `with`, and why.
 _EXCEPTIONS = {
+    "docs/packages/lerobot.md": "a robot of LeRobot has no `with`; the example disconnects in `finally`",
     "packages/lerobot/README.md": "a robot of LeRobot has no `with`; the example disconnects in `finally`",
 }
 

@@ -1,8 +1,8 @@
-"""Fixtures for tests of programs that use urlink or rhdlink: a simulated controller, a robot, a mobile robot.
+"""Fixtures for tests of programs that use urlink or rhdlink.
 
-pytest loads this module in every run in an environment where urlink is installed. So it imports nothing of urlink at
-the top: other test runs do not pay for numpy, and no line of urlink is executed before a measurement of its coverage
-begins.
+They provide a simulated controller, a robot, a mobile robot, and simulated time. pytest loads this module in every run
+in an environment that contains urlink. So the module imports nothing of urlink at the top. Other test runs do
+not load numpy, and no line of urlink is executed before a coverage measurement of it begins.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 __all__ = ["rhd_turtle", "simulated_time", "urlink_controller", "urlink_robot"]
 
 _MARKERS = (
-    "urlink(model, firmware, faults, connect, ...): the simulated controller of this test: an arm, its firmware, "
-    "faults by name such as 'protective_stop' or 'cut=realtime@2', arguments of urlink.connect, and others of "
-    "urlink.simulator.Controller, such as stepped=True",
-    "simulated_time(seed, limit, latency, jitter): arguments of urlink.simulated_time",
-    "rhd_turtle(smr, world, ...): the simulated mobile robot of this test: an SMR, arguments of "
-    "rhdlink.host.world.World, and others of rhdlink.Host, such as pacing='lockstep'",
+    "urlink(model, firmware, faults, connect, ...): configure the simulated controller of this test: its arm and "
+    "firmware, faults by name such as 'protective_stop' or 'cut=realtime@2', arguments of urlink.connect, and other "
+    "arguments of urlink.simulator.Controller, such as stepped=True",
+    "simulated_time(seed, limit, latency, jitter): set the arguments of urlink.simulated_time",
+    "rhd_turtle(smr, world, ...): configure the simulated mobile robot of this test: whether it is an SMR, arguments "
+    "of rhdlink.host.world.World, and other arguments of rhdlink.Host, such as pacing='lockstep'",
 )
 
 
@@ -36,20 +36,25 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _wanted(request: pytest.FixtureRequest, name: str) -> dict[str, Any]:
-    """The arguments of all markers of that name; those of the test come before those of its class and module."""
+    """Return the arguments of all markers of that name.
+
+    Arguments for the test have priority over arguments for its class and module.
+    """
     wanted: dict[str, Any] = {}
     for marker in request.node.iter_markers(name):
         if marker.args:
-            raise pytest.UsageError(f"{request.node.nodeid}: @pytest.mark.{name} takes its arguments by name")
+            raise pytest.UsageError(
+                f"{request.node.nodeid}: @pytest.mark.{name} has positional arguments; pass arguments by name"
+            )
         wanted = {**marker.kwargs, **wanted}
     return wanted
 
 
 @pytest.fixture
 def simulated_time(request: pytest.FixtureRequest) -> Iterator[Simulation]:
-    """The test, and the fixtures that it names after this one, in simulated time: see `urlink.simulated_time`.
+    """Simulated time for the test, and for the fixtures that it names after this one.
 
-    ``@pytest.mark.simulated_time(seed=7)`` has its arguments.
+    See `urlink.simulated_time`. Use ``@pytest.mark.simulated_time(seed=7)`` to pass arguments.
     """
     import urlink
 
@@ -59,11 +64,12 @@ def simulated_time(request: pytest.FixtureRequest) -> Iterator[Simulation]:
 
 @pytest.fixture
 def urlink_controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
-    """A simulated controller that serves free ports: `address`, `faults`, `signals`, `arm` and the rest.
+    """A simulated controller that serves free ports.
 
-    ``@pytest.mark.urlink(model="UR5e", firmware="5.11", faults=["protective_stop@2"])`` says which; see
-    `urlink.simulator.Controller`. With ``stepped=True`` its time passes by ``urlink_controller.step(cycles)`` and in
-    ``with urlink_controller.passing():``.
+    It has the attributes `address`, `faults`, `signals`, `arm` and more. Use
+    ``@pytest.mark.urlink(model="UR5e", firmware="5.11", faults=["protective_stop@2"])`` to configure it; see
+    `urlink.simulator.Controller`. With ``stepped=True``, its time passes only in ``urlink_controller.step(cycles)`` and
+    in ``with urlink_controller.passing():``.
     """
     wanted = _wanted(request, "urlink")
     wanted.pop("connect", None)
@@ -86,10 +92,10 @@ def urlink_controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
 
 @pytest.fixture
 def urlink_robot(request: pytest.FixtureRequest, urlink_controller: Controller) -> Iterator[Robot]:
-    """A robot that is connected to `urlink_controller`, and closed when the test is over.
+    """A robot that is connected to `urlink_controller`, and closed at the end of the test.
 
-    The marker's ``connect={"require_enable": "always"}`` has arguments of `urlink.connect`. With a stepped controller
-    the inactivity timeout is one hour, since its time passes only when it is stepped.
+    Use the marker's ``connect={"require_enable": "always"}`` to pass arguments of `urlink.connect`. With a stepped
+    controller, the inactivity timeout is one hour, because its time passes only when it is stepped.
     """
     import contextlib
 
@@ -100,7 +106,7 @@ def urlink_robot(request: pytest.FixtureRequest, urlink_controller: Controller) 
     passing: contextlib.AbstractContextManager[object] = contextlib.nullcontext()
     if wanted.get("stepped"):
         options = {"silence": 3600.0, "stale_after": 3600.0}
-        passing = urlink_controller.passing()  # its identity comes with its first state
+        passing = urlink_controller.passing()  # the first state contains the identity of the controller
     options |= wanted.get("connect", {})
     with passing:
         robot = urlink.connect(urlink_controller.address, **options)
@@ -110,10 +116,11 @@ def urlink_robot(request: pytest.FixtureRequest, urlink_controller: Controller) 
 
 @pytest.fixture
 def rhd_turtle(request: pytest.FixtureRequest) -> Iterator[Turtle | SmrTurtle]:
-    """A simulated mobile robot that serves a free port: `rhd_turtle.host.address`, `rhd_turtle.world`.
+    """A simulated mobile robot that serves a free port.
 
-    ``@pytest.mark.rhd_turtle(smr=True, world={"size": 5.0}, period=0.005)`` says which; see `rhdlink.Host`. With
-    ``pacing="lockstep"`` its time passes with each sync of a client.
+    Its address is `rhd_turtle.host.address`, and its world is `rhd_turtle.world`. Use
+    ``@pytest.mark.rhd_turtle(smr=True, world={"size": 5.0}, period=0.005)`` to configure it; see `rhdlink.Host`. With
+    ``pacing="lockstep"``, its time passes with each sync of a client.
     """
     from rhdlink import Host
     from rhdlink.host.plugins.turtle import SmrTurtle, Turtle

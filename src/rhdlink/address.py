@@ -1,4 +1,4 @@
-"""Addresses: where a robot's RHD listens."""
+"""Addresses of robots: the host and port at which an RHD server listens."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 from linkcore.errors import BadAddress
 
-#: The port of clients that name none; a server has no default (docs/protocols/rhd.md, Transport).
+#: Default port of clients. A server has no default port (docs/protocols/rhd.md, Transport).
 PORT = 24902
 
 
@@ -23,10 +23,10 @@ class Address(NamedTuple):
 
 
 def parse_address(text: object) -> Address:
-    """Read an address.
+    """Parse an address.
 
     Raises:
-        BadAddress: says what is wrong and what was expected.
+        BadAddress: If `text` is not an address. The message gives the error and the expected form.
 
     >>> parse_address("smr12:8001")
     Address(host='smr12', port=8001)
@@ -35,18 +35,18 @@ def parse_address(text: object) -> Address:
     """
     example = "expected a host and a port, as in localhost:24902"
     if not isinstance(text, str):
-        more = "; a recording is played by `rhdlink replay`" if isinstance(text, os.PathLike) else ""
-        raise BadAddress(f"{text!r} is no address; {example}{more}")
+        more = "; to play a recording, use `rhdlink replay`" if isinstance(text, os.PathLike) else ""
+        raise BadAddress(f"invalid address {text!r}; {example}{more}")
     stripped = text.strip()
     if not stripped or any(character.isspace() or not character.isprintable() for character in stripped):
-        raise BadAddress(f"{text!r} is no address; {example}")
+        raise BadAddress(f"invalid address {text!r}; {example}")
     try:
         parts = urlsplit(stripped if "://" in stripped else f"rhd://{stripped}")
         host, port = parts.hostname, parts.port
-    except ValueError as error:  # half a bracket, or a port that is not a number from 1 to 65535
-        raise BadAddress(f"{text!r} is no address: {error}; {example}") from None
+    except ValueError as error:  # an unclosed bracket, or a port that is not a number from 1 to 65535
+        raise BadAddress(f"invalid address {text!r}: {error}; {example}") from None
     if parts.scheme != "rhd":
-        raise BadAddress(f"{text!r}: unknown kind {parts.scheme!r}; expected rhd")
+        raise BadAddress(f"unknown scheme {parts.scheme!r} in address {text!r}; expected 'rhd'")
     if not host or "@" in parts.netloc or parts.path not in ("", "/") or parts.query or parts.fragment or port == 0:
-        raise BadAddress(f"{text!r} is no address; {example}")
+        raise BadAddress(f"invalid address {text!r}; {example}")
     return Address(host, PORT if port is None else port)

@@ -1,13 +1,13 @@
-"""A robot for programs that use asyncio: what waits for the robot is awaited, everything else stays as it is.
+"""A robot for programs that use asyncio. Only calls that wait for the robot are coroutines.
 
     async with rhdlink.connect_async("smr12", rhdlink.robots.Smr, access="w") as robot:
         robot.variables.speedl = 20
         await robot.sync()
         print(robot.variables.encl)
 
-Reading and setting variables never waits, so it is done on the robot itself. `sync` runs in a thread that belongs to
-the robot: RHD answers questions, and a question waits for its answer. Missions and motions need nothing of this: their
-handles can be awaited.
+Reading and setting variables never waits, so the program does it on the robot object itself. `sync` runs in a dedicated
+thread of the robot, because RHD answers requests and each request waits for its answer. Missions and motions do not
+need this module, because their handles can be awaited.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 
 class AsyncRobot(StrictAttributes, Generic[R]):
-    """A connected robot. An asynchronous context manager that closes itself. Made by `connect_async`.
+    """A connected robot for asyncio, created by `connect_async`. An async context manager.
 
     Attributes:
-        variables: the robot itself, with its properties. They change with `sync` and only with it.
+        variables: Robot object with the declared properties. Their values change only with `sync`.
     """
 
     __slots__ = ("_ending", "_is_closed", "_thread", "variables")
@@ -49,32 +49,35 @@ class AsyncRobot(StrictAttributes, Generic[R]):
         self._ending: asyncio.Task[None] | None = None
 
     async def sync(self, timeout: float | None = None) -> None:
-        """As `Variables.sync`. Several at once wait for each other.
+        """Exchange values with the robot; see `Variables.sync`.
 
-        Cancelled before it is sent, it is not sent. After that the exchange goes on to its answer or its deadline; the
-        next sync comes after it.
+        Concurrent calls wait for each other.
+
+        If the call is cancelled before the request is sent, nothing is sent. After that, the exchange continues until
+        the answer or its deadline; the next sync starts after it.
 
         Raises:
-            as `Variables.sync`.
+            LinkError: If the sync fails; see `Variables.sync`.
         """
         if self._is_closed:
             raise Closed(f"{self.variables.address} was closed")
         await self._thread.make(functools.partial(self.variables.sync, timeout))
 
     async def updates(self, timeout: float | None = None) -> AsyncIterator[R]:
-        """Sync again and again, and give the robot after each answer, until the loop is left.
+        """Sync repeatedly, and yield the robot after each answer, until the loop ends.
 
         Raises:
-            as `Variables.sync`. The next loop goes on, and connects again where the connection was lost.
+            LinkError: If a sync fails; see `Variables.sync`. The next loop continues, and reconnects if the connection
+                was lost.
         """
         while True:
             await self.sync(timeout)
             yield self.variables
 
     async def close(self, timeout: float = 2.0) -> None:
-        """Close the connection, within `timeout` seconds; see `Variables.close`. Idempotent.
+        """Close the connection within `timeout` seconds; see `Variables.close`. Idempotent.
 
-        A task that is cancelled meanwhile ends when this is done.
+        If the awaiting task is cancelled, it ends only after the connection is closed.
         """
         self._is_closed = True
         if self._ending is None:
@@ -83,7 +86,7 @@ class AsyncRobot(StrictAttributes, Generic[R]):
 
     async def _close(self, timeout: float) -> None:
         try:
-            # Not in the robot's own thread, which may be in a sync that this is to end.
+            # Not in the robot's own thread, which might be in the sync that this call ends.
             await self._thread.make_stop(lambda: self.variables.close(timeout))
         finally:
             self._thread.close()
@@ -99,7 +102,7 @@ class AsyncRobot(StrictAttributes, Generic[R]):
 
 
 class _Options(TypedDict, total=False):
-    """The arguments of `rhdlink.connect` beside the address and the class; see there."""
+    """The arguments of `rhdlink.connect` apart from the address and the class; see there."""
 
     access: Access
     fallback: Literal["r"] | None
@@ -113,18 +116,18 @@ class _Options(TypedDict, total=False):
 def connect_async(
     address: str, variables: type[R] | None = None, **options: Unpack[_Options]
 ) -> Opening[AsyncRobot[R]]:
-    """Connect to a robot, to be entered or awaited.
+    """Connect to a robot. Await the result, or enter it with `async with`.
 
     ``async with rhdlink.connect_async(...) as robot``, or ``robot = await rhdlink.connect_async(...)``.
 
     Args:
-        address: as for `rhdlink.connect`.
-        variables: the class that declares what the program uses.
-        options: the other arguments of `rhdlink.connect`.
+        address: Address of the robot; see `rhdlink.connect`.
+        variables: Class that declares the variables of your program.
+        options: Other arguments of `rhdlink.connect`.
 
     Raises:
-        TypeError: at once, for an argument that `rhdlink.connect` does not have.
-        as `rhdlink.connect`, when it is awaited or entered.
+        TypeError: If an argument is not one of `rhdlink.connect`. Raised immediately.
+        LinkError: If connecting fails, when the result is awaited or entered; see `rhdlink.connect`.
     """
     inspect.signature(connect_here).bind(address, variables, **options)
     return Opening(functools.partial(_connected, address, variables, options))
@@ -141,5 +144,5 @@ async def _connected(address: str, variables: Any, options: _Options) -> AsyncRo
     return AsyncRobot(robot, thread)
 
 
-#: The name that it had first.
+#: Former name of `connect_async`.
 connect = connect_async

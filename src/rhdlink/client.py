@@ -1,4 +1,4 @@
-"""`connect()` and `Variables`: a robot as a program holds it."""
+"""`connect()`, and `Variables`: the robot object of a client program."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from .wire.schema import WIDTHS
 
 _log = logging.getLogger(__name__)
 
-#: "r" reads the robot's variables; "w" is its master and writes them too.
+#: "r" can read the robot's variables. "w" is the robot's master, which can also write them.
 Access = Literal["r", "w"]
 
 if TYPE_CHECKING:
     from typing_extensions import TypeVar
 
-    #: The class that declares a robot's variables.
+    #: Class that declares a robot's variables.
     R = TypeVar("R", bound="Variables", default="Variables")
 else:
     from typing import TypeVar
@@ -67,28 +67,30 @@ def connect(
     """Connect to a robot.
 
     Args:
-        address: ``"localhost:24902"``, ``"rhd://smr12"``; the port is 24902 where none is named.
-        variables: the class that declares what the program uses; without one, variables are
-            reached by name.
-        access: "r" to read, "w" to be the robot's master.
-        fallback: "r" makes do with reader access if the robot has a master already; see
-            `Variables.access`.
-        timeout: seconds for the connection and its handshake, and for each sync that does not say.
-        unsent: what becomes of values that were set and not sent when a sync finds the connection lost, or cannot make
-            it again. "discard" forgets them: a robot that has lost its master should not be set moving by what was
-            written before. "send" leaves them to the next sync that succeeds, however late that is.
-        width: 32-bit words of a time stamp, 2 or 4; by default found out from the handshake.
-        limits: what the robot may ask for.
-        record: a file that does not exist yet, for every byte that the robot sends, with the time at
-            which it came; `rhdlink replay` plays it. Each write holds up the sync it belongs to.
+        address: Address such as ``"localhost:24902"`` or ``"rhd://smr12"``. The default port is 24902.
+        variables: Class that declares the variables of your program. Without it, variables are available by name only.
+        access: "r" to read; "w" to be the robot's master, which also writes.
+        fallback: "r" accepts read access if the robot already has a master; see `Variables.access`.
+        timeout: Maximum time for the connection and its handshake, in seconds. It is also the default timeout of each
+            sync.
+        unsent: Treatment of values that were set but not yet sent when a sync finds the connection lost or cannot
+            reconnect. "discard" drops them, because old commands should not move a robot that has lost its master.
+            "send" keeps them for the next successful sync, however late that is.
+        width: Number of 32-bit words of a time stamp, 2 or 4. By default it is detected from the handshake.
+        limits: Limits on the data that the robot may send.
+        record: Path of a new file in which to record every byte that the robot sends, with its arrival time. The
+            command `rhdlink replay` plays it. Each write delays the sync that it belongs to.
 
     Raises:
-        BadAddress, BadValue: an argument that cannot be.
-        BadRecording: the file to record into exists, or cannot be made.
-        AccessDenied: the robot has a master already.
-        WrongVariables: it lacks what was declared; all of it is listed.
-        ConnectFailed, ConnectionLost, LinkTimeout: nobody is there, or no longer, or silent.
-        WrongPeer, PacketError: what answers is not an RHD server.
+        BadAddress: If `address` is not valid.
+        BadValue: If another argument is not valid.
+        BadRecording: If the file of `record` already exists or cannot be created.
+        AccessDenied: If the robot already has a master.
+        WrongVariables: If the robot's variables do not match the declared ones. The error lists every difference.
+        ConnectFailed: If no robot answers at the address.
+        ConnectionLost: If the robot closes the connection.
+        LinkTimeout: If the robot does not answer in time.
+        WrongPeer, PacketError: If the peer is not an RHD server.
     """
     place = parse_address(address)
     if variables is not None and not (isinstance(variables, type) and issubclass(variables, Variables)):
@@ -113,10 +115,12 @@ def connect(
 
 
 class Variables(StrictAttributes, Declarations, Closing):
-    """A robot: its variables, in step with it by `sync`. A context manager that closes itself.
+    """A robot and its variables, which `sync` exchanges with the robot.
 
-    Derive from it to declare variables as properties, see `Read` and `Write`; every variable of the
-    robot, declared or not, is reached by name too::
+    A context manager that closes itself.
+
+    Derive a class to declare variables as properties; see `Read` and `Write`. Every variable of the robot, declared or
+    not, is also available by name::
 
         class Smr(Variables):
             encl = Read(Int32, unit="ticks")
@@ -127,8 +131,8 @@ class Variables(StrictAttributes, Declarations, Closing):
             robot.sync()
             print(robot.encl, robot["linesensor"])
 
-    Values change with `sync` and only with it; what is set is sent with the next one. All of it may be
-    used from several threads. Made by `connect`.
+    Values change only with `sync`, and values that you set are sent by the next `sync`. All methods can be called from
+    several threads. Instances are made by `connect`.
     """
 
     _connection: Connection | None = None
@@ -142,7 +146,9 @@ class Variables(StrictAttributes, Declarations, Closing):
     def __setattr__(self, attribute: str, value: object) -> None:
         # A misspelt name would set an attribute that is never sent.
         if not attribute.startswith("_") and not hasattr(type(self), attribute):
-            raise NotThere(f"{type(self).__name__} declares no {attribute}{similar(attribute, list(self.declared()))}")
+            raise NotThere(
+                f"{type(self).__name__} does not declare {attribute}{similar(attribute, list(self.declared()))}"
+            )
         super().__setattr__(attribute, value)
 
     def _connect(
@@ -157,7 +163,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         self._exchange = threading.RLock()  # held by the thread that uses the connection
         self._subscribers = Subscribers(address)
         self._closing = ReentrantEvent()
-        self._background = threading.Lock()  # held by the thread that begins to keep it in sync
+        self._background = threading.Lock()  # held by a thread that starts the sync thread
         self._sync_thread: SyncThread | None = None
         self._connections = 0
         self._state = ConnectionState.IDLE
@@ -166,12 +172,13 @@ class Variables(StrictAttributes, Declarations, Closing):
     # -- values --------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> Any:
-        """The words of a variable: an int if it is one, else a read-only int32 array that does not change.
+        """The words of a variable: an int for one word, otherwise a read-only int32 array.
 
-        Of a read and a write variable with the same name this is the read variable.
+        The array is a copy that does not change. If a read and a write variable have the same name, this is the read
+        variable.
 
         Raises:
-            NotThere: the robot has no such variable.
+            NotThere: If the robot has no such variable.
         """
         replica = self._known()
         with replica.lock:
@@ -179,16 +186,18 @@ class Variables(StrictAttributes, Declarations, Closing):
             return table.words(identity)
 
     def __setitem__(self, name: str, value: ArrayLike) -> None:
-        """Set a write variable: a whole number, or as many as it is long. Sent with the next sync.
+        """Set a write variable to an integer, or to as many integers as it has words.
+
+        The next sync sends it.
 
         Raises:
-            NotThere: the robot has no such write variable.
-            BadValue: these are not whole numbers, or not as many as the variable is long.
-            AccessDenied: the access is "r".
+            NotThere: If the robot has no such write variable.
+            BadValue: If the values are not integers, or their number is not the length of the variable.
+            AccessDenied: If the access is "r".
         """
         replica = self._known()
         if self._access != "w":
-            replica.find_to_set(name)  # of two mistakes, the wrong name is the one that is reported
+            replica.find_to_set(name)  # if the name is wrong as well, report that first
             self._require_write_access(name)
         replica.set(name, value)
 
@@ -204,30 +213,38 @@ class Variables(StrictAttributes, Declarations, Closing):
         return [] if self._transport is None else self._known().names()
 
     def stamp(self, name: str) -> TimeStamp:
-        """When a variable was set last, by the clock of the side that set it; raises `NotThere`."""
+        """Time at which a variable was last set, on the clock of the side that set it.
+
+        Raises `NotThere`.
+        """
         replica = self._known()
         with replica.lock:
             table, identity = replica.find(name)
             return table.stamp(identity)
 
     def updated(self, name: str) -> bool:
-        """A read variable was in the last batch; a write variable waits to be sent. Raises `NotThere`.
+        """Whether a read variable was in the last batch, or a write variable has yet to be sent.
 
-        A server of the original sends what was set once in every batch for ever; `fresh` tells more.
+        Raises `NotThere`.
+
+        A server of the original sends a variable in every batch once it has been set. `fresh` shows real updates.
         """
         return self._flag(name, "updated")
 
     def changed(self, name: str) -> bool:
-        """The value differed from the one before when the variable came last; raises `NotThere`."""
+        """Whether the last arrival of the variable brought a different value. Raises `NotThere`."""
         return self._flag(name, "changed")
 
     def fresh(self, name: str) -> bool:
-        """The variable came with the last sync, and with another time stamp or value; raises `NotThere`."""
+        """Whether the last sync brought the variable with a new time stamp or value.
+
+        Raises `NotThere`.
+        """
         return self._flag(name, "fresh")
 
     @property
     def variables(self) -> list[Variable]:
-        """Every variable at this moment, read variables first."""
+        """All variables with their current values, read variables first."""
         replica = self._known()
         with replica.lock:
             return list(replica.snapshot())
@@ -236,101 +253,105 @@ class Variables(StrictAttributes, Declarations, Closing):
 
     @property
     def address(self) -> str:
-        """Host and port."""
+        """Host and port of the robot."""
         self._known()
         return self._address
 
     @property
     def access(self) -> Access:
-        """The access that the robot granted: "r", or "w" for its master."""
+        """Access that the robot granted: "r" for a reader, "w" for its master."""
         self._known()
         return "w" if self._access == "w" else "r"
 
     @property
     def width(self) -> int:
-        """32-bit words of a time stamp in this connection."""
+        """Number of 32-bit words of a time stamp in this connection."""
         self._known()
         return self._width
 
     @property
     def connection(self) -> ConnectionState:
-        """What the connection is doing."""
+        """Current state of the connection."""
         return ConnectionState.IDLE if self._transport is None else self._state
 
     @property
     def received(self) -> Stamp:
-        """When the newest values came, by the clocks of this machine."""
+        """Time at which the newest values arrived, on the clocks of this computer."""
         self._known()
         return self._received
 
     @property
     def reconnects(self) -> int:
-        """Connections after the first."""
+        """Number of connections after the first."""
         self._known()
         return self._connections - 1
 
     @property
     def discarded(self) -> int:
-        """Values that were set and lost with a connection: not sent, or sent and not answered.
+        """Number of set values that were lost with a connection.
+
+        These are values that were not sent, or were sent without an answer.
 
         See the argument `unsent` of `connect`.
         """
         return self._known().discarded
 
     def sync(self, timeout: float | None = None) -> None:
-        """Send what was set, and get what the robot knows: one round trip, at the robot's next tick.
+        """Send the set values and receive the robot's values, in one round trip at its next tick.
 
-        After a lost connection it first connects again: greets anew and finds the variables by name. When the
-        connection is lost, or cannot be made again, what was set before is forgotten, unless `connect` was given
-        ``unsent="send"``: set it again. What is set after that is sent.
+        If the connection was lost, `sync` first reconnects, repeats the handshake and finds the variables by name. If
+        `sync` finds the connection lost or cannot reconnect, it discards the values that were set before, unless
+        `connect` was called with ``unsent="send"``. Set them again if they are still needed. Values that are set after
+        that are sent.
 
         Args:
-            timeout: seconds for all of it; by default that of `connect`.
+            timeout: Maximum time for the whole call, in seconds. The default is the timeout of `connect`.
 
         Raises:
-            LinkTimeout: no answer in time. The connection stays; the answer is waited for by the
-                next sync. At once, if a signal handler calls it and has interrupted another sync of its own thread;
-                what was set is sent by the next sync.
-            ConnectionLost, PacketError: the connection has ended; the next sync makes another.
-            AccessDenied, WrongVariables, ConnectFailed, WrongPeer: it could not be made again.
-            Closed: after `close`.
-            LocalError: in a process that was forked from the one which connected.
+            LinkTimeout: If the answer does not arrive in time. The connection stays open, and the next sync waits for
+                the answer. Also raised immediately if a signal handler calls `sync` while it interrupts a sync of its
+                own thread; the next sync then sends the values.
+            ConnectionLost, PacketError: If the connection ends. The next sync reconnects.
+            AccessDenied, WrongVariables, ConnectFailed, WrongPeer: If reconnecting fails.
+            Closed: If the robot object was closed.
+            LocalError: If called in a forked child of the process that connected.
         """
         replica = self._known()
         seconds = self._timeout
         if timeout is not None:
             seconds = check_seconds(timeout, "timeout", positive=True, finite=True)
         self._home.check()
-        # One deadline for everything: waiting for another thread, connecting, and each receive take what is left of it.
+        # One deadline for the whole call: waiting for another thread, connecting, and each receive share it.
         until = clock.now() + seconds
         otherwise = f"{self.address}: another thread has been in sync() for {seconds:g} s"
         with alone(self._exchange, seconds, otherwise):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
-            # Before another thread syncs: what is fresh now is not afterwards, and updates go out in order.
+            # Before another thread syncs: its sync would clear the `fresh` flags, and updates must be delivered in
+            # order.
             self._subscribers.update(replica.changes, self._received)
 
     def background(self, period: float | None = None, *, backoff: Backoff | None = None) -> SyncThread:
-        """Keep in sync from a thread, until it or the robot is closed; reconnects by itself.
+        """Start a thread that syncs and reconnects until the thread or the robot object is closed.
 
         Args:
-            period: seconds from sync to sync; None for every tick of the robot.
-            backoff: how to reconnect.
+            period: Seconds from one sync to the next. If None, sync at every tick of the robot.
+            backoff: Delays between attempts to reconnect.
 
         Raises:
-            BadValue: a period that is not a positive number.
-            LocalError: it is kept in sync already, or the system has no thread left.
-            Closed: after `close`.
+            BadValue: If `period` is not a positive number.
+            LocalError: If a sync thread is already running, or the system cannot start another thread.
+            Closed: If the robot object was closed.
         """
         self._known()
         if self._closing.is_set():
             raise Closed(f"{self._address} was closed")
-        # Without waiting: it may be a signal handler that finds it held, by the thread that it interrupts.
+        # Do not wait for the lock: a signal handler might find it held by the thread that it interrupted.
         is_first = self._background.acquire(blocking=False)
         try:
             if not is_first or (self._sync_thread is not None and self._sync_thread.is_running):
-                raise LocalError(f"{self._address} is kept in sync already")
+                raise LocalError(f"{self._address} already has a sync thread")
             made = self._sync_thread = SyncThread(self.sync, period, backoff, name=f"{self._address} sync")
             return made
         finally:
@@ -346,24 +367,28 @@ class Variables(StrictAttributes, Declarations, Closing):
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
     ) -> Subscription:
-        """Call `callback` after each sync that brought something new, in a thread of its own, until closed.
+        """Call `callback` in a dedicated thread after each sync that brought new values.
+
+        The calls end when the subscription or the robot object is closed.
 
         Args:
-            callback: may be slow and may raise; neither harms anybody else.
-            names: the variables it is for; all if none is named.
-            policy: what to do when it falls behind; by default `drop_oldest(256)`.
-            lifespan: seconds after its arrival for which an update is worth having; None for ever. One that is older
-                when its turn comes is dropped, and counted in `stats.expired`.
-            deadline: seconds within which something new has to come.
-            on_deadline: called with the seconds since then, once for each silence that lasts longer.
+            callback: Function that is called with each `Update`. If it is slow or raises an exception, other callbacks
+                and the sync are not affected.
+            names: Names of the wanted variables; all variables if none is given.
+            policy: Policy of the queue when the callback falls behind. The default is `drop_oldest(256)`.
+            lifespan: Maximum age of an update when its turn comes, in seconds; None for no maximum. Older updates are
+                dropped and counted in `stats.expired`.
+            deadline: Maximum seconds between two updates.
+            on_deadline: Function that is called with the seconds since the last update, once for each silence longer
+                than `deadline`.
 
         Raises:
-            NotThere: the robot has no such variable.
-            BadValue: an argument that cannot be.
-            Closed: after `close`.
+            NotThere: If the robot has no such variable.
+            BadValue: If an argument is not valid.
+            Closed: If the robot object was closed.
         """
         replica = self._known()
-        # For a name that the robot lacks the callback would never be called, without any error.
+        # If the robot lacks a name, the callback would never be called, and no error would show it.
         for name in names:
             replica.find(name)
         return self._subscribers.subscribe(
@@ -380,7 +405,10 @@ class Variables(StrictAttributes, Declarations, Closing):
     def subscribe_connection(
         self, callback: Callable[[ConnectionEvent], object], *, policy: Policy | None = None
     ) -> Subscription:
-        """Call `callback` with each change of the connection, in a thread of its own, until closed."""
+        """Call `callback` in a dedicated thread at each change of the connection state.
+
+        The calls end when the subscription or the robot object is closed.
+        """
         self._known()
         policy = drop_oldest(1024) if policy is None else policy
         return self._subscribers.subscribe(ConnectionEvent, callback, None, policy, owner=self)
@@ -388,18 +416,18 @@ class Variables(StrictAttributes, Declarations, Closing):
     def close(self, timeout: float = 2.0) -> None:
         """Disconnect, and end the sync thread and every subscription, within `timeout` seconds.
 
-        What the last sync sent is waited for until the robot's side has acknowledged it, for 0.7 s at most. A robot
-        gets no message: its values stay as they were sent last, until it notices that its master is gone. Idempotent,
+        Wait up to 0.7 s until the robot's side has acknowledged the data that the last sync sent. The robot receives no
+        message: its values stay as they were last sent, until it notices that its master has disconnected. Idempotent,
         from any thread.
 
         Raises:
-            BadRecording: the disk failed while it was recorded.
+            BadRecording: If the disk failed during recording.
         """
         if self._transport is None or not self._home.is_here:
             return
         timeout = check_seconds(timeout, "timeout")
         until = clock.now() + timeout
-        # In this order: a thread in `sync` finds the flag when closing the transport wakes it, and raises Closed.
+        # This order matters: when closing the transport wakes a thread in `sync`, it finds the flag and raises Closed.
         self._closing.set()
         self._transport.close()
         if self._sync_thread is not None:
@@ -411,7 +439,7 @@ class Variables(StrictAttributes, Declarations, Closing):
             self._transport.finish()
 
     def __del__(self) -> None:
-        # A connection that was never made, or was closed in a parent process, needs no warning.
+        # A connection that was never made needs no warning, nor does one that was closed in a parent process.
         if self._connection is not None and not self._closing.is_set() and self._home.is_here:
             try:
                 warnings.warn(f"{self!r} was dropped without close()", ResourceWarning, source=self, stacklevel=2)
@@ -432,7 +460,7 @@ class Variables(StrictAttributes, Declarations, Closing):
 
     def _known(self) -> Replica:
         if self._transport is None:
-            raise LocalError(f"{type(self).__name__} belongs to no robot yet; it is what connect() takes")
+            raise LocalError(f"{type(self).__name__} is not connected; use the object that rhdlink.connect() returns")
         return self._replica
 
     def _flag(self, name: str, flag: str) -> bool:
@@ -443,22 +471,22 @@ class Variables(StrictAttributes, Declarations, Closing):
 
     def _check_set(self, declaration: Declaration[Any, Any]) -> None:
         if self._transport is None:
-            return  # on the robot's side
+            return  # this is an object of a host
         if declaration.direction == "r":
-            raise LocalError(f"{declaration.name} is a read variable: the robot sets it")
+            raise LocalError(f"{declaration.name} is a read variable; only the robot can set it")
         self._require_write_access(declaration.name)
 
     def _require_write_access(self, name: str) -> None:
         if self._access != "w":
-            raise AccessDenied(f"{name} cannot be set: the access is 'r'; connect with access='w'")
+            raise AccessDenied(f"{name} cannot be set with access 'r'; connect with access='w'")
 
     def _sync(self, replica: Replica, until: float) -> None:
-        """One exchange, by the thread that holds the connection."""
+        """Perform one exchange. The calling thread holds `_exchange`."""
         try:
             connection = self._connection or self._open(until)
             replica.begin_round()
-            # First what has come already. An unsolicited batch that stayed in the buffer would be taken for the reply
-            # to this request, and each reply after it for that to the next.
+            # First deliver batches that have already arrived. An unsolicited batch left in the buffer would be taken
+            # for the reply to this request, and each later reply for the reply to the next request.
             connection.take_waiting(until)
             connection.collect(until)
             replica.answered()
@@ -470,18 +498,18 @@ class Variables(StrictAttributes, Declarations, Closing):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed") from error
             if isinstance(error, LinkTimeout) and self._connection is not None:
-                raise  # the robot still has its master, and is sent with the next sync what it could not be sent now
+                raise  # the connection stays; the robot keeps its master, and the next sync sends any unsent values
             self._lose(replica, error)
             raise
 
     def _open(self, until: float) -> Connection:
-        """Connect, and find the variables."""
+        """Connect, and find the declared variables."""
         if self._closing.is_set() or self._transport is None:
             raise Closed(f"{self._address} was closed")
         self._tell(ConnectionState.CONNECTING)
         replica = self._replica
         connection = Connection(self._transport, until=until, deliver=replica.apply, **self._options)
-        # Found anew by name: a robot that was started again may have other variables, in another order.
+        # Find the variables again by name: a restarted robot might have other variables, in another order.
         database = database_of(connection.handshake)
         try:
             with replica.lock:
@@ -490,7 +518,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         except RemoteError:
             connection.abort()
             raise
-        if self._closing.is_set():  # closed while connecting: `close` could not see this connection
+        if self._closing.is_set():  # closed during connecting: `close` could not see this connection
             connection.abort()
             raise Closed(f"{self._address} was closed")
         self._connection = connection
@@ -500,16 +528,16 @@ class Variables(StrictAttributes, Declarations, Closing):
         return connection
 
     def _lose(self, replica: Replica, error: RemoteError) -> None:
-        """The connection is lost, or could not be made."""
+        """Handle a lost connection, or a failed attempt to connect."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.abort()
             _log.info("%s: connection lost: %s", self._address, error)
-        replica.give_up()  # before anybody hears of it: what is set then is sent
+        replica.give_up()  # before subscribers are notified: values that they set from then on will be sent
         self._tell(ConnectionState.LOST, error)
 
     def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
         if self._closing.is_set() and state is not ConnectionState.CLOSED:
-            return  # a sync that `close` has interrupted
+            return  # `close` interrupted this sync
         self._state = state
         self._subscribers.tell(ConnectionEvent(state, self._address, error, Stamp.now()))

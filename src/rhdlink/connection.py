@@ -1,4 +1,4 @@
-"""One connection to a server: handshake, and a batch for each request, in step."""
+"""One connection to a server: performs the handshake, and exchanges one batch per request."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .errors import AccessDenied
 from .wire.decoder import Limits, ServerDecoder
 from .wire.messages import END, Batch, Handshake, encode_access, encode_ready
 
-#: Seconds that the unsolicited batch is waited for at most, once in a connection. Robots tick every 10 to 25 ms
-#: (docs/protocols/rhd.md, Configuration file), so this covers four ticks of the slowest.
+#: Maximum wait for the unsolicited batch, in seconds, once per connection. Robots tick every 10 to 25 ms
+#: (docs/protocols/rhd.md, Configuration file), so this covers four ticks of the slowest robot.
 _MOST_UNSOLICITED_WAIT = 0.1
 
 
@@ -31,45 +31,53 @@ class Transport(Protocol):
         """Wait for bytes."""
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
-        """Bytes that have come already."""
+        """Return bytes that have already arrived, or None. Does not wait."""
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Send all of it."""
+        """Send all bytes."""
 
     def abort(self) -> None:
-        """Disconnect at once: bytes that the peer has not acknowledged are discarded. Wakes waiting threads."""
+        """Disconnect immediately and wake waiting threads.
+
+        Bytes that the peer has not acknowledged are discarded.
+        """
 
     def close(self) -> None:
-        """Disconnect; waits a moment for the peer to acknowledge what was sent. Wakes waiting threads."""
+        """Disconnect, after a short wait for the peer to acknowledge the sent bytes.
+
+        Wake waiting threads.
+        """
 
 
 class Connection:
-    """A connection that has been granted access.
+    """A connection to a server that has granted access.
 
-    A server of the original sends one batch that nobody asked for, at its first tick after the handshake, unless a
-    request reaches it before (docs/protocols/rhd.md, The unsolicited batch). A client that takes this batch for the
-    reply to a request stays one reply behind for ever. Nothing in a batch says which it is, so replies are counted:
-    those that are outstanding are waited for, and a batch that comes while none is outstanding is delivered and not
-    counted.
+    A server of the original sends one unsolicited batch at its first tick after the handshake, unless a request arrives
+    before that tick (docs/protocols/rhd.md, The unsolicited batch). A client that takes this batch for the reply to a
+    request stays one reply behind forever. A batch does not show whether it is a reply, so this class counts replies.
+    It waits for outstanding replies. A batch that arrives while no reply is outstanding is delivered, but not counted.
 
     Args:
-        transport: not yet open.
-        access: to ask for, "r" or "w".
-        fallback: "r" accepts reader access where there is a master already; else None.
-        width: words of a time stamp; None finds out.
-        limits: what the server may ask for.
-        until: when the handshake has to be done, by `linkcore.clock.now`.
+        transport: Transport that is not yet open.
+        access: Requested access, "r" or "w".
+        fallback: "r" accepts read access if the robot already has a master; otherwise None.
+        width: Number of 32-bit words of a time stamp. If None, it is detected.
+        limits: Limits on the data that the server may send.
+        until: Deadline of the handshake, on the clock `linkcore.clock.now`.
+        deliver: Function that is called with each batch.
 
     Attributes:
-        access: what was granted, "r" or "w".
-        handshake: of the server.
-        received: when the newest bytes came.
+        access: Granted access, "r" or "w".
+        handshake: Handshake of the server.
+        received: Time at which the newest bytes arrived.
 
     Raises:
-        AccessDenied: write access was refused, and there is no fallback.
-        ConnectFailed, ConnectionLost, LinkTimeout: the server is not there, is gone, or is silent.
-        WrongPeer: something else is listening.
-        PacketError: what came is not a handshake.
+        AccessDenied: If the server refuses write access and there is no fallback.
+        ConnectFailed: If no server is at the address, or the server has no free client slot.
+        ConnectionLost: If the server closes the connection.
+        LinkTimeout: If the server does not answer in time.
+        WrongPeer: If the peer is not an RHD server.
+        PacketError: If the received bytes are not a valid handshake.
     """
 
     def __init__(
@@ -88,19 +96,20 @@ class Connection:
         self._width = width
         self._limits = limits
         self._outstanding = 0  # requests without a reply
-        self._is_settled = False  # the unsolicited batch has come, or will not come any more
+        self._is_settled = False  # whether the unsolicited batch has arrived, or can no longer arrive
         self._has_answered = False
         try:
             self._greet(access, until)
             if self.handshake.granted != access:
                 if fallback != "r":
-                    raise AccessDenied(f"{transport.name} refuses write access; it has a master already")
+                    raise AccessDenied(f"{transport.name} refuses write access because it already has a master")
                 if self.handshake.granted != "r":
-                    # The original names no access when it refuses. It would serve this connection all the same, but
-                    # only by an oversight (docs/protocols/rhd.md, Access): ask again, as a reader.
+                    # The original names no access when it refuses write access. It would still serve this connection,
+                    # but only because of a defect (docs/protocols/rhd.md, Access). So request access again, as a
+                    # reader.
                     self._greet("r", until)
                     if self.handshake.granted != "r":
-                        raise AccessDenied(f"{transport.name} refuses even reader access")
+                        raise AccessDenied(f"{transport.name} refuses even read access")
         except BaseException:
             transport.abort()
             raise
@@ -120,28 +129,31 @@ class Connection:
             if decoder.waiting:
                 raise
             # A server without a free slot accepts and closes without a byte (docs/protocols/rhd.md, Handshake).
-            raise ConnectFailed(f"{error} without a word; are all its client slots in use?") from error
+            raise ConnectFailed(f"{error} before sending a byte; are all its client slots in use?") from error
         except LinkTimeout as error:
-            raise LinkTimeout(f"{transport.name}: no handshake in time; {decoder.waiting} bytes of it came") from error
+            raise LinkTimeout(
+                f"{transport.name}: no handshake in time; received {decoder.waiting} bytes of it"
+            ) from error
         except PacketError as error:
-            # Wrong from the first byte on: an SSH or HTTP server, say, and not an RHD server that has gone astray.
+            # An error at the first byte means another kind of server, such as SSH or HTTP, rather than a faulty RHD
+            # server.
             if error.offset == 0:
-                raise WrongPeer(f"{transport.name} is no RHD server: {error.reason}") from error
+                raise WrongPeer(f"{transport.name} is not an RHD server: {error.reason}") from error
             raise
         self.handshake: Handshake = handshake
         self.access = access if handshake.granted is None else handshake.granted
 
     @property
     def width(self) -> int:
-        """Words of a time stamp."""
+        """Number of 32-bit words of a time stamp."""
         return self.handshake.width
 
     def take_waiting(self, until: float) -> None:
-        """Deliver the batches that have come already; does not wait.
+        """Deliver the batches that have already arrived, without waiting.
 
         Raises:
-            LinkTimeout: more and more of them come.
-            ConnectionLost, PacketError: as `request`.
+            LinkTimeout: If batches keep arriving until the deadline.
+            ConnectionLost, PacketError: If receiving fails; see `request`.
         """
         self._deliver_decoded()
         while (arrived := self._transport.receive_waiting()) is not None:
@@ -149,14 +161,14 @@ class Connection:
             _left(until)
 
     def settle(self, period: float | None, until: float) -> None:
-        """Make sure that the unsolicited batch is not still to come.
+        """Ensure that the unsolicited batch can no longer arrive.
 
-        Waits once in a connection, after the first answer. If that was the unsolicited batch, the reply to the request
-        follows one tick later, and is delivered here. So a tick and a half has to pass without a batch.
+        Wait once per connection, after the first answer. If that answer was the unsolicited batch, the reply to the
+        request follows one tick later and is delivered here. So one and a half ticks must pass without a batch.
 
         Args:
-            period: seconds between ticks, as far as known.
-            until: when to be done at the latest, by `linkcore.clock.now`.
+            period: Seconds between ticks; None if unknown.
+            until: Deadline, on the clock `linkcore.clock.now`.
         """
         if self._is_settled or self._outstanding or not self._has_answered:
             return
@@ -169,51 +181,54 @@ class Connection:
                 break
             self._take(*arrived)
         if enough <= until:
-            self._is_settled = True  # else there was no time to be sure; the next sync goes on
+            self._is_settled = True  # otherwise the time was too short to be sure, and the next sync continues
 
     def collect(self, until: float) -> None:
-        """Wait for the replies that are outstanding, and deliver them.
+        """Wait for the outstanding replies and deliver them.
 
-        So no more than one request ever waits at a server: it would take one at each tick, and a program that is late
-        would drive the robot by what it sent long ago.
+        This keeps at most one request pending at a server. The server takes one request per tick, so a client that
+        falls behind would otherwise drive the robot with outdated values.
 
         Raises:
-            LinkTimeout: no reply in time; it stays outstanding.
-            ConnectionLost: the connection is gone.
-            PacketError: the reply cannot be understood.
+            LinkTimeout: If a reply does not arrive in time; it stays outstanding.
+            ConnectionLost: If the connection is lost.
+            PacketError: If the reply cannot be decoded.
         """
-        # Set only when nothing is outstanding any more: until then it is not known which batch was whose.
+        # Set this only when no reply is outstanding: until then a batch cannot be assigned to a request.
         while self._outstanding:
             self._take(*self._transport.receive(_left(until)))
             self._has_answered = not self._outstanding
 
     def request(self, data: bytes, until: float) -> None:
-        """Ask for a batch, and deliver it.
+        """Request a batch and deliver it.
 
         Args:
-            data: data packages to send with it.
-            until: when to be done at the latest, by `linkcore.clock.now`.
+            data: Data packages to send with the request.
+            until: Deadline, on the clock `linkcore.clock.now`.
 
         Raises:
-            LinkTimeout: no reply in time; it stays outstanding.
-            ConnectionLost: the connection is gone, or did not take the request.
-            PacketError: the reply cannot be understood.
-            Cancelled: this thread makes a call that was given up; nothing was sent.
+            LinkTimeout: If the reply does not arrive in time; it stays outstanding.
+            ConnectionLost: If the connection is lost, or the server does not accept the request.
+            PacketError: If the reply cannot be decoded.
+            Cancelled: If the call that this thread makes was cancelled. Nothing is sent.
         """
         check_wanted()
         try:
             self._transport.send(encode_ready(self.access) + data + END, clock.left(until))
         except LinkTimeout as error:
-            # Half a request may have gone out: whatever followed would be taken for its other half.
+            # Half a request may have been sent; the server would read any following bytes as its second half.
             raise ConnectionLost(str(error)) from error
-        except BaseException:  # interrupted: likewise
+        except BaseException:  # an interrupted send has the same problem
             self._transport.abort()
             raise
-        self._outstanding += 1  # from now on, whatever comes: a timeout leaves the reply to the next sync
+        self._outstanding += 1  # from here on the reply is expected: after a timeout, the next sync waits for it
         self.collect(until)
 
     def abort(self) -> None:
-        """Give the connection up: a request that is still in the kernel is never sent. Idempotent, from any thread."""
+        """Abort the connection.
+
+        A request that is still in the kernel is never sent. Idempotent, from any thread.
+        """
         self._transport.abort()
 
     def _take(self, data: bytes, received: Stamp) -> None:
@@ -234,5 +249,5 @@ class Connection:
 def _left(until: float) -> float:
     left = until - clock.now()
     if left <= 0:
-        raise LinkTimeout("no time is left")
+        raise LinkTimeout("no time left before the deadline")
     return left

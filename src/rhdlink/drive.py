@@ -1,4 +1,4 @@
-"""Motions of a mobile robot without any script: forward, turn, arc, to a pose."""
+"""Motions of a mobile robot without a script: lines, turns, arcs, poses and walls."""
 
 from __future__ import annotations
 
@@ -33,24 +33,26 @@ from .smrcl.robot_conf import RobotConf
 from .smrcl.robot_link import AnyRobot, open_link, suitable_conf
 from .smrcl.sensors import LineKind
 
-#: m or degrees beyond which no mobile robot is meant.
+#: Largest accepted number of m or degrees; no mobile robot needs a larger one.
 _MOST = 1e6
-#: m/s and m/s2 beyond which no mobile robot is meant; the fastest robots with RHD drive a few m/s.
+#: Largest accepted m/s and m/s2. The fastest robots with RHD drive a few m/s.
 _FASTEST, _STRONGEST = 10.0, 100.0
-#: Cycles in which a simulated robot comes to rest after a motion, before it is sent the speed 0: 5 s, in which the
-#: heading error, which falls to 1/e in 1 s, becomes less than 0.01 degrees. A heading counter may hunt by one count for
-#: ever.
+#: Number of cycles in which a simulated robot comes to rest after a motion, before it receives the speed 0. In these
+#: 5 s the heading error, which falls to 1/e in 1 s, becomes less than 0.01 degrees. A limit is necessary because a
+#: heading counter might oscillate by one count forever.
 _SETTLING = 500
-#: Seconds that other threads wait for the one that drives.
+#: Maximum time that other threads wait for the driving thread, in s.
 _CLOSE_TIMEOUT = 5.0
 
 
 class _Command(NamedTuple):
-    """A motion that was requested.
+    """Request of a motion.
 
     Attributes:
         number: Number of the request, in the order in which motions were requested.
-        begin: is called in the thread that drives, before the motion begins.
+        motion: Motion to execute.
+        life: Life of the motion's handle.
+        begin: Function that the driving thread calls just before the motion begins.
     """
 
     number: int
@@ -60,31 +62,34 @@ class _Command(NamedTuple):
 
 
 class _Motions:
-    """The program of a `Drive`: the motion that was requested last."""
+    """The program of a `Drive`: it executes the motion that was requested last."""
 
-    #: There is no script.
+    #: A drive has no script.
     run: Run | None = None
 
     def __init__(self, control: MotionControl) -> None:
         self._control = control
-        # Without a lock, since a signal handler may stop the robot while its own thread requests a motion.
+        # No lock is used, because a signal handler might stop the robot while its own thread requests a motion.
         self._requested: deque[_Command] = deque()
         self._numbers = itertools.count(1)
-        self._newest = 0  # number of the newest motion that was begun, or preempted
+        self._newest = 0  # number of the newest motion that has begun, or was preempted
         self._current: _Command | None = None
         self._error: Exception | None = None
 
     @property
     def is_idle(self) -> bool:
-        """No motion is requested, and none is under way."""
+        """Whether no motion is requested or running."""
         return not self._requested and self._current is None
 
     def number(self) -> int:
-        """The number of a request, to be taken when its call is entered."""
+        """Number of a request. Take it at the start of the call."""
         return next(self._numbers)
 
     def put(self, command: _Command) -> None:
-        """Begin a motion in the next cycle; it preempts those that were requested before it, and no later one."""
+        """Begin a motion in the next cycle.
+
+        It preempts all motions that were requested earlier, but no later one.
+        """
         self._requested.append(command)
         for each in list(self._requested):
             if each.number < command.number:
@@ -94,11 +99,14 @@ class _Motions:
 
     def _refuse(self, error: Exception) -> None:
         while self._requested:
-            with contextlib.suppress(IndexError):  # another thread was quicker
+            with contextlib.suppress(IndexError):  # another thread has removed it
                 self._requested.popleft().life.fail(error)
 
     def _next(self) -> _Command | None:
-        """The newest request, if it is newer than the motion under way; the others are cancelled."""
+        """Take the newest request if it is newer than the running motion.
+
+        The other requests are cancelled.
+        """
         requested = [self._requested.popleft() for _ in range(len(self._requested))]
         new = max(requested, key=lambda each: each.number, default=None)
         if new is not None and new.number < self._newest:
@@ -111,7 +119,7 @@ class _Motions:
         return new
 
     def step(self) -> bool:
-        """One cycle; False, since there is always another motion to come."""
+        """Perform one cycle. Return False, because another motion can always follow."""
         new, current = self._next(), self._current
         if new is not None:
             self._current = None
@@ -133,11 +141,11 @@ class _Motions:
         return False
 
     def _give_up(self) -> None:
-        """Have the next motion begin here, rather than where the present one was to end."""
+        """Let the next motion begin at the current pose instead of the end of the current motion."""
         self._control.target = self._control.pose.copy()
 
     def end(self, error: Exception) -> None:
-        """End the motion under way, and refuse those that are requested later."""
+        """End the running motion, and refuse motions that are requested later."""
         self._error = self._error or error
         self._refuse(self._error)
         current, self._current = self._current, None
@@ -146,32 +154,34 @@ class _Motions:
 
 
 class Drive(StrictAttributes, Closing):
-    """Drives a robot by motions; a context manager that closes itself::
+    """Drives a robot with motions. A context manager that closes itself::
 
         with rhdlink.Drive(robot) as drive:
             drive.forward(0.5).wait()
             drive.turn(90).wait()
             drive.to(0.0, 0.0, 180.0).wait()
 
-    Each motion is a handle: wait for it, await it, cancel it. A motion that is begun while another one is under way
-    preempts it, at the speed that the robot has. Lengths are m, angles degrees, positive ones to the left; poses are
-    those of the robot's odometry, which begins at 0, 0, 0.
+    Each motion is a handle: you can wait for it, await it or cancel it. A motion that begins while another one is
+    running preempts it, and starts at the current speed of the robot. Distances are in m and angles in degrees;
+    positive angles are to the left. Poses are those of the robot's odometry, which begins at 0, 0, 0.
 
-    A thread exchanges values with the robot at each of its ticks. A simulated robot whose time stands still in between
-    (a plugin such as `Turtle()`) moves while there is a motion and until it rests, and then waits.
+    A thread exchanges values with the robot at each tick. The time of a simulated robot such as `Turtle()` advances
+    only with these exchanges. Such a robot moves while there is a motion and until it is at rest, and then its time
+    stops.
 
     Args:
-        robot: connected with write access; an address; or a plugin such as `Turtle()`.
-        speed: m/s, for motions without a speed of their own; above 0 and at most 10. The sign of the distance or the
-            angle is the direction.
-        acceleration: m/s2; above 0 and at most 100.
-        conf: what the robot is, see `Mission`.
-        compat: "sound", or "mrc" for motions that end as MRC's do.
+        robot: Robot that is connected with write access, an address, or a plugin such as `Turtle()`.
+        speed: Default speed of motions, in m/s, above 0 and at most 10. The sign of the distance or the angle gives the
+            direction.
+        acceleration: Acceleration in m/s2, above 0 and at most 100.
+        conf: Description of the robot; see `Mission`.
+        compat: "sound", or "mrc" for motions that end in the same way as in MRC.
 
     Raises:
-        BadValue: an argument that cannot be.
-        BadConfiguration: `conf` cannot be read, or says what cannot be.
-        AccessDenied, WrongVariables, ...: the robot cannot be driven.
+        BadValue: If an argument is not valid.
+        BadConfiguration: If `conf` cannot be read, or contains an invalid setting.
+        AccessDenied, WrongVariables: If the robot cannot be driven. Connecting can raise other errors; see
+            `rhdlink.connect`.
     """
 
     def __init__(
@@ -208,35 +218,47 @@ class Drive(StrictAttributes, Closing):
     # -- motions -------------------------------------------------------------------------------------
 
     def forward(self, distance: float, *, speed: float | None = None) -> Motion:
-        """Straight on for `distance` m, backward if it is negative; slows down before obstacles and before the end.
+        """Drive straight ahead by `distance` m, or backward if it is negative.
 
-        The distance is measured from the place that the motion before aimed at, so that errors do not add up.
+        The robot slows down before obstacles and before the end. The distance is measured from the target of the
+        previous motion, so that errors do not add up.
 
         Raises:
             BadValue: If `distance` is not a number, or `speed` is not above 0 and at most 10 m/s. All motions check
                 their numbers in this way, and the robot does not move.
-            Closed: If the robot is not driven any more.
+            Closed: If the drive was closed or has failed.
         """
         return self._begin("forward", Forward(_number("distance", distance)), speed)
 
     def turn(self, angle: float, *, speed: float | None = None) -> Motion:
-        """On the spot by `angle` degrees, also beyond 180. `speed` is that of a wheel."""
+        """Turn on the spot by `angle` degrees; more than 180 is allowed.
+
+        `speed` is the speed of a wheel.
+        """
         return self._begin("turn", Turn(math.radians(_number("angle", angle))), speed)
 
     def arc(self, radius: float, angle: float, *, speed: float | None = None) -> Motion:
-        """Along a circle of `radius` m until the robot has turned by `angle` degrees; it stands behind its end."""
+        """Drive an arc of `radius` m until the robot has turned by `angle` degrees.
+
+        The robot stops just after it has turned by the angle.
+        """
         return self._begin("arc", ArcTurn(_positive("radius", radius), math.radians(_number("angle", angle))), speed)
 
     def to(self, x: float, y: float, heading: float, *, radius: float = 0.3, speed: float | None = None) -> Motion:
-        """To a pose, by the shortest path of an arc, a straight line and an arc, forward or backward.
+        """Drive to a pose along the shortest path, forward or backward.
 
-        It ends a few centimetres and degrees off, since nothing corrects it under way.
+        The path is an arc, a straight line and an arc.
+
+        The motion ends a few centimetres and degrees away from the pose, because nothing corrects it on the path.
         """
         goal = PlanarPose(_number("x", x), _number("y", y), math.radians(_number("heading", heading)))
         return self._begin("to", DriveToPoint(goal, _positive("radius", radius), is_absolute=True), speed)
 
     def along(self, x: float, y: float, direction: float, *, speed: float | None = None) -> Motion:
-        """Along the line through (x, y) in `direction`, until another motion begins or it is cancelled."""
+        """Drive along the line through (x, y) in `direction`.
+
+        The motion continues until another motion begins or it is cancelled.
+        """
         place = _number("x", x), _number("y", y), math.radians(_number("direction", direction))
         control = self._vehicle.control
 
@@ -247,9 +269,10 @@ class Drive(StrictAttributes, Closing):
         return self._begin("along", FollowDirection(), speed, begin)
 
     def follow_line(self, kind: str = "bm", *, speed: float | None = None) -> Motion:
-        """Along a line on the floor, "bm" a black one by its middle, "br" and "bl" by its edges, "wm" a white one.
+        """Follow a line on the floor until another motion begins or this one is cancelled.
 
-        It goes on until another motion begins or it is cancelled, and stands where there is no line for 0.2 m.
+        `kind` is "bm" for the middle of a black line, "br" or "bl" for its edges, or "wm" for a white line. The robot
+        stops after 0.2 m without a line.
         """
         try:
             wanted = LineKind(kind)
@@ -262,16 +285,22 @@ class Drive(StrictAttributes, Closing):
         return self._begin("follow_line", FollowLine(), speed, begin)
 
     def follow_wall(self, side: str, distance: float, *, speed: float | None = None) -> Motion:
-        """Beside a wall on the "left" or "right", in `distance` m, until another motion begins or it is cancelled."""
+        """Follow a wall on the "left" or "right" at `distance` m.
+
+        The motion continues until another motion begins or it is cancelled.
+        """
         check_choice(side, "side", ("left", "right"))
         return self._begin("follow_wall", FollowWall(side == "left", _positive("distance", distance)), speed)
 
     def wheels(self, left: float, right: float) -> Motion:
-        """The speeds of the wheels, -10 to 10 m/s, until another motion begins. It is over at once."""
+        """Set the speeds of the wheels, -10 to 10 m/s, until another motion begins.
+
+        The handle is done immediately.
+        """
         return self._begin("wheels", Wheels(_wheel("left", left), _wheel("right", right)), None)
 
     def stop(self) -> Motion:
-        """Stand, and hold the heading."""
+        """Stop, and hold the heading."""
         return self._begin("stop", Stop(), None)
 
     def _begin(
@@ -279,7 +308,7 @@ class Drive(StrictAttributes, Closing):
     ) -> Motion:
         number = self._motions.number()
         if self._closing.is_set() or self._error is not None:
-            raise Closed(f"{self._link.name} is not driven any more") from self._error
+            raise Closed(f"{self._link.name}: the drive has ended; create a new Drive") from self._error
         wanted = self._speed if speed is None else _positive("speed", speed, _FASTEST, "m/s")
         control = self._vehicle.control
 
@@ -298,28 +327,31 @@ class Drive(StrictAttributes, Closing):
 
     @property
     def pose(self) -> Pose:
-        """Where the robot is by its odometry: m, m, rad."""
+        """Pose of the robot from its odometry: x in m, y in m, heading in rad."""
         pose = self._vehicle.odometry.pose
         return Pose(pose.x, pose.y, pose.th)
 
     @property
     def velocity(self) -> float:
-        """m/s, by its odometry."""
+        """Speed of the robot from its odometry, in m/s."""
         return self._vehicle.odometry.velocity
 
     @property
     def line_position(self) -> float:
-        """Where the line is that is followed, cm to the left; nan where no sensor sees a difference."""
+        """Position of the followed line, in cm to the left; nan if no sensor detects a difference."""
         return self._vehicle.line_position()
 
     @property
     def distances(self) -> tuple[float, ...]:
-        """The infrared distances, m: left, front left, front middle, front right, right; zeros without sensors."""
+        """Infrared distances in m, from left to right; zeros without sensors.
+
+        The order is left, front left, front middle, front right, right.
+        """
         return tuple(self._vehicle.infrared.distances[:5])
 
     @property
     def error(self) -> Exception | None:
-        """What ended it, unless it was closed; None while it goes on."""
+        """Error that ended the drive; None while it is running, and after `close`."""
         return self._error
 
     # -- its thread ----------------------------------------------------------------------------------
@@ -355,24 +387,24 @@ class Drive(StrictAttributes, Closing):
             self._motions.end(error)
         finally:
             self._execution.stand()
-            self._motions.end(Closed(f"{self._link.name} is not driven any more"))
+            self._motions.end(Closed(f"{self._link.name}: the drive has ended; create a new Drive"))
 
     def _rest(self) -> None:
-        """Let the robot's time stand still until there is a motion."""
+        """Stop the robot's time until there is a motion."""
         while self._motions.is_idle and not self._closing.is_set():
             clock.wait(self._wake.wait)
             self._wake.clear()
 
     @property
     def _stands(self) -> bool:
-        """It has no speed, and the robot has received that."""
+        """Whether its speed is zero, and the robot has received the zero speed."""
         return not self._vehicle.outputs.has_speed and self._execution.is_told
 
     def close(self) -> None:
-        """Have the robot stand, and drive it no more. Idempotent.
+        """Stop the robot and end the drive. Idempotent.
 
         Raises:
-            LinkTimeout: the robot does not answer.
+            LinkTimeout: If the robot does not answer.
         """
         self._leave()
         if self._thread.is_alive():

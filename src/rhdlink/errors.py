@@ -1,16 +1,16 @@
-"""The exceptions of a robot and of missions, in addition to those of any peer.
+"""Exceptions of robots and missions, in addition to the exceptions of `linkcore.errors`.
 
 Branches of the tree in `linkcore.errors`::
 
     LinkError
     ├── LocalError
-    │   ├── NotThere            an optional variable that this robot lacks        (AttributeError)
-    │   ├── BadMission          the script cannot be run: every mistake in it, with line and column
-    │   └── MissionFailed       a mission ended because of a line that could not be executed
-    │       └── MissionLimit    a bound that keeps a mission from running away
+    │   ├── NotThere            the robot lacks this optional variable            (AttributeError)
+    │   ├── BadMission          the script cannot be run; lists every mistake with line and column
+    │   └── MissionFailed       a mission ended because a line could not be executed
+    │       └── MissionLimit    a mission exceeded a limit that stops runaway scripts
     └── RemoteError
-        ├── AccessDenied        the robot has a master already                    (PermissionError)
-        └── WrongVariables      the robot's variables are not those declared
+        ├── AccessDenied        the robot already has a master                    (PermissionError)
+        └── WrongVariables      the robot's variables do not match the declared ones
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ __all__ = ["AccessDenied", "BadMission", "MissionFailed", "MissionLimit", "Mista
 
 
 class NotThere(LocalError, AttributeError):
-    """An optional variable that this robot lacks, or a name that it does not know."""
+    """The robot lacks this optional variable, or no variable has this name."""
 
 
 class AccessDenied(RemoteError, PermissionError):
-    """Write access was refused, or a variable was set without it."""
+    """The robot refused write access, or a variable was set without write access."""
 
 
 class WrongVariables(RemoteError):
-    """The robot lacks variables that were declared, or has them in another length or direction.
+    """The robot lacks declared variables, or has them with another length or direction.
 
     Attributes:
-        differences: one sentence for each.
+        differences: Differences from the declaration, one sentence each.
     """
 
     def __init__(self, differences: Sequence[str]) -> None:
         self.differences = tuple(differences)
-        super().__init__("the robot's variables are not those declared: " + "; ".join(self.differences))
+        super().__init__("the robot's variables do not match the declared ones: " + "; ".join(self.differences))
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """Something in a script that cannot work.
+    """Mistake in a mission script.
 
     Attributes:
-        line: of the file, from 1.
-        column: from 1.
-        message: what is wrong, and what was expected.
+        line: Line in the file, counted from 1.
+        column: Column in the line, counted from 1.
+        message: Description of the error and of the expected text.
     """
 
     line: int
@@ -62,11 +62,11 @@ class Mistake:
 
 
 class BadMission(LocalError, ValueError):
-    """A script that cannot be run.
+    """A mission script cannot be run.
 
     Attributes:
-        source: name of the script.
-        mistakes: all of them, in the order of the file.
+        source: Name of the script.
+        mistakes: All mistakes, in the order of the file.
     """
 
     def __init__(self, source: str, mistakes: Sequence[Mistake]) -> None:
@@ -76,13 +76,13 @@ class BadMission(LocalError, ValueError):
 
 
 class MissionFailed(LocalError):
-    """A mission ended because of a line that could not be executed, or of something that it needs and has not.
+    """A mission ended because a line failed, or because something that it needs is missing.
 
     Attributes:
-        line: of the file, from 1; 0 where no line is at fault.
-        column: from 1; 0 where no line is at fault.
-        text: of the line.
-        reason: what was wrong.
+        line: Line in the file, counted from 1; 0 if no line caused the error.
+        column: Column in the line, counted from 1; 0 if no line caused the error.
+        text: Text of the line.
+        reason: Description of the error.
     """
 
     def __init__(self, reason: str, line: int = 0, text: str = "", column: int = 0) -> None:
@@ -94,4 +94,7 @@ class MissionFailed(LocalError):
 
 
 class MissionLimit(MissionFailed):
-    """A mission went beyond a bound: an endless loop that takes no time, calls within calls, too many values."""
+    """A mission exceeded a limit.
+
+    Examples are an endless loop that takes no time, nested calls, or too many values.
+    """

@@ -1,4 +1,4 @@
-"""`load`: a recording of a robot as columns, one for each variable."""
+"""`load`: read a recording of a robot as columns, one for each variable."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .variables.declarations import Declaration, Declarations
 
 
 class RobotTable(Table):
-    """What was recorded of a robot: a row for each batch that it sent, a column for each variable."""
+    """Recorded values of a robot: a row for each batch that it sent, a column for each variable."""
 
     def export(
         self,
@@ -32,21 +32,23 @@ class RobotTable(Table):
         *,
         progress: Progress | None = None,
     ) -> Path:
-        """Write it to a file of another program, which replaces one of the same name once it is whole.
+        """Write the table to a file in another format.
+
+        The complete file replaces one of the same name.
 
         Args:
-            path: its suffix names the format; `rhdlink export --help` lists the formats.
-            fields: names of variables; None for all.
-            rate: rows a second to which it is resampled; None for the batches as they came.
-            progress: called with the part that is done, 0 to 1.
+            path: Path of the file. Its suffix selects the format; `rhdlink export --help` lists the formats.
+            fields: Names of variables; None for all.
+            rate: Rate in rows per second at which to resample; None for one row per batch.
+            progress: Function that is called with the finished part, 0 to 1.
 
         Returns:
             The path.
 
         Raises:
-            BadValue: no such format or variable.
-            BadRecording: the file cannot be written.
-            LocalError: what writes the format is not installed; says how to.
+            BadValue: If the format or a variable does not exist.
+            BadRecording: If the file cannot be written.
+            LocalError: If the package that writes the format is not installed. The message explains how to install it.
         """
         return export(path, chosen({CHANNEL: self}, fields, rate), progress)
 
@@ -54,21 +56,25 @@ class RobotTable(Table):
 def load(
     path: str | os.PathLike[str], variables: type[Declarations] | None = None, *, progress: Progress | None = None
 ) -> RobotTable:
-    """A recording as columns: ``load("drive.urlog")["encl"]``, a row for each batch that the robot sent.
+    """Load a recording as columns: ``load("drive.urlog")["encl"]``.
 
-    A variable keeps its value until the robot sends another. Of a read and a write variable with the same name the read
-    variable stands. What is damaged or unfinished is left out, and `Table.missing` says so.
+    The table has a row for each batch that the robot sent.
+
+    A variable keeps its value until the robot sends a new one. If a read and a write variable have the same name, the
+    table has the read variable. Damaged or unfinished parts are skipped, and `Table.missing` lists them.
 
     Args:
-        path: of the file.
-        variables: class that declares variables, such as `rhdlink.robots.Smr`: their columns are typed as it says,
-            under the names of its attributes. Other variables are 32-bit words, int32, (n,) or (n, words).
-        progress: called with the part that is done, 0 to 1.
+        path: Path of the recording.
+        variables: Class that declares variables, such as `rhdlink.robots.Smr`. Their columns have the declared types
+            and the names of the class's attributes. Other variables are 32-bit words, int32, of shape (n,) or (n,
+            words).
+        progress: Function that is called with the finished part, 0 to 1.
 
     Raises:
-        BadRecording: no such file, or it holds no robot that runs RHD, or another kind of robot after a reconnect.
+        BadRecording: If the file does not exist, contains no RHD robot, or contains a robot with other variables after
+            a reconnect.
     """
-    variables = variables or Declarations  # which declares none
+    variables = variables or Declarations  # the base class declares no variables
     recording = RecordingFile(path, progress)
     rows: list[bytes] = []
     wall: list[float] = []
@@ -88,11 +94,11 @@ def load(
             time.append(moment.received.monotonic)
             wall.append(moment.received.wall)
     except PacketError as error:
-        missing.append(f"what follows {len(rows)} batches could not be read: {error}")
+        missing.append(f"data after {len(rows)} batches could not be read: {error}")
     if recording.left_out:
         missing.append(f"{recording.left_out} bytes at the end are damaged or unfinished")
     if begins:
-        missing.append(f"connected again {len(begins)} times")
+        missing.append(f"reconnected {len(begins)} times")
     known: dict[str, Column] = {}
     arrays: dict[str, NDArray[Any]] = {}
     if database is not None:
@@ -115,10 +121,13 @@ def load(
 def _add_words(
     table: VariableTable, words: NDArray[np.int32], known: dict[str, Column], arrays: dict[str, NDArray[Any]]
 ) -> None:
-    """A column for each variable of a table, of which `words` has the values, (n, words of the table)."""
+    """Add a column for each variable of a table.
+
+    `words` has its values, shape (n, words of the table).
+    """
     for identity, row in enumerate(table):
         if table.find(row.name) != identity:
-            continue  # of several with one name, the first is the one
+            continue  # of several variables with the same name, only the first gets a column
         start = table.start(identity)
         mine = words[:, start] if row.length == 1 else words[:, start : start + row.length]
         width = None if row.length == 1 else row.length
@@ -127,7 +136,7 @@ def _add_words(
 
 
 def _typed(declaration: Declaration[Any, Any], words: NDArray[np.int32], order: Any) -> NDArray[Any]:
-    """The values of a variable in each row."""
+    """Values of a variable in each row, in its declared type."""
     count = len(words)
     words = words.reshape(count, -1)
     if declaration.length != words.shape[1]:
@@ -137,7 +146,7 @@ def _typed(declaration: Declaration[Any, Any], words: NDArray[np.int32], order: 
     values = declaration.type.unpack_many(np.ascontiguousarray(words).ravel(), declaration.count * count, order)
     if isinstance(values, np.ndarray) and values.dtype.names is None:
         return values if declaration.count == 1 else values.reshape(count, declaration.count)
-    # Text and structures: one object for each row.
+    # Text and structures become one object per row.
     found = np.empty(count, object)
     found[:] = [declaration.unpack(row, order) for row in words]
     return found

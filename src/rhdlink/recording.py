@@ -1,4 +1,7 @@
-"""Connections recorded in linkcore's format: written as the bytes come, and played batch by batch."""
+"""Recorded connections in linkcore's format.
+
+The bytes are written as they arrive, and played batch by batch.
+"""
 
 from __future__ import annotations
 
@@ -20,19 +23,19 @@ from .wire.decoder import ServerDecoder
 
 _log = logging.getLogger(__name__)
 
-#: The name of the channel that holds a robot's bytes.
+#: Name of the channel that holds a robot's bytes.
 CHANNEL = "rhd"
 
 
 class RecordedTransport:
-    """A transport that writes down what another one receives.
+    """A transport that records the bytes that another transport receives.
 
-    The file is made when the first connection stands, so that one that fails leaves none behind. Should the disk fail
-    later, the connection goes on, and `finish` says so.
+    The file is created when the first connection is made, so that a failed attempt leaves no file. If the disk fails
+    later, the connection continues, and `finish` raises the error.
 
     Args:
-        transport: what carries the bytes.
-        path: a file that does not exist yet.
+        transport: Transport that carries the bytes.
+        path: Path of a file that does not exist yet.
     """
 
     def __init__(self, transport: Transport, path: str | os.PathLike[str]) -> None:
@@ -47,7 +50,7 @@ class RecordedTransport:
         """Connect.
 
         Raises:
-            BadRecording: the file exists, or cannot be made.
+            BadRecording: If the file already exists or cannot be created.
         """
         self._transport.open(timeout)
         if self._writer is None:
@@ -64,29 +67,29 @@ class RecordedTransport:
         return arrived
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
-        """Bytes that have come already."""
+        """Return bytes that have already arrived, or None. Does not wait."""
         arrived = self._transport.receive_waiting()
         if arrived is not None:
             self._add(Chunk(*arrived))
         return arrived
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Send all of it."""
+        """Send all bytes."""
         self._transport.send(data, timeout)
 
     def abort(self) -> None:
-        """Disconnect at once; the file stays open for the next connection."""
+        """Disconnect immediately. The file stays open for the next connection."""
         self._transport.abort()
 
     def close(self) -> None:
-        """Disconnect; the file stays open for the next connection."""
+        """Disconnect. The file stays open for the next connection."""
         self._transport.close()
 
     def finish(self) -> None:
-        """Close the file; idempotent.
+        """Close the file. Idempotent.
 
         Raises:
-            BadRecording: the disk failed; the file holds what came before.
+            BadRecording: If the disk failed. The file contains the bytes that arrived before the failure.
         """
         if self._writer is not None:
             self._writer.close()
@@ -103,22 +106,22 @@ class RecordedTransport:
         try:
             self._writer.add(self._channel, item)
         except Closed:
-            pass  # while the last sync was under way
+            pass  # the file was closed during the last sync
         except BadRecording as error:
-            _log.error("%s; the connection goes on without it", error)
+            _log.error("%s; the connection continues without recording", error)
             self._failure = error
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A batch of a recording.
+    """One batch of a recording, and the values at its time.
 
     Attributes:
-        received: when it came.
-        database: all that was known then; it changes with the next moment.
-        width: words of a time stamp.
-        connection: number of the connection, from 1.
-        is_handshake: whether it is the first batch of its connection.
+        received: Time at which the batch arrived.
+        database: All values known at that time. The next moment changes this object.
+        width: Number of 32-bit words of a time stamp.
+        connection: Number of the connection, counted from 1.
+        is_handshake: Whether it is the first batch of its connection.
     """
 
     received: Stamp
@@ -128,18 +131,21 @@ class Moment:
     is_handshake: bool
 
     def update(self, names: frozenset[str] | None = None) -> Update:
-        """The variables whose time stamp or value has changed; of these, or of all."""
+        """Variables whose time stamp or value has changed; only `names`, unless it is None."""
         return Update(changes_in(self.database, names, VariableTable.words), self.received)
 
 
 def received(recording: RecordingFile, progress: Progress | None = None) -> Iterator[tuple[int, Record]]:
-    """The bytes of a robot, as they were received: the number of the connection, from 1, and the record.
+    """Yield the recorded bytes of a robot: the number of the connection and the record.
+
+    Connections are counted from 1.
 
     Args:
-        progress: called with the part that is read, 0 to 1.
+        recording: Recording to read.
+        progress: Function that is called with the finished part, 0 to 1.
 
     Raises:
-        BadRecording: it holds no robot that runs RHD.
+        BadRecording: If the recording contains no RHD robot.
     """
     number, connection = recording.channel(CHANNEL), 1
     for record in recording.records(progress):
@@ -152,14 +158,15 @@ def received(recording: RecordingFile, progress: Progress | None = None) -> Iter
 
 
 def play(recording: RecordingFile, progress: Progress | None = None) -> Iterator[Moment]:
-    """Every batch, in order.
+    """Yield every batch of a recording, in order.
 
     Args:
-        progress: called with the part that is read, 0 to 1.
+        recording: Recording to read.
+        progress: Function that is called with the finished part, 0 to 1.
 
     Raises:
-        BadRecording: it holds no robot that runs RHD.
-        PacketError: it holds bytes that are not a batch.
+        BadRecording: If the recording contains no RHD robot.
+        PacketError: If the recording contains bytes that are not a batch.
     """
     decoder, database, current = ServerDecoder(), Database(), 1
     for connection, record in received(recording, progress):

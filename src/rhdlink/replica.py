@@ -1,4 +1,4 @@
-"""The robot's variables as a client has them: a copy of its database, brought up to date by each batch."""
+"""The client's copy of a robot's variables, which each batch updates."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from .wire.messages import Batch
 
 _log = logging.getLogger(__name__)
 
-#: Whether values that were set and not sent are kept when the connection is lost.
+#: Whether values that were set but not sent are kept when the connection is lost.
 Unsent = Literal["discard", "send"]
 
-#: A writer's request that sets nothing holds a data package all the same, as librhd's does.
+#: A writer's request contains a data package even if it sets nothing, as in librhd.
 _NOTHING_SET = b"dw\0\0\0\0"
 _NONE: Ids = np.empty(0, np.int64)
 
 
 class Replica:
-    """A copy of a robot's database that threads share.
+    """Copy of a robot's database that threads share.
 
     Args:
-        robot: its address, for messages.
-        unsent: "discard" forgets what was set and not sent when the connection is lost; "send" keeps it.
-        variables: the class whose declarations say what values mean.
+        robot: Address of the robot, used in error and log messages.
+        unsent: "discard" drops values that were set but not sent when the connection is lost; "send" keeps them.
+        variables: Class whose declarations define the types of the values.
 
     Attributes:
-        database: the tables of the newest connection; empty before the first.
-        lock: held around every access to the database.
-        discarded: values that were set and lost with a connection: not sent, or sent and not answered.
-        period: seconds between ticks of the robot, once two batches of a connection have shown it.
+        database: Tables of the newest connection; empty before the first.
+        lock: Lock that is held around every access to the database.
+        discarded: Number of set values that were lost with a connection, either unsent or sent without an answer.
+        period: Seconds between ticks of the robot; None until two batches of a connection have shown it.
     """
 
     def __init__(self, robot: str, unsent: Unsent, variables: type[Declarations]) -> None:
@@ -55,17 +55,17 @@ class Replica:
         self._order = variables._word_order
         self._is_new_round = False
         self._has_warned = False
-        self._unanswered: Ids = _NONE  # variables in a request that has not been answered
+        self._unanswered: Ids = _NONE  # variables in a request that is not yet answered
         self.database = Database()
         self._first_tick: tuple[int, float] | None = None
 
     # -- one variable --------------------------------------------------------------------------
 
     def find(self, name: str) -> tuple[VariableTable, int]:
-        """Where a variable is; of a read and a write variable with the same name the read variable.
+        """Find the table and id of a variable. If two have the same name, return the read variable.
 
         Raises:
-            NotThere: the robot has no such variable.
+            NotThere: If the robot has no such variable.
         """
         for table in (self.database.read, self.database.write):
             identity = table.find(name)
@@ -74,14 +74,14 @@ class Replica:
         raise NotThere(f"{self._robot} has no variable {name!r}{similar(name, self.names())}")
 
     def names(self) -> list[str]:
-        """The names of all variables, read variables first."""
+        """Names of all variables, read variables first."""
         return [row.name for row in (*self.database.read, *self.database.write)]
 
     def find_to_set(self, name: str) -> tuple[VariableTable, int]:
-        """Where a write variable is.
+        """Find the table and id of a write variable.
 
         Raises:
-            NotThere: the robot has no such write variable.
+            NotThere: If the robot has no such write variable.
         """
         write = self.database.write
         identity = write.find(name)
@@ -92,11 +92,11 @@ class Replica:
         return write, identity
 
     def set(self, name: str, value: ArrayLike) -> None:
-        """Set a write variable: a whole number, or as many as it is long.
+        """Set a write variable to an integer, or to as many integers as it has words.
 
         Raises:
-            NotThere: the robot has no such write variable.
-            BadValue: not such a number, or not as many.
+            NotThere: If the robot has no such write variable.
+            BadValue: If the values are not integers, or their number is not the length of the variable.
         """
         with self.lock:
             table, identity = self.find_to_set(name)
@@ -105,13 +105,13 @@ class Replica:
                 if length > 1 and np.ndim(value) != 1:
                     raise BadValue(f"expected {length} words, got {value!r}")
                 table.set(identity, value)
-            except ValueError as error:  # BadValue, or numpy's own for what cannot be an array
+            except ValueError as error:  # BadValue, or numpy's ValueError for a value that cannot become an array
                 raise BadValue(f"{name}: {error}") from None
 
     # -- all of them ---------------------------------------------------------------------------
 
     def snapshot(self) -> Iterator[Variable]:
-        """Every variable at this moment, read variables first; the caller holds the lock."""
+        """All variables with their current values, read variables first. The caller holds the lock."""
         for table in (self.database.read, self.database.write):
             for identity, row in enumerate(table):
                 declaration = self._declared.get((table.direction, row.name))
@@ -130,12 +130,18 @@ class Replica:
                 )
 
     def changes(self, names: frozenset[str] | None) -> dict[str, Change]:
-        """The variables whose time stamp or value has changed in the newest batch; of these, or of all for None."""
+        """Variables that changed in the newest batch; only `names`, unless it is None.
+
+        A variable has changed if its time stamp or value is different.
+        """
         with self.lock:
             return changes_in(self.database, names, self._value)
 
     def _value(self, table: VariableTable, identity: int) -> Any:
-        """The value of a variable: as it is declared, where it is and is as long."""
+        """Value of a variable, in its declared type.
+
+        Words if it is undeclared or has another length.
+        """
         row = table.rows[identity]
         declaration = self._declared.get((table.direction, row.name))
         if declaration is None or declaration.length != row.length:
@@ -145,7 +151,9 @@ class Replica:
     # -- a connection --------------------------------------------------------------------------
 
     def adopt(self, database: Database) -> None:
-        """Go over to the tables of a new connection, with what was set since the last sync.
+        """Replace the tables by the tables of a new connection.
+
+        Values that were set since the last sync are kept.
 
         The caller holds the lock.
         """
@@ -162,13 +170,13 @@ class Replica:
                 database.write.set(new, before.write.value(identity), before.write.stamp(identity))
             else:
                 lacking.append(row.name)
-        self._note_discarded(lacking, "which the robot no longer has")
+        self._note_discarded(lacking, "the robot no longer has these variables")
 
     def give_up(self) -> None:
-        """The connection is lost, or could not be made: forget what has not been sent, unless that is to be kept.
+        """Handle a lost or failed connection: discard unsent values, unless they must be kept.
 
-        What is given up is never sent. A robot stops when its master is gone, and a command of before that would set
-        it moving again however much later the network is back.
+        Discarded values are never sent. A robot stops when its master has disconnected, and an old command would move
+        it again when the network is back, however late that is.
         """
         with self.lock:
             write = self.database.write
@@ -177,20 +185,20 @@ class Replica:
                 ids = write.dirty.take()
                 write.updated[ids] = False
                 lost += ids.tolist()
-            self._note_discarded([write.rows[identity].name for identity in lost], "with the connection")
+            self._note_discarded([write.rows[identity].name for identity in lost], "the connection was lost")
 
     def _note_discarded(self, names: list[str], reason: str) -> None:
         self.discarded += len(names)
-        if names and not self._has_warned:  # once for each outage: a control loop would fill the disk
+        if names and not self._has_warned:  # once per outage, because a control loop would fill the disk
             self._has_warned = True
-            _log.warning("%s: lost what was set of %s, %s", self._robot, ", ".join(map(repr, names)), reason)
+            _log.warning("%s: lost the values set for %s: %s", self._robot, ", ".join(map(repr, names)), reason)
 
     def begin_round(self) -> None:
-        """Let the next batch clear the flags: until it has come, they are those of the last one."""
+        """Let the next batch clear the flags. Until it arrives, they describe the last batch."""
         self._is_new_round = True
 
     def outgoing(self, access: str, width: int) -> bytes:
-        """The data package of a request; a reader's request has none."""
+        """Data package of a request; empty for a reader."""
         if access != "w":
             return b""
         with self.lock:
@@ -203,14 +211,14 @@ class Replica:
             return write.encode(ids, width)
 
     def answered(self) -> None:
-        """The request has been answered: what it set has arrived."""
+        """Note that the request was answered, so its values have reached the robot."""
         self._unanswered = _NONE
         self._has_warned = False
 
     def apply(self, batch: Batch) -> None:
-        """Take what the robot says."""
+        """Apply the values that the robot sent."""
         with self.lock:
-            # `updated` of a write variable says that it was set here and waits to be sent, which no batch changes.
+            # `updated` of a write variable means that it was set here and has yet to be sent. No batch changes that.
             if self._is_new_round:
                 self._is_new_round = False
                 self.database.read.begin_round()
@@ -221,7 +229,7 @@ class Replica:
                 self._measure_period()
 
     def _tick(self) -> tuple[int, float] | None:
-        """The robot's count of ticks, and when it counted: `tick` is variable 0 of every server."""
+        """The robot's tick count and its time stamp; `tick` is variable 0 of every server."""
         table = self.database.read
         identity = table.find("tick")
         if identity is None:
@@ -229,9 +237,9 @@ class Replica:
         return int(table.value(identity)[0]), table.stamp(identity).time
 
     def _measure_period(self) -> None:
-        """Work the time between ticks out from the first batch that shows it."""
-        # By the robot's own stamps, so that the network has no part in it. A robot whose tick stands still, or that has
-        # none, never shows it.
+        """Compute the time between ticks from the first batch that shows it."""
+        # Use the robot's own time stamps, so that network delays have no effect. The period stays unknown if the
+        # robot's tick does not advance, or if it has no tick.
         before, after = self._first_tick, self._tick()
         if before is not None and after is not None and after[0] > before[0] and after[1] > before[1]:
             self.period = (after[1] - before[1]) / (after[0] - before[0])

@@ -1,7 +1,7 @@
 """Ready-made classes for the robots of docs/protocols/rhd.md, Names of variables.
 
-Scales and units are those of the original's drivers. What not every robot of a kind has is optional:
-using it where it is missing raises `NotThere`. Derive from a class to declare more, or otherwise.
+Scales and units are those of the original's drivers. Variables that not every robot of a kind has are optional: if one
+is missing, using it raises `NotThere`. To declare more variables, or to declare them differently, derive a class.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ __all__ = ["Ackerman", "Gps", "Smr", "VelocityOmega"]
 class Smr(Variables):
     """A small mobile robot with two driven wheels."""
 
-    tick = Read(Int32, doc="rounds of the server")
+    tick = Read(Int32, doc="number of ticks of the server")
     encl = Read(
         Int32, unit="ticks", doc="left wheel, forward counts up; wraps at 16 bits: take differences modulo 65536"
     )
-    encr = Read(Int32, unit="ticks", doc="right wheel, as encl")
+    encr = Read(Int32, unit="ticks", doc="right wheel; see encl")
     speedl = Write(Int32, unit="cm/s", doc="left wheel, -127 to 127")
     speedr = Write(Int32, unit="cm/s", doc="right wheel, -127 to 127")
     resetmotorl = Write(Int32, doc="any value resets the left motor module", optional=True)
@@ -38,12 +38,12 @@ class Smr(Variables):
 
 
 class VelocityOmega(Variables):
-    """A robot that is commanded by its speed and its turn rate, such as the iRobot ATRV-Jr."""
+    """A robot that is commanded with a speed and a turn rate, such as the iRobot ATRV-Jr."""
 
-    tick = Read(Int32, doc="rounds of the server", optional=True)
+    tick = Read(Int32, doc="number of ticks of the server", optional=True)
     cmdtransvel = Write(Scaled(1e-5, unit="m/s"), doc="forward speed")
     cmdrotvel = Write(Scaled(1 / 40000, unit="rad/s"), doc="turn rate, counter-clockwise")
-    transpos = Read(Int32, unit="counts", doc="travelled distance; what a count is worth depends on the robot")
+    transpos = Read(Int32, unit="counts", doc="travelled distance; the length of a count depends on the robot")
     rotpos = Read(Scaled(1 / 40000, unit="rad"), doc="heading, counter-clockwise")
     cmdtransaccl = Write(Int32, doc="rflex units", optional=True)
     cmdtranstorque = Write(Int32, doc="rflex units", optional=True)
@@ -68,7 +68,7 @@ class VelocityOmega(Variables):
 class Ackerman(Variables):
     """A robot that steers like a car, such as the Hako tractor."""
 
-    tick = Read(Int32, doc="rounds of the server", optional=True)
+    tick = Read(Int32, doc="number of ticks of the server", optional=True)
     steeringangleref = Write(Scaled(3.141592653589793 / 1800, unit="rad"), doc="steering angle")
     speedref = Write(Int32, doc="speed; the unit depends on the robot", optional=True)
     curvatureref = Write(Int32, optional=True)
@@ -83,7 +83,10 @@ class Ackerman(Variables):
 
 
 class Gps(Variables):
-    """A robot with the GPS plugin. Names are spelled as there; units are not stated there and are those of NMEA."""
+    """A robot with the GPS plugin.
+
+    Names are spelled as in the plugin, which states no units; those here are NMEA's.
+    """
 
     GPSeasting = Read(Millionths, unit="m", doc="UTM")
     GPSnorthing = Read(Millionths, unit="m", doc="UTM")

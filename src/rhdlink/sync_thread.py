@@ -1,4 +1,4 @@
-"""A thread that keeps a robot in sync, and its subscribers, each with a dedicated thread."""
+"""The thread that keeps a robot in sync, and the subscribers, each with a dedicated thread."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _log = logging.getLogger(__name__)
 
 
 class SyncThread(StrictAttributes, Closing):
-    """Syncs from a thread of its own until closed; a context manager that closes itself.
+    """A dedicated thread that syncs until closed. A context manager that closes itself.
 
-    Made by `Variables.background`. It does not keep the robot alive: when the program drops its last reference to the
-    robot, it ends.
+    Made by `Variables.background`. It does not keep the robot object alive: it ends when the program drops its last
+    reference to the robot.
 
     Attributes:
-        syncs: how many there were.
-        failures: how many failed because of the robot or the network.
-        failure: what ended it, where it was not closed: the last `RemoteError` when the back-off gave up, or whatever
-            else `sync` raised; None while it goes on, and after `close`.
+        syncs: Number of successful syncs.
+        failures: Number of syncs that failed because of the robot or the network.
+        failure: Error that ended the thread: the last `RemoteError` when the back-off ran out, or any other exception
+            of `sync`. None while the thread runs, and after `close`.
 
     Raises:
-        BadValue: a period that is not a positive number.
-        LocalError: the system has no thread left.
+        BadValue: If `period` is not a positive number.
+        LocalError: If the system cannot start another thread.
     """
 
     def __init__(
@@ -55,17 +55,17 @@ class SyncThread(StrictAttributes, Closing):
         self._period = period
         self._backoff = backoff or Backoff()
         self._closing = ReentrantEvent()
-        # Known before it runs: it may fail, and say who it is, before `started` returns.
+        # Set before the thread runs: it might fail, and log its name, before `started` returns.
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         started(self._thread)
 
     @property
     def is_running(self) -> bool:
-        """Whether it goes on."""
+        """Whether the thread is still syncing."""
         return self.failure is None and self._thread.is_alive()
 
     def close(self, timeout: float = 2.0) -> None:
-        """Sync no more; waits up to `timeout` seconds for a sync that is under way. Idempotent."""
+        """Stop syncing, after waiting up to `timeout` seconds for a running sync. Idempotent."""
         self._closing.set()
         if self._thread is not threading.current_thread():
             clock.join(self._thread, timeout)
@@ -77,8 +77,8 @@ class SyncThread(StrictAttributes, Closing):
     def _run(self) -> None:
         try:
             self._sync_until_closed()
-        except BaseException as error:  # SystemExit too: nobody but this thread would ever know of it
-            _log.exception("%s ended", self._thread.name)
+        except BaseException as error:  # SystemExit too: otherwise no other thread would learn of it
+            _log.exception("%s ended because of an exception", self._thread.name)
             self.failure = error
 
     def _sync_until_closed(self) -> None:
@@ -97,7 +97,7 @@ class SyncThread(StrictAttributes, Closing):
                     return
                 self.failures += 1
                 if self.failures & (self.failures - 1) == 0:  # each power of two: the disk must not fill
-                    _log.warning("%s failed, %d so far: %s", self._thread.name, self.failures, error)
+                    _log.warning("%s: sync failed (%d failures so far): %s", self._thread.name, self.failures, error)
                 wait = next(waits, None)
                 if wait is None:
                     self.failure = error
@@ -107,18 +107,18 @@ class SyncThread(StrictAttributes, Closing):
                 self.syncs += 1
                 waits = self._backoff.waits()  # after a success it begins with the shortest wait again
             finally:
-                del sync  # or the robot would live as long as this thread waits
+                del sync  # otherwise the robot object would live as long as this thread waits
             if wait is not None:
                 clock.wait(self._closing.wait, wait)
                 due = clock.now()
             elif self._period is not None:
-                # On absolute deadlines; one that was missed is not made up for.
+                # Use absolute deadlines. A missed deadline is skipped and not made up for.
                 due = max(due + self._period, clock.now())
                 clock.wait(self._closing.wait, due - clock.now())
 
 
 class _Subscriber:
-    """A callback, and the events that it is to get.
+    """A callback and the events that it subscribed to.
 
     Args:
         event_type: Class of the events.
@@ -131,7 +131,7 @@ class _Subscriber:
         self, event_type: type, queue: PacketQueue, names: frozenset[str] | None, delivery: ThreadedDelivery
     ) -> None:
         self.event_type, self.queue, self.names, self.delivery = event_type, queue, names, delivery
-        # A queue takes from one thread at a time, and any thread may sync or close.
+        # Only one thread at a time can add to a queue, but any thread can sync or close.
         self._turn = threading.RLock()
         self._waiting: deque[object] = deque()
         self._is_offering = False
@@ -139,7 +139,7 @@ class _Subscriber:
     def offer(self, event: object) -> None:
         """Put an event into the queue.
 
-        A signal handler that comes while its own thread is in the queue leaves its event to that thread.
+        A signal handler that interrupts its own thread inside the queue leaves its event to that thread.
         """
         with self._turn:
             self._waiting.append(event)
@@ -154,16 +154,16 @@ class _Subscriber:
 
 
 class Subscribers:
-    """The subscribers of one robot.
+    """All subscribers of one robot.
 
     Args:
-        name: of the robot, for messages.
+        name: Address of the robot, used in error messages and thread names.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
-        # Without a lock, since a signal handler may subscribe or close in the middle of a change of its own thread: an
-        # entry is added or removed in one step.
+        # No lock is used, because a signal handler might subscribe or close while its own thread is changing this dict.
+        # Each entry is added or removed in one step.
         self._by_queue: dict[PacketQueue, _Subscriber] = {}
         self._is_closed = False
 
@@ -179,13 +179,15 @@ class Subscribers:
         *,
         owner: object,
     ) -> Subscription:
-        """Call `callback` with each event of a type; where that is `Update`, with these variables of it.
+        """Call `callback` with each event of a type.
 
-        Whoever holds the subscription holds `owner`.
+        For `Update`, it receives only the variables in `names`.
+
+        The subscription keeps `owner` alive.
 
         Raises:
-            Closed: after `close`.
-            BadValue: arguments that cannot be.
+            Closed: If the subscribers were closed.
+            BadValue: If an argument is not valid.
         """
         check_callable(callback, "callback")
         check_policy(policy)
@@ -195,7 +197,7 @@ class Subscribers:
         name = f"{self._name} {event_type.__name__}"
         delivery = ThreadedDelivery(queue, callback, name=name, deadline=deadline, on_deadline=on_deadline)
         self._by_queue[queue] = _Subscriber(event_type, queue, names, delivery)
-        if self._is_closed:  # looked at last: a `close` that has not seen the callback is seen here
+        if self._is_closed:  # checked last, so that a `close` that missed this callback is noticed here
             delivery.close(0.0)
             self._by_queue.pop(queue, None)
             raise Closed(f"{self._name} was closed")
@@ -206,17 +208,18 @@ class Subscribers:
         return tuple(self._by_queue.values())
 
     def tell(self, event: object) -> None:
-        """Hand out an event to those who subscribed to its type."""
+        """Deliver an event to the subscribers of its type."""
         for each in self._subscribers:
             if each.event_type is type(event):
                 each.offer(event)
 
     def update(self, changes_of: Callable[[frozenset[str] | None], Mapping[str, Change]], received: Stamp) -> None:
-        """Hand out what changed, to each the variables that it wants; nothing to those who want none of them.
+        """Deliver changes to each subscriber that wants at least one of the changed variables.
 
         Args:
-            changes_of: gives what changed of these variables, of all for None; called only if somebody has subscribed.
-            received: when it came.
+            changes_of: Function that returns the changes of the named variables, or of all for None. Called only if
+                there is a subscriber.
+            received: Time at which the changes arrived.
         """
         wanting = [each for each in self._subscribers if each.event_type is Update]
         if not wanting:
@@ -231,7 +234,10 @@ class Subscribers:
                 each.offer(Update(own, received))
 
     def close(self, until: float) -> None:
-        """Deliver what waits, until then by `linkcore.clock.now`, and nothing more."""
+        """Deliver the queued events until the deadline `until`, and then no more.
+
+        The deadline is on the clock `linkcore.clock.now`.
+        """
         self._is_closed = True
         for each in self._subscribers:
             each.delivery.finish(clock.left(until))

@@ -172,7 +172,7 @@ def test_variables_are_set_and_misspelt_ones_refused() -> None:
         speedl = Write(Int32)
 
     robot: Any = Smr()
-    with pytest.raises(rhdlink.NotThere, match="declares no sped; did you mean 'speedl'"):
+    with pytest.raises(rhdlink.NotThere, match="does not declare sped; did you mean 'speedl'"):
         robot.sped = 20
     with pytest.raises(AttributeError, match="Smr has no attribute 'sped'; did you mean 'speedl'"):
         robot.sped  # noqa: B018

@@ -70,7 +70,7 @@ def test_a_marker_that_makes_no_sense_says_so(pytester: pytest.Pytester) -> None
     )
     result = pytester.runpytest_inprocess(*OPTIONS)
     result.assert_outcomes(errors=5)
-    for said in ("*takes its arguments by name*", "*modle*", "*protective_halt*", "*expected a list*", "*size=-1*"):
+    for said in ("*pass arguments by name*", "*modle*", "*protective_halt*", "*expected a list*", "*size=-1*"):
         result.stdout.fnmatch_lines([said])
 
 

@@ -213,7 +213,7 @@ def test_the_width_is_known_with_the_last_byte_of_the_handshake() -> None:
 def test_the_wrong_width_is_refused_and_says_where() -> None:
     stream = ServerDecoder(width=4)
     stream.feed(recorded.from_server("reader64"))
-    with pytest.raises(PacketError, match="fit stamps of 4 words no longer") as caught:
+    with pytest.raises(PacketError, match="do not fit time stamps of 4 words") as caught:
         stream.take_handshake()
     assert caught.value.offset == 710  # 4 before byte 714, where section 12 counts the end of the id
 

@@ -186,7 +186,7 @@ def test_a_second_writer_can_make_do_with_reading() -> None:
     ):
         assert robot.access == "r"
         robot.sync()
-        with pytest.raises(AccessDenied, match="speedl cannot be set: the access is 'r'"):
+        with pytest.raises(AccessDenied, match="speedl cannot be set with access 'r'"):
             robot["speedl"] = 5
 
 
@@ -508,7 +508,7 @@ def test_values_by_declaration() -> None:
         assert robot["speedl"] == 50
         robot.sync()
         assert robot.tick == 1
-        with pytest.raises(LocalError, match="encl is a read variable: the robot sets it"):
+        with pytest.raises(LocalError, match="encl is a read variable; only the robot can set it"):
             robot.encl = 5
 
 
@@ -567,7 +567,7 @@ def test_the_table_of_variables() -> None:
     assert repr(Smr()) == "<Smr, not connected>"
     assert "not connected" in Smr()._repr_html_()
     assert "<td>" not in Smr()._repr_html_()
-    with pytest.raises(LocalError, match="belongs to no robot yet"):
+    with pytest.raises(LocalError, match="is not connected"):
         _ = Smr()["tick"]
     Smr().close()
 
@@ -582,9 +582,9 @@ def nothing_more(peer: Peer) -> None:
 @pytest.mark.parametrize(
     ("says", "error", "reason"),
     [
-        (b"", LinkTimeout, "no handshake in time; 0 bytes of it came"),
-        (b"artw", LinkTimeout, "no handshake in time; 4 bytes of it came"),
-        (b"SSH-2.0-OpenSSH\r\n", WrongPeer, "is no RHD server"),
+        (b"", LinkTimeout, "no handshake in time; received 0 bytes of it"),
+        (b"artw", LinkTimeout, "no handshake in time; received 4 bytes of it"),
+        (b"SSH-2.0-OpenSSH\r\n", WrongPeer, "is not an RHD server"),
         (b"ar" + b"tr\0\0\0\0", PacketError, "expected 'tw'"),
         (b"artw\x7f\xff\xff\xff", PacketError, "counts 2147483647"),
     ],
@@ -602,7 +602,7 @@ def test_no_handshake(says: bytes, error: type[Exception], reason: str) -> None:
 def test_all_slots_of_the_server_are_in_use() -> None:
     with (
         ScriptedServer(lambda peer: None) as server,
-        pytest.raises(ConnectFailed, match=r"without a word; are all its client slots in use\?"),
+        pytest.raises(ConnectFailed, match=r"before sending a byte; are all its client slots in use\?"),
     ):
         rhdlink.connect(server.address)
 
@@ -649,9 +649,9 @@ def test_addresses() -> None:
         (("localhost",), {"limits": 3}, r"limits=3; expected rhdlink.variables.Limits\(...\)"),
         (("localhost", Smr()), {}, "expected a class that derives from rhdlink.Variables"),
         (("localhost", int), {}, "expected a class that derives from rhdlink.Variables"),
-        ((None,), {}, "None is no address; expected a host and a port, as in localhost:24902"),
-        ((24902,), {}, "24902 is no address; expected a host and a port, as in localhost:24902"),
-        ((Path("drive.urlog"),), {}, "is no address; .* a recording is played by `rhdlink replay`"),
+        ((None,), {}, "invalid address None; expected a host and a port, as in localhost:24902"),
+        ((24902,), {}, "invalid address 24902; expected a host and a port, as in localhost:24902"),
+        ((Path("drive.urlog"),), {}, "invalid address .*; to play a recording, use `rhdlink replay`"),
     ],
 )
 def test_arguments_that_cannot_be(arguments: tuple[Any, ...], options: dict[str, Any], text: str) -> None:
@@ -665,7 +665,7 @@ def test_names_that_are_almost_right() -> None:
             _ = robot["encI"]
         with pytest.raises(NotThere, match="has no write variable 'speedL'; did you mean 'speedl'"):
             robot["speedL"] = 5
-        with pytest.raises(NotThere, match="Smr declares no speedL; did you mean 'speedl'"):
+        with pytest.raises(NotThere, match="Smr does not declare speedL; did you mean 'speedl'"):
             robot.speedL = 5
         assert list(robot) == robot._ipython_key_completions_() == ["tick", "encl", "speedl", "speedr"]
 
@@ -755,7 +755,7 @@ def test_what_was_set_before_the_connection_was_lost_is_forgotten(caplog: pytest
         assert not robot.updated("speedl")
         robot.sync()
         assert robot.discarded == 2
-    assert "lost what was set of 'speedl', 'speedr', with the connection" in caplog.text
+    assert "lost the values set for 'speedl', 'speedr': the connection was lost" in caplog.text
 
 
 def test_what_is_set_while_the_robot_is_away_is_forgotten_with_each_try_that_fails(
@@ -784,7 +784,7 @@ def test_what_is_set_while_the_robot_is_away_is_forgotten_with_each_try_that_fai
         robot.sync()
         assert robot.discarded == 4
     # One line for the outage, however many tries failed in it.
-    assert caplog.text.count("lost what was set") == 1
+    assert caplog.text.count("lost the values set") == 1
 
 
 def test_values_can_be_kept_until_they_are_sent() -> None:
@@ -849,7 +849,7 @@ def test_a_kept_value_that_the_robot_no_longer_has_is_counted(caplog: pytest.Log
         robot["speedr"] = 7
         robot.sync()
         assert robot.discarded == 1
-    assert "lost what was set of 'speedr', which the robot no longer has" in caplog.text
+    assert "lost the values set for 'speedr': the robot no longer has these variables" in caplog.text
 
 
 @pytest.mark.real_time

@@ -144,7 +144,7 @@ def test_variables_are_made_until_the_first_handshake() -> None:
     assert database.read.stamp(1) == (1, 2)
     assert database.read.dirty.take().tolist() == [1]
     database.encode_handshake("r")
-    with pytest.raises(LocalError, match="'more' cannot be made"):
+    with pytest.raises(LocalError, match="'more' cannot be added"):
         database.read.add("more")
 
 

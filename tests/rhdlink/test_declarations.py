@@ -172,7 +172,7 @@ def test_what_a_robot_may_lack() -> None:
 
 def test_before_it_is_bound() -> None:
     for it in (Everything(), robots.Smr()):
-        with pytest.raises(LocalError, match="belongs to no robot yet"):
+        with pytest.raises(LocalError, match="is not connected"):
             _ = it.whole if isinstance(it, Everything) else it.encl
 
 
@@ -208,12 +208,14 @@ def test_declarations_that_cannot_be(arguments: tuple[Any, ...], options: dict[s
 
 
 def test_a_variable_cannot_hide_what_every_robot_has() -> None:
-    with pytest.raises(BadValue, match=r"Bad.sync would hide what every Variables object has; .* name='sync'"):
+    with pytest.raises(
+        BadValue, match=r"Bad.sync would hide an attribute that every Variables object has; .* name='sync'"
+    ):
 
         class Bad(Variables):
             sync = Read(Int32)  # type: ignore[assignment]
 
-    with pytest.raises(BadValue, match=r"Worse.host would hide what every Plugin object has"):
+    with pytest.raises(BadValue, match=r"Worse.host would hide an attribute that every Plugin object has"):
 
         class Worse(Plugin):
             host = Read(Int32)  # type: ignore[assignment]
@@ -225,7 +227,7 @@ def test_a_variable_cannot_hide_what_every_robot_has() -> None:
 
 
 def test_a_slip_of_the_pen_is_no_new_attribute() -> None:
-    with pytest.raises(NotThere, match="Smr declares no speedL"):
+    with pytest.raises(NotThere, match="Smr does not declare speedL"):
         robots.Smr().speedL = 5
 
 

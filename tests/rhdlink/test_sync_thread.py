@@ -54,7 +54,7 @@ def test_one_of_two_threads_keeps_it_in_sync(seed: int, simulated_time: Simulati
             thread.start()
         for thread in threads:
             thread.join()
-        assert errors == [f"{server.address} is kept in sync already"]
+        assert errors == [f"{server.address} already has a sync thread"]
 
 
 def test_the_sync_thread_keeps_it_in_sync_and_tells_what_is_new() -> None:
@@ -65,7 +65,7 @@ def test_the_sync_thread_keeps_it_in_sync_and_tells_what_is_new() -> None:
         robot.subscribe(everything.append, policy=rhdlink.block)
         with robot.background() as sync_thread:
             until(lambda: len(updates) >= 20)
-            with pytest.raises(LocalError, match="kept in sync already"):
+            with pytest.raises(LocalError, match="already has a sync thread"):
                 robot.background()
         assert not sync_thread.is_running
         assert sync_thread.failure is None
@@ -181,7 +181,7 @@ def test_whatever_ends_it_is_its_failure(error: BaseException, caplog: pytest.Lo
         assert not sync_thread.is_running
         assert repr(error) in repr(sync_thread)
         robot.background()
-    assert "sync ended" in caplog.text
+    assert "sync ended because of an exception" in caplog.text
 
 
 def test_a_robot_that_is_dropped_is_collected_with_a_warning_and_its_thread_ends() -> None:

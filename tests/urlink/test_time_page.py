@@ -1,4 +1,4 @@
-"""The tables of time-outs and of the speed slider on the page about time are those of the code."""
+"""The tables in docs/timeouts.md and docs/speed-scaling.md match the code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from urlink.motion.stream.group_motion import GroupMotion, GroupStream
 from urlink.robot import Robot
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "time.md"
+TIMEOUTS = ROOT / "docs" / "timeouts.md"
+SCALING = ROOT / "docs" / "speed-scaling.md"
 #: What is no part of the way to a robot.
 ELSEWHERE = ("simulator", "cli", "data")
 CALLS: dict[str, Callable[..., object]] = {
@@ -33,7 +34,7 @@ ARGUMENTS = ("timeout", "silence", "stale_after", "start_timeout", "watchdog", "
 
 
 def listed() -> dict[str, float]:
-    found = re.findall(r"^\| `([A-Za-z_.]+(?:\([a-z_]+=\))?)` \| ([0-9.]+) \|", PAGE.read_text(), re.MULTILINE)
+    found = re.findall(r"^\| `([A-Za-z_.]+(?:\([a-z_]+=\))?)` \| ([0-9.]+) \|", TIMEOUTS.read_text(), re.MULTILINE)
     return {name: float(seconds) for name, seconds in found if "." in name}
 
 
@@ -86,7 +87,7 @@ def test_what_the_slider_does_to_each_motion_is_on_the_page() -> None:
         f"| `{name}` | {EFFECTS[name][1].half} | {EFFECTS[name][1].zero} |" for name in sorted(EFFECTS, key=in_order)
     ]
     table = "\n".join(["| Motion | slider at 50 % | at 0 |", "| --- | --- | --- |", *rows])
-    assert f"\n\n{table}\n\n" in PAGE.read_text(), f"put this table into {PAGE.relative_to(ROOT)}:\n{table}"
+    assert f"\n\n{table}\n\n" in SCALING.read_text(), f"put this table into {SCALING.relative_to(ROOT)}:\n{table}"
 
 
 def test_each_class_of_motions_states_what_the_slider_does_to_it() -> None:

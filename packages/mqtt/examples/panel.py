@@ -1,4 +1,4 @@
-"""A panel that reads a robot behind a broker, and moves its base by a degree; see the page *Adapters*.
+"""A panel that reads a robot behind a broker, and moves its base by a degree; see the page *MQTT*.
 
 urlink serve mqtt arm=sim://ur5e --broker localhost --allow-commands
 python panel.py --broker localhost arm

@@ -35,7 +35,7 @@ scrape_configs:
     static_configs: [ {{ targets: ["127.0.0.1:{port}"] }} ]
 """
 OPENMETRICS = "application/openmetrics-text; version=1.0.0"
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "adapters.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "packages" / "prometheus.md"
 
 
 class Scraper:

@@ -1,4 +1,4 @@
-"""A program and everything it talks to on a clock of their own: see `simulated_time`."""
+"""Simulated time for a program and all its peers; see `simulated_time`."""
 
 from .network import Computer, Network, Route
 from .scheduler import Deadlock, TimeLimit

@@ -1,8 +1,9 @@
-"""Simulated computers, and TCP between them: what the kernels and the cables do.
+"""Simulated computers, and TCP between them: the behaviour of kernels and cables.
 
-Order is kept within a connection and not between two. What is sent is kept until it is acknowledged, and sent again if
-it is lost, after 0.2 s at first and twice as long each time (RFC 6298; 0.2 s is Linux's least). So what a program has
-given up is still delivered, when the network is back, unless the connection was reset: as on a real network.
+The order of data is kept within a connection, but not between two connections. Sent data are kept until they are
+acknowledged. Lost data are sent again, after 0.2 s at first and after twice the time on each further attempt (RFC 6298;
+0.2 s is the minimum of Linux). So data of an abandoned command are still delivered when the network works again, unless
+the connection was reset, as on a real network.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from typing import Protocol
 
 from .scheduler import Scheduler, Task
 
-#: Bytes that a kernel holds for one direction of a connection, at each end.
+#: Size of a kernel's buffer for one direction of a connection, at each end, in bytes.
 BUFFER = 128 * 1024
-#: Seconds until something is sent again for the first time, and at most.
+#: Time until the first retransmission, and maximum time between retransmissions, in s.
 _RETRANSMIT = (0.2, 60.0)
-#: Seconds between two looks at what is not acknowledged, so that rounding cannot keep the clock where it is.
+#: Minimum time between two checks for unacknowledged data, in s, so that rounding cannot stop the clock.
 _LEAST = 1e-4
-#: Seconds after which a connection is given up that nobody answers (Linux: tcp_syn_retries 6).
+#: Time after which a connection attempt without an answer ends, in s (Linux: tcp_syn_retries 6).
 _CONNECT = 127.0
 
 
@@ -31,10 +32,10 @@ class Route:
     """One direction between two computers.
 
     Attributes:
-        latency: seconds that a packet takes.
-        jitter: up to so many more, drawn for each packet.
-        bandwidth: bytes a second.
-        is_silent: whether packets are lost.
+        latency: Time that a packet takes, in s.
+        jitter: Maximum additional time, in s, which is drawn for each packet.
+        bandwidth: Bandwidth, in bytes per second.
+        is_silent: Whether packets are lost.
     """
 
     latency: float = 1e-4
@@ -43,37 +44,40 @@ class Route:
     is_silent: bool = False
 
 
-#: Above every number that Linux gives a process, 2**22 at most.
+#: Process ids above every number that Linux assigns, which is at most 2**22.
 _PIDS = itertools.count(1 << 23)
 
 
 class Watcher(Protocol):
-    """The socket of a connection or a listener, which is told that something has happened to it."""
+    """The socket of a connection or a listener, which is notified of events."""
 
     def changed(self) -> None:
-        """Look again whether there is something to read, or room to write."""
+        """Check again whether there is something to read, or room to write."""
 
 
 @dataclass(eq=False)
 class Computer:
-    """A computer with a kernel and one process: suspending or killing it leaves the kernel as it is.
+    """A computer with a kernel and one process.
+
+    Suspending or killing the process does not affect the kernel.
 
     Attributes:
-        name, address: how it is called.
-        rate: seconds of its clock for one of the simulation; 1.0001 is 100 ppm fast.
-        offset: seconds that its clock had when the simulation began.
-        jumped: seconds by which its calendar clock was set; only `time.time` shows them.
-        starts_threads: whether its process can start a thread.
-        is_running: its process is not suspended.
-        is_on: whether it has power: without, it takes and sends no packet, and has forgotten its connections.
-        is_in_c: whether a function in C holds the interpreter's lock of its program.
-        held: tasks that could run if its process did.
+        name, address: Name and address of the computer.
+        rate: Seconds of its clock per second of the simulation; 1.0001 is 100 ppm fast.
+        offset: Time of its clock at the start of the simulation, in s.
+        jumped: Adjustment of its calendar clock, in s; only `time.time` shows it.
+        starts_threads: Whether its process can start a thread.
+        is_running: Whether its process is not suspended.
+        is_on: Whether it has power. Without power, it neither receives nor sends packets, and has lost its connections.
+        is_in_c: Whether a function in C holds the interpreter's lock of its program.
+        held: Tasks that could run if its process were running.
     """
 
     name: str
     address: str
     scheduler: Scheduler
-    #: what `os.getpid` returns there: what this process keeps by it belongs to one computer of one simulation
+    #: Result of `os.getpid` on this computer. Objects that this process keeps by it belong to one computer of one
+    #: simulation.
     pid: int = field(default_factory=_PIDS.__next__)
     rate: float = 1.0
     offset: float = 1000.0
@@ -88,29 +92,30 @@ class Computer:
     next_port: int = 32768
 
     def suspend(self) -> None:
-        """Stop its process, as `SIGSTOP` does; the kernel goes on to acknowledge what comes."""
+        """Stop its process, as `SIGSTOP` does; the kernel continues to acknowledge data."""
         self.scheduler.suspend(self)
 
     def resume(self) -> None:
-        """Let its process go on."""
+        """Let its process continue."""
         self.scheduler.resume(self)
 
     def hold(self) -> None:
-        """Have a function in C hold the interpreter's lock: no thread of its program executes Python until `release`.
+        """Let a function in C hold the interpreter's lock until `release`.
 
-        Unlike one that is suspended, a `recv` that waits completes in the kernel: it returns what came first, although
-        later, and the next one what came after that.
+        No thread of its program executes Python in the meantime. In contrast to a suspended process, a waiting `recv`
+        completes in the kernel. It returns the first data, although later, and the next `recv` returns data that
+        arrived after that.
         """
         self.is_in_c = True
         self.suspend()
 
     def release(self) -> None:
-        """The function in C returns."""
+        """Let the function in C return."""
         self.is_in_c = False
         self.resume()
 
     def kill(self) -> None:
-        """End its process; the kernel closes its sockets, as each was set to be closed."""
+        """End its process; the kernel closes its sockets according to their options."""
         self.scheduler.suspend(self)
         for listener in list(self.listeners.values()):
             listener.close()
@@ -118,7 +123,7 @@ class Computer:
             end.close()
 
     def power_off(self) -> None:
-        """Take its power: it sends and takes no packet any more, and its connections are forgotten."""
+        """Remove its power: it neither receives nor sends packets, and loses its connections."""
         self.is_on = False
         self.scheduler.suspend(self)
         self.listeners.clear()
@@ -126,11 +131,11 @@ class Computer:
             end.vanish()
 
     def power_on(self) -> None:
-        """Give it power again, with nothing running on it."""
+        """Restore its power, without a running process."""
         self.is_on = True
 
     def port(self) -> int:
-        """A port that is free."""
+        """Return a free port."""
         self.next_port += 1
         while self.next_port in self.listeners:
             self.next_port += 1
@@ -139,7 +144,7 @@ class Computer:
 
 @dataclass(eq=False)
 class Listener:
-    """A port that takes connections."""
+    """A port that accepts connections."""
 
     computer: Computer
     port: int
@@ -148,7 +153,7 @@ class Listener:
     accepted: deque[End] = field(default_factory=deque)
 
     def close(self) -> None:
-        """Refuse from now on, and reset what nobody has accepted."""
+        """Refuse new connections, and reset those that the program has not accepted."""
         self.computer.listeners.pop(self.port, None)
         for end in self.accepted:
             end.reset()
@@ -156,18 +161,18 @@ class Listener:
 
 
 class End:
-    """One end of a connection, as the kernel of its computer has it.
+    """One end of a connection, as the kernel of its computer stores it.
 
     Attributes:
-        received: bytes that the program has not taken.
-        error: errno to be reported once; 0 for none.
-        is_connected: the handshake is over.
-        is_ended: the peer sends nothing more.
-        is_open: neither closed here nor broken.
-        linger: seconds of SO_LINGER; None where it is off.
-        user_timeout: seconds without an acknowledgement after which it is given up; 0 for no limit.
-        connecting_to: during the handshake, who is asked.
-        refuse: what ends the handshake as a reset does: refused.
+        received: Bytes that the program has not read.
+        error: Error number to be reported once; 0 for none.
+        is_connected: Whether the handshake is complete.
+        is_ended: Whether the peer has finished sending.
+        is_open: Whether the end is neither closed nor broken.
+        linger: SO_LINGER, in s; None if it is off.
+        user_timeout: Time without an acknowledgement after which the connection is aborted, in s; 0 for no limit.
+        connecting_to: Target computer during the handshake.
+        refuse: Function that ends the handshake as refused, like a reset.
     """
 
     def __init__(self, network: Network, computer: Computer, port: int) -> None:
@@ -190,7 +195,7 @@ class End:
         self.linger: float | None = None
         self.user_timeout = 0.0
         self.send_buffer = BUFFER
-        # Segments by their first byte; b"" is the FIN.
+        # Segments by the number of their first byte; b"" is the FIN.
         self._sent = 0
         self._acknowledged = 0
         self._segments: deque[tuple[int, bytes]] = deque()
@@ -205,16 +210,16 @@ class End:
 
     @property
     def unacknowledged(self) -> int:
-        """Bytes sent and not acknowledged; the FIN counts as one."""
+        """Number of bytes that are sent but not acknowledged; the FIN counts as one."""
         return self._sent - self._acknowledged
 
     @property
     def room(self) -> int:
-        """Bytes that `send` would take."""
+        """Number of bytes that `send` would accept."""
         return max(self.send_buffer - self.unacknowledged, 0)
 
     def send(self, data: bytes) -> int:
-        """Hand bytes to the kernel; how many it took."""
+        """Pass bytes to the kernel; return the number of bytes that it accepted."""
         taken = bytes(data[: self.room])
         if taken:
             self._send(taken, len(taken))
@@ -222,37 +227,37 @@ class End:
         return len(taken)
 
     def take(self, size: int) -> bytes:
-        """What has come, at most so many bytes."""
+        """Return and remove received bytes, at most `size`."""
         data = bytes(self.received[:size])
         del self.received[:size]
         return data
 
     def shut(self) -> None:
-        """Send the FIN: there is nothing more to come from here."""
+        """Send the FIN: this end has finished sending."""
         if not self.is_shut and self.is_open:
             self.is_shut = True
             self._send(b"", 1)
 
     def close(self) -> None:
-        """The program needs it no longer."""
+        """Close this end, because the program no longer needs it."""
         if not self.is_open or self.is_closing:
             self._forget()
         elif self.linger == 0.0 or self.received or not self.is_connected:
             self.reset()
         else:
-            # The kernel goes on delivering.
+            # The kernel continues to deliver.
             self.is_closing = True
             self.shut()
 
     def reset(self) -> None:
-        """Discard what is not acknowledged and send a reset, which is lost where the path is silent."""
+        """Discard unacknowledged data and send a reset, which is lost if the path is silent."""
         if self.is_open and self.is_connected and self.peer is not None:
             self._send_reset(self.peer)
         self._break(0)
         self._forget()
 
     def vanish(self) -> None:
-        """The computer has lost its power."""
+        """Discard the connection, because the computer has lost its power."""
         self._break(0)
         self._forget()
 
@@ -290,7 +295,7 @@ class End:
             return
         if number != self._delivered:
             if number < self._delivered:
-                self._acknowledge()  # once more: the first acknowledgement was lost
+                self._acknowledge()  # again, because the first acknowledgement was lost
             return
         if data and len(peer.received) + len(data) > BUFFER:
             return  # no room: sent again later
@@ -298,7 +303,7 @@ class End:
         if data and not peer.is_closing:
             peer.received += data
         elif data:
-            peer._send_reset(self)  # nobody will read it
+            peer._send_reset(self)  # no program will read it
             return
         else:
             peer.is_ended = True
@@ -325,7 +330,7 @@ class End:
         self.network.scheduler.call_at(self.network.scheduler.now + route.latency, acknowledged)
 
     def _watch(self) -> None:
-        """See to what is not acknowledged."""
+        """Schedule a check of unacknowledged data."""
         if self._is_retransmitting:
             return
         self._is_retransmitting = True
@@ -377,11 +382,11 @@ class End:
 
 
 class Network:
-    """The computers and the paths between them.
+    """Computers, and the paths between them.
 
     Args:
-        scheduler: whose time it has.
-        route: of each direction between two computers that is not set.
+        scheduler: Scheduler that provides the time.
+        route: Default for each direction between two computers.
     """
 
     def __init__(self, scheduler: Scheduler, route: Route) -> None:
@@ -391,13 +396,13 @@ class Network:
         self._routes: dict[tuple[str, str], Route] = {}
 
     def add(self, name: str, address: str) -> Computer:
-        """A computer with a name and an address of its own."""
+        """Add a computer with its own name and address."""
         computer = Computer(name, address, self.scheduler)
         self.computers[name] = computer
         return computer
 
     def find(self, host: str, seen_from: Computer) -> Computer | None:
-        """The computer with this name or address."""
+        """Return the computer with this name or address; None if there is none."""
         if host in ("", "localhost", "0.0.0.0", "::", "::1") or host.startswith("127."):
             return seen_from
         for computer in self.computers.values():
@@ -406,7 +411,7 @@ class Network:
         return None
 
     def route(self, source: Computer, target: Computer) -> Route:
-        """One direction between two computers, to be read or changed."""
+        """Return one direction between two computers, which can be read or changed."""
         key = (source.name, target.name)
         if key not in self._routes:
             within = Route(latency=1e-5, jitter=1e-5, bandwidth=1e9)
@@ -414,7 +419,7 @@ class Network:
         return self._routes[key]
 
     def carries(self, source: Computer, target: Computer) -> bool:
-        """Whether a packet that arrives now does so."""
+        """Whether a packet that would arrive now does arrive."""
         return source.is_on and not self.route(source, target).is_silent
 
     def silence(self, source: Computer, target: Computer) -> None:
@@ -427,13 +432,13 @@ class Network:
         self.silence(other, one)
 
     def mend(self, one: Computer, other: Computer) -> None:
-        """Carry packets again."""
+        """Let packets pass again."""
         self.route(one, other).is_silent = self.route(other, one).is_silent = False
 
     def reset(self, one: Computer, other: Computer) -> None:
-        """Have every connection between two computers reset at both ends, as by a firewall.
+        """Reset every connection between two computers at both ends, as a firewall does.
 
-        One that is being made is refused: so Linux reports a reset during the handshake.
+        A connection attempt in progress is refused, because Linux reports a reset during the handshake as a refusal.
         """
         for source, target in ((one, other), (other, one)):
             for end in list(source.ends):
@@ -443,7 +448,10 @@ class Network:
                     end._break(errno.ECONNRESET)
 
     def connect(self, end: End, host: str, port: int, finished: Callable[[int], object]) -> None:
-        """Make a connection; `finished` is called with 0 or an errno, unless `end` is closed before."""
+        """Make a connection, and call `finished` with 0 or an error number.
+
+        If `end` is closed before, `finished` is not called.
+        """
         target = self.find(host, end.computer)
         scheduler = self.scheduler
         source = end.computer
@@ -495,7 +503,7 @@ class Network:
 
         def connected() -> None:
             if not end.is_open and end.peer is not None:
-                end._send_reset(end.peer)  # given up meanwhile
+                end._send_reset(end.peer)  # closed in the meantime
             elif not end.is_connected and self.carries(target, source):
                 end.is_connected = True
                 ended(0)

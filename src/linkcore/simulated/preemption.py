@@ -1,14 +1,14 @@
-"""Changes of threads between two lines of a program, which pass no lock, queue, socket or clock.
+"""Thread switches between two lines of a program, without a lock, queue, socket or clock.
 
-CPython looks at whether another thread is to run where a function begins, after calls, and where a loop goes back. Here
-a thread yields before a line, of functions that the seed draws: in few of them, but there often, so that a thread
-that looks at something and then sets it is interrupted in between by another one that does the same. Now and then it
-does not run for some milliseconds, as on a busy computer, which is long enough for the other one to be answered by a
-robot.
+CPython checks whether another thread should run at the beginning of a function, after calls, and when a loop jumps
+back. Here, a thread yields before a line, in functions that the seed selects. These functions are few, but threads
+yield in them often. So a thread that reads a value and then sets it is interrupted in between by another thread that
+does the same. Occasionally, the thread does not run for some milliseconds, as on a busy computer. This is long enough
+for a robot to answer the other thread.
 
-Lines are counted for each function by itself, and only the first lines of statements that every version of Python
-traces alike. None are counted of what runs once in a process: imports, and functions whose results a cache keeps. So a
-run does not depend on what the process has done before.
+Lines are counted separately for each function. Only statements that every version of Python traces in the same way
+count, and only their first lines. Code that runs only once in a process is not counted: imports, and functions whose
+results a cache keeps. So a run does not depend on what the process has done before.
 """
 
 from __future__ import annotations
@@ -24,33 +24,35 @@ from types import CodeType, FrameType, ModuleType
 
 from .scheduler import Scheduler, Tracer
 
-#: Bounds of the share of functions in which threads yield; the seed draws it.
+#: Bounds of the fraction of functions in which threads yield; the seed selects it.
 _SHARE = (0.02, 0.5)
-#: Bounds of the mean number of lines between two such moments in one function; drawn for each.
+#: Bounds of the mean number of lines between two yields in one function; selected for each function.
 _LINES = (1.0, 50.0)
-#: How often a thread does not run for a while then, bounds of how long, and for how long altogether; s.
+#: Probability that a yielding thread pauses; bounds of the pause, in s; maximum sum of all pauses, in s.
 _HELD, _HOLD, _ALL_HOLDS = 0.3, (1e-5, 2e-2), 0.3
-#: Functions of these keep a lock of the interpreter, or run between two steps of the scheduler: what they call is left
-#: alone. So is what a module calls that keeps a lock from when it was imported, which is not a simulated one.
+#: Threads do not yield in functions of these modules or in functions that they call. The modules hold a lock of the
+#: interpreter, or run between two steps of the scheduler. The same applies to modules that have held a lock since their
+#: import, because that lock is not a simulated one.
 _WHOLE = ("linkcore.simulated", "importlib", "logging", "functools", "weakref", "_pytest")
 _LOCKS = (_thread.LockType, _thread.RLock)
-#: Functions of these read bytes, versions and the clock. Threads share nothing there but what is kept of earlier calls.
+#: Functions of these modules read bytes, versions and the clock. Threads share nothing there except results of earlier
+#: calls.
 _KEEPING = ("linkcore.wire", "linkcore.clock")
-#: Locks of the modules that are being imported now, in any thread, by name.
+#: Locks of the modules that any thread is importing now, by name.
 _MODULE_LOCKS: dict[str, object] = vars(sys.modules["_frozen_importlib"])["_module_locks"]
-#: The first function of each simulated thread, which is of `linkcore.simulated`.
+#: First function of each simulated thread; it belongs to `linkcore.simulated`.
 _FIRST = "_take_part"
-#: Statements whose first line is traced once for each time that they are executed.
+#: Statements whose first line is traced once per execution.
 _TRACED = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Expr, ast.Return, ast.Raise, ast.Delete, ast.If)
 
 
 class Preemption:
-    """Has threads yield between lines.
+    """Makes threads yield between lines.
 
     Args:
-        scheduler: whose tasks they are.
-        packages: names of the packages, or modules, whose functions are drawn.
-        modules: the modules by name, as in `sys.modules`.
+        scheduler: Scheduler of the tasks.
+        packages: Names of the packages, or modules, whose functions can be selected.
+        modules: Modules by name, as in `sys.modules`.
     """
 
     def __init__(self, scheduler: Scheduler, packages: tuple[str, ...], modules: dict[str, ModuleType]) -> None:
@@ -61,12 +63,13 @@ class Preemption:
         low, high = _SHARE
         self._share = low * (high / low) ** scheduler.random.random()
         self._left = _ALL_HOLDS
-        # By the id of a code, which is kept: its function of frames, or None where no thread yields.
+        # Id of a code object -> the code, and its trace function; None if no thread yields there. Keeping the code
+        # keeps its id.
         self._known: dict[int, tuple[CodeType, Tracer | None]] = {}
         self._by_name: dict[str, Tracer | None] = {}
 
     def trace(self, frame: FrameType, event: str, arg: object) -> Tracer | None:
-        """What `sys.settrace` is given: how the lines of a function that begins are traced."""
+        """Return the trace function for the lines of a function that begins; for `sys.settrace`."""
         known = self._known.get(id(frame.f_code))
         if known is None:
             known = self._known[id(frame.f_code)] = (frame.f_code, self._draw(frame))
@@ -76,7 +79,7 @@ class Preemption:
 
     def _draw(self, frame: FrameType) -> Tracer | None:
         module, name = frame.f_globals.get("__name__", ""), frame.f_code.co_name
-        # Comprehensions are functions or not, as the version is; what is deleted is so at any place.
+        # Skip comprehensions, which are functions only in some versions, and `__del__`, which can run at any place.
         is_drawn = _is_of(module, self._packages) and not _is_of(module, _KEEPING)
         if not is_drawn or name.startswith("<") or name == "__del__":
             return None
@@ -87,7 +90,7 @@ class Preemption:
         return self._by_name[key]
 
     def _lines(self, chance: random.Random) -> Tracer:
-        """Make way at a line now and then, in functions of one name in one module."""
+        """Return a trace function that yields occasionally, for functions of one name in one module."""
         low, high = _LINES
         mean = low * (high / low) ** chance.random()
         left = [1 + int(chance.expovariate(1.0 / mean))]
@@ -97,7 +100,7 @@ class Preemption:
             line = frame.f_lineno
             if event == "return":
                 last[0] = 0
-            elif event == "exception" and not last[0]:  # resumed by `throw`: from 3.13 on its line is traced again
+            elif event == "exception" and not last[0]:  # resumed by `throw`: since 3.13, its line is traced again
                 last[0] = line
             if event != "line" or line == last[0] or line not in _parsed(frame.f_code.co_filename)[0]:
                 return trace
@@ -130,8 +133,11 @@ class Preemption:
 
 
 def is_importing() -> bool:
-    """Whether a module is being imported: a run must not depend on whether it was there before."""
-    if not _MODULE_LOCKS:  # nearly always; it is asked for each lock that is made
+    """Whether a module is being imported.
+
+    A run must not depend on whether a module was imported before.
+    """
+    if not _MODULE_LOCKS:  # the usual case; this runs for each new lock
         return False
     return any(frame.f_code.co_filename.startswith("<frozen importlib") for frame in _callers(sys._getframe()))
 
@@ -152,13 +158,13 @@ def _has_lock(module: ModuleType | None) -> bool:
 
 
 def _is_kept(frame: FrameType) -> bool:
-    """Whether what it returns is kept, and it does not run again in this process."""
+    """Whether a cache keeps the result of a function, so that it runs only once per process."""
     return frame.f_code.co_firstlineno in _parsed(frame.f_code.co_filename)[1]
 
 
 @functools.cache
 def _parsed(path: str) -> tuple[frozenset[int], frozenset[int]]:
-    """Of a file: the first lines of statements that are counted, and of functions with a cache of `functools`."""
+    """Return the first lines of a file's counted statements, and of its functions with a `functools` cache."""
     try:
         with open(path, "rb") as file:
             tree = ast.parse(file.read())

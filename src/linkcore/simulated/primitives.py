@@ -1,7 +1,7 @@
 """Locks, semaphores, simple queues and threads of the standard library, on a scheduler.
 
-Condition, Event, Barrier, Queue and futures are Python on top of these, so they need no counterpart here. A thread that
-takes no part, such as pytest's own, may use what is made here as well; it waits in real time.
+Condition, Event, Barrier, Queue and futures are Python code that uses these classes, so they need no counterpart here.
+A thread outside of the simulation, such as pytest's own, can use these objects too; it waits in real time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 from .scheduler import Ended, Scheduler, Task, current
 
-#: Seconds between two looks of a thread that takes no part.
+#: Poll interval, in s, of a thread outside of the simulation.
 _LOOK = 0.001
 
 
@@ -28,13 +28,13 @@ _real_monotonic = time.monotonic
 
 
 class _Waited:
-    """What tasks wait for."""
+    """An object that tasks wait for."""
 
     def __init__(self) -> None:
         self._waiters: deque[Task] = deque()
 
     def _yield(self) -> None:
-        """One of them may go on, and another task may run."""
+        """Wake one of the waiting tasks, and let another task run."""
         scheduler = current()
         if scheduler is not None:
             if self._waiters:
@@ -43,7 +43,7 @@ class _Waited:
 
 
 class _Held(_Waited):
-    """What a block can hold."""
+    """An object that a `with` block can hold."""
 
     _take: Callable[[], bool]
     release: Callable[[], None]
@@ -97,7 +97,7 @@ class Lock(_Held):
 
 
 class RLock(_Held):
-    """`threading.RLock`, with the methods that `threading.Condition` asks for."""
+    """`threading.RLock`, with the methods that `threading.Condition` needs."""
 
     def __init__(self) -> None:
         self._owner = 0
@@ -117,7 +117,7 @@ class RLock(_Held):
         if not self._count:
             self._free()
 
-    def locked(self) -> bool:  # since CPython 3.14, where `threading.Condition` asks for it
+    def locked(self) -> bool:  # since CPython 3.14, in which `threading.Condition` uses it
         return self._count > 0
 
     def _free(self) -> None:
@@ -147,14 +147,15 @@ class RLock(_Held):
 
 
 class Semaphore(threading.Semaphore):
-    """`threading.Semaphore`; a release that nobody waits for is no step.
+    """`threading.Semaphore`; a release without a waiting task is not a step.
 
-    The threads of `concurrent.futures` release one for each call, and from Python 3.12 on only when they are idle.
+    The threads of `concurrent.futures` release a semaphore for each call. Since Python 3.12, they do so only when they
+    are idle.
     """
 
     def release(self, n: int = 1) -> None:
         condition: Any = self._cond  # type: ignore[attr-defined]
-        # Who holds its lock may be about to wait.
+        # The task that holds the lock of the condition might be about to wait.
         if n < 1 or current() is None or condition._waiters or condition._lock.locked():
             super().release(n)
         else:
@@ -162,7 +163,7 @@ class Semaphore(threading.Semaphore):
 
 
 def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
-    """Take a lock in a thread that takes no part, or when the simulation is over."""
+    """Take a lock in a thread outside of the simulation, or after the simulation has ended."""
     until = None if timeout < 0 else _real_monotonic() + timeout
     while not take():
         if not blocking or (until is not None and _real_monotonic() >= until):
@@ -172,9 +173,10 @@ def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
 
 
 class SimpleQueue(_Waited):
-    """`queue.SimpleQueue`, in a step for each call.
+    """`queue.SimpleQueue`; each call is a step.
 
-    To find it empty once, without waiting, is no step: the threads of `concurrent.futures` do so from Python 3.12 on.
+    The first check that finds the queue empty is not a step, because the threads of `concurrent.futures` do such checks
+    since Python 3.12.
     """
 
     __class_getitem__: Any = classmethod(GenericAlias)
@@ -217,7 +219,7 @@ class SimpleQueue(_Waited):
             return False
         scheduler = current()
         if scheduler is not None:
-            if self._looked == scheduler.steps:  # or a loop that does nothing but look would never end
+            if self._looked == scheduler.steps:  # otherwise a loop that only calls `empty` would never end
                 scheduler.step()
             self._looked = scheduler.steps
         return True
@@ -230,12 +232,12 @@ _start, _join, _is_alive = threading.Thread.start, threading.Thread.join, thread
 
 
 def _task(thread: threading.Thread) -> Task | None:
-    """The task of a thread that takes part."""
+    """Return the task of a thread; None if it does not belong to the simulation."""
     return getattr(thread, "_simulated", None)
 
 
 def numbering(init: Callable[..., None]) -> Callable[..., None]:
-    """`__init__` of a class, for objects that have a number as their hash."""
+    """Return an `__init__` for a class whose objects use a number as their hash."""
 
     def wrapped(it: Any, *args: Any, **options: Any) -> None:
         scheduler = current()
@@ -248,12 +250,15 @@ def numbering(init: Callable[..., None]) -> Callable[..., None]:
 
 
 def hash_(it: Any) -> int:
-    """`__hash__`: not by the address, since pools join threads, and asyncio cancels tasks, in the order of a set."""
+    """`__hash__` that does not depend on the address.
+
+    Pools join threads, and asyncio cancels tasks, in the order of a set.
+    """
     return getattr(it, "_number", None) or object.__hash__(it)
 
 
 def start(thread: threading.Thread) -> None:
-    """`Thread.start`: it takes part, if it is started by one that does."""
+    """`Thread.start`: the thread joins the simulation if a simulated thread starts it."""
     scheduler = current()
     if scheduler is None:
         _start(thread)
@@ -265,10 +270,11 @@ def start(thread: threading.Thread) -> None:
     task = scheduler.spawn(thread.name, scheduler.running.computer)
     thread._simulated = task  # type: ignore[attr-defined]
     if getattr(thread, "_context", thread) is None:
-        # CPython 3.14 runs a thread in a context that `Thread.start` has set; before, each begins with an empty one.
+        # CPython 3.14 runs a thread in a context that `Thread.start` has set. In earlier versions, each thread begins
+        # with an empty context.
         inherits = getattr(sys.flags, "thread_inherit_context", False)
         thread._context = contextvars.copy_context() if inherits else contextvars.Context()  # type: ignore[attr-defined]
-    # What `_bootstrap_inner` takes out again.
+    # `_bootstrap_inner` removes this entry again.
     threading._limbo[thread] = thread  # type: ignore[attr-defined]
     task.ident = _thread.start_new_thread(_take_part, (scheduler, task, thread))
     scheduler.step()
@@ -283,13 +289,16 @@ def _take_part(scheduler: Scheduler, task: Task, thread: threading.Thread) -> No
     except Ended:
         threading._limbo.pop(thread, None)  # type: ignore[attr-defined]
     finally:
-        if thread.ident is not None:  # it had begun
+        if thread.ident is not None:  # the thread had begun
             _set_done(thread)
         scheduler.finish(task)
 
 
 def _set_done(thread: threading.Thread) -> None:
-    """What the real `is_alive` and `join` ask after the simulation; before CPython 3.13 it is in the thread's state."""
+    """Set the state that the real `is_alive` and `join` read after the simulation.
+
+    Before CPython 3.13, this state is part of the thread's state.
+    """
     for name in vars(thread).keys() & {"_handle", "_os_thread_handle"}:
         done = threading._make_thread_handle(thread.ident)  # type: ignore[attr-defined]
         done._set_done()
@@ -315,5 +324,5 @@ def is_alive(thread: threading.Thread) -> bool:
     return _is_alive(thread) if task is None else not task.is_over
 
 
-#: Of `threading.Thread`, that are replaced.
+#: Methods of `threading.Thread` that are replaced.
 METHODS = {"__init__": numbering(threading.Thread.__init__), "start": start, "join": join, "is_alive": is_alive}

@@ -1,12 +1,12 @@
-"""Real threads, run one at a time on a clock of their own, in an order that a seed decides.
+"""Run real threads one at a time on a simulated clock, in an order that a seed decides.
 
 A thread that takes part is a `Task`. It runs until it waits, or until it passes a lock, a queue or a socket at a moment
-that the seed has drawn; then it hands over to the next one. When all wait, the clock jumps to the earliest deadline. So
-the same program with the same seed takes the same steps, however fast or busy the computer is, and an hour in which
-nothing happens costs nothing.
+that the seed has selected. It then hands over to the next task. When all tasks wait, the clock jumps to the earliest
+deadline. So the same program with the same seed takes the same steps, however fast or busy the computer is. An hour in
+which nothing happens costs no time.
 
-Threads change between two lines of a program only where that was asked for (`preemption`), and never between two steps
-of one line, or within a function of C.
+Threads switch between two lines of a program only on request (`preemption`). They never switch between two steps of one
+line, or within a function in C.
 """
 
 from __future__ import annotations
@@ -24,28 +24,30 @@ from struct import Struct
 from types import FrameType
 from typing import Any, Protocol
 
-#: As `sys.settrace` takes it.
+#: Trace function for `sys.settrace`.
 Tracer = Callable[[FrameType, str, Any], Any]
 
-#: Seconds that each step costs. Without it a program that looks at the clock until it is late enough would not end.
+#: Simulated time that each step costs, in s. Without it, a program that reads the clock until a time is reached would
+#: not end.
 STEP = 1e-7
-#: Bounds of the mean number of steps after which a running task has to yield for another one; the seed draws the
-#: mean once, so that some runs change threads at nearly every step and others hardly ever.
+#: Bounds of the mean number of steps after which a running task must yield to another one. The seed selects the mean
+#: once per run. So some runs switch threads at nearly every step, and others hardly ever.
 SWITCHES = (2.0, 500.0)
-#: Real seconds that a thread has to end in when the simulation ends, and how often it may catch `Ended`.
+#: Real time, in s, in which a thread must end after the simulation, and maximum number of times that it may catch
+#: `Ended`.
 _TO_END = 5.0
 _ENDINGS = 100
-#: What the trace has of each choice: the number of the task, and the time.
+#: Record of each choice in the trace: number of the task, and time.
 _CHOICE = Struct("<Id")
 _NEVER = float("inf")
 
 
 class Deadlock(Exception):
-    """Every thread waits for another one, without a deadline. The message has all their stacks."""
+    """Every thread waits for another one, without a deadline. The message shows all stacks."""
 
 
 class TimeLimit(Exception):
-    """The simulated time has passed the limit that was set for it."""
+    """The simulated time has exceeded its limit."""
 
 
 class Ended(SystemExit):
@@ -53,7 +55,7 @@ class Ended(SystemExit):
 
 
 class TaskComputer(Protocol):
-    """The computer that a task runs on: `linkcore.simulated.network.Computer`, as the scheduler uses it."""
+    """Computer of a task: `linkcore.simulated.network.Computer`, as the scheduler uses it."""
 
     rate: float
     offset: float
@@ -70,25 +72,25 @@ class Task:
     name: str
     number: int
     computer: TaskComputer
-    #: held while it does not run
+    #: Lock that is held while the task does not run.
     baton: LockType = field(default_factory=allocate_lock)
     ident: int = 0
     is_ready: bool = False
     is_over: bool = False
-    #: until when it waits; None without a limit, and while it does not wait
+    #: Deadline of a wait; None without a deadline, and while the task does not wait.
     deadline: float | None = None
-    #: when the scheduler looks at its deadline next: most waits end before, and leave nothing to be looked at then
+    #: Time of the scheduler's next check of the deadline. Most waits end earlier; the check then finds nothing to do.
     alarm: float = _NEVER
-    #: whether the deadline came first
+    #: Whether the deadline came first.
     is_late: bool = False
-    #: where who is to make it ready finds it
+    #: Queue where the code that makes the task ready finds it.
     waiters: deque[Task] | None = None
-    #: raised when it runs next
+    #: Exception to raise when the task runs next.
     error: BaseException | None = None
-    #: how often it has gone on after `Ended`
+    #: Number of times that the task has continued after `Ended`.
     endings: int = 0
     joiners: deque[Task] = field(default_factory=deque)
-    #: what its lines are traced by for the scheduler, and what they were before
+    #: Trace function that the scheduler has set for the task, and the previous one.
     tracer: Tracer | None = None
     before: Any = None
 
@@ -100,14 +102,14 @@ class Scheduler:
     """Runs tasks one at a time.
 
     Args:
-        seed: decides who runs when.
-        limit: seconds of simulated time after which the first task gets `TimeLimit`.
+        seed: Seed that decides the order of the tasks.
+        limit: Simulated time after which the first task gets `TimeLimit`, in s.
 
     Attributes:
-        now: seconds since the beginning.
-        trace: checksum of every step that was decided so far.
-        steps: how often the tasks passed the seam.
-        numbered: how many threads and tasks of asyncio were made.
+        now: Simulated time since the beginning, in s.
+        trace: Checksum of every decided step so far.
+        steps: Number of times that tasks have called `step`.
+        numbered: Number of threads and asyncio tasks that were made.
     """
 
     def __init__(self, seed: int, limit: float) -> None:
@@ -120,32 +122,32 @@ class Scheduler:
         self.is_ending = False
         self.tasks: list[Task] = []
         self._ready: list[Task] = []
-        # When, a number that keeps what is due together in order, and what to do: a call, or the task of an alarm.
+        # Time, a number that orders entries with the same time, and the action: a call, or the task of an alarm.
         self._due: list[tuple[float, int, Callable[[], object] | None, Task | None]] = []
         self._numbers = 0
         low, high = SWITCHES
         self._mean = low * (high / low) ** self.random.random()
         self._left = self._draw()
-        # Whether what is called is due, rather than a step of the running task.
+        # Whether a due call runs, rather than a step of the running task.
         self._is_choosing = False
         # Released by a thread that `end` has ended.
         self._ended = allocate_lock()
         self.running: Task  # since `adopt`
-        #: of the thread that runs
+        #: Thread id of the running task.
         self.ident = 0
         self._tracer: Tracer | None = None
 
     # -- tasks -----------------------------------------------------------------------------------------
 
     def adopt(self, name: str, computer: TaskComputer) -> Task:
-        """Make the calling thread the first task. It runs."""
+        """Make the calling thread the first task, which is running."""
         task = self.spawn(name, computer, is_ready=False)
         task.ident = self.ident = get_ident()
         self.running = task
         return task
 
     def spawn(self, name: str, computer: TaskComputer, *, is_ready: bool = True) -> Task:
-        """A task whose thread waits for its baton."""
+        """Make a task whose thread waits for its baton."""
         task = Task(name, len(self.tasks), computer)
         self.tasks.append(task)
         if is_ready:
@@ -153,7 +155,7 @@ class Scheduler:
         return task
 
     def begin(self, task: Task) -> None:
-        """The first thing that the thread of a task does: wait until it is to run."""
+        """Wait until the task may run; the first action of its thread."""
         task.baton.acquire()
         task.ident = self.ident = get_ident()
         if self.is_ending:
@@ -162,7 +164,7 @@ class Scheduler:
             self._follow(task)
 
     def finish(self, task: Task) -> None:
-        """The last thing that the thread of a task does."""
+        """End the task; the last action of its thread."""
         task.is_over = True
         for joiner in task.joiners:
             self.make_ready(joiner)
@@ -175,7 +177,7 @@ class Scheduler:
     # -- what a running task does ------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Pass the seam: time goes on by a little, and another task may be let in."""
+        """Let a little simulated time pass, and possibly let another task run."""
         self.now += STEP
         self.steps += 1
         self._left -= 1
@@ -185,7 +187,7 @@ class Scheduler:
                 self.yield_()
 
     def yield_(self) -> None:
-        """Let the others run, if there are any that can."""
+        """Let other tasks run, if any can."""
         task = self.running
         due = self._due
         if not self._ready and task.computer.is_running and not (due and due[0][0] <= self.now) and self._is_same(task):
@@ -196,15 +198,15 @@ class Scheduler:
         self._change(task)
 
     def _is_same(self, task: Task) -> bool:
-        """Whether a task that continues has nothing to do first: no error, no other tracer, no end."""
+        """Whether a task can continue directly: without an error, another tracer, or the end."""
         return task.error is None and task.tracer is self._tracer and not self.is_ending and not task.is_ready
 
     def wait(self, deadline: float | None, waiters: deque[Task] | None = None) -> bool:
-        """Wait until somebody makes this task ready; False if the deadline came first.
+        """Wait until other code makes this task ready; return False if the deadline came first.
 
         Args:
-            deadline: simulated time; None for none.
-            waiters: where the task is found by who is to make it ready; it is taken out at the deadline.
+            deadline: Simulated time, in s; None for none.
+            waiters: Queue where other code finds the task. At the deadline, the task is removed from it.
         """
         task = self.running
         task.is_late = False
@@ -219,7 +221,7 @@ class Scheduler:
         return not task.is_late
 
     def deadline(self, seconds: float | None) -> float | None:
-        """When so many seconds of the running task's computer are over."""
+        """Return the simulated time after `seconds` on the clock of the running task's computer."""
         if seconds is None:
             return None
         return self.now + max(seconds, 0.0) / self.running.computer.rate
@@ -227,14 +229,14 @@ class Scheduler:
     # -- what anybody does while a task runs -------------------------------------------------------------
 
     def make_ready(self, task: Task) -> None:
-        """Have a task run when it is its turn."""
+        """Put a task into the queue of tasks that can run."""
         if task.is_ready or task.is_over:
             return
         task.is_ready = True
         (self._ready if task.computer.is_running else task.computer.held).append(task)
 
     def wake_one(self, waiters: deque[Task]) -> None:
-        """Make one of those that wait ready, which the seed chooses."""
+        """Make one of the waiting tasks ready; the seed selects it."""
         if waiters:
             number = 0 if len(waiters) == 1 else int(self.random.random() * len(waiters))
             task = waiters[number]
@@ -242,16 +244,16 @@ class Scheduler:
             self.make_ready(task)
 
     def call_at(self, when: float, call: Callable[[], object]) -> None:
-        """Call something at a simulated time, between two steps of the tasks. It must not wait."""
+        """Call a function at a simulated time, between two steps of the tasks. It must not wait."""
         self._numbers += 1
         heapq.heappush(self._due, (when, self._numbers, call, None))
 
     def note(self, data: bytes) -> None:
-        """Add what has happened to the trace."""
+        """Add data to the checksum of the trace."""
         self.trace = zlib.crc32(data, self.trace)
 
     def suspend(self, computer: TaskComputer) -> None:
-        """No task of it runs until `resume`."""
+        """Stop all tasks of a computer until `resume`."""
         computer.is_running = False
         computer.held += [task for task in self._ready if task.computer is computer]
         self._ready[:] = [task for task in self._ready if task.computer is not computer]
@@ -259,13 +261,13 @@ class Scheduler:
             self.yield_()
 
     def resume(self, computer: TaskComputer) -> None:
-        """Its tasks run again."""
+        """Let the tasks of a computer run again."""
         computer.is_running = True
         self._ready += computer.held
         computer.held.clear()
 
     def end(self) -> None:
-        """End every other task, one after the other: who waits gets `Ended`."""
+        """End every other task, one after the other; a waiting task gets `Ended`."""
         self.trace_lines(None)
         self.is_ending = True
         mine = get_ident()
@@ -281,17 +283,17 @@ class Scheduler:
 
     @property
     def is_between_lines(self) -> bool:
-        """The calling thread is the task that runs, and no call that is due: it may wait."""
+        """Whether the calling thread is the running task outside of a due call, so that it may wait."""
         return self.ident == get_ident() and not self._is_choosing and not self.is_ending
 
     def trace_lines(self, tracer: Tracer | None) -> None:
-        """Have the lines of all tasks traced from now on; None ends that, and puts back what there was before."""
+        """Trace the lines of all tasks. None ends this, and restores the previous trace functions."""
         self._tracer = tracer
         if self.is_between_lines:
             self._follow(self.running)
 
     def _follow(self, task: Task) -> None:
-        """Have the lines of the calling thread traced as those of the others are."""
+        """Trace the lines of the calling thread in the same way as the other tasks' lines."""
         if task.tracer is None:
             task.before = sys.gettrace()
         tracer = self._tracer
@@ -317,7 +319,7 @@ class Scheduler:
                 self._take(task)
         if self.is_ending:
             task.endings += 1
-            if task.endings > _ENDINGS:  # it goes on whatever is raised: leave it here
+            if task.endings > _ENDINGS:  # it catches every exception and continues: block it here
                 self._ended.release()
                 allocate_lock().acquire()
                 task.baton.acquire()
@@ -329,7 +331,7 @@ class Scheduler:
             raise error
 
     def _take(self, task: Task) -> None:
-        """Wait for the baton. Ctrl-C meanwhile is raised when it has come."""
+        """Wait for the baton. Ctrl-C during the wait is raised when the task has the baton."""
         while True:
             try:
                 task.baton.acquire()
@@ -351,7 +353,10 @@ class Scheduler:
         heapq.heappush(self._due, (when, self._numbers, None, task))
 
     def _ring(self, task: Task) -> None:
-        """The alarm of a task: its deadline is over, or that of a later wait is still to come, or it does not wait."""
+        """Handle the alarm of a task.
+
+        The deadline has passed, or a later wait has a later deadline, or the task does not wait.
+        """
         task.alarm = _NEVER
         deadline = task.deadline
         if deadline is None or task.is_ready or task.is_over:
@@ -365,7 +370,7 @@ class Scheduler:
             self.make_ready(task)
 
     def _next(self) -> Task:
-        """The task that runs next. Time goes on until there is one."""
+        """Return the task that runs next, after letting time pass until there is one."""
         due, ready = self._due, self._ready
         while True:
             while due and due[0][0] <= self.now:
@@ -389,9 +394,9 @@ class Scheduler:
                 return task
             first = self.tasks[0]
             if not due:
-                self._interrupt(first, Deadlock(f"at {self.now:.6f} s every thread waits\n{self.stacks()}"))
+                self._interrupt(first, Deadlock(f"at {self.now:.6f} s every thread waits forever\n{self.stacks()}"))
             elif due[0][0] > self.limit:
-                error = TimeLimit(f"{self.limit:g} s of simulated time are over\n{self.stacks()}")
+                error = TimeLimit(f"the simulated time exceeds its limit of {self.limit:g} s\n{self.stacks()}")
                 self.limit = _NEVER
                 self._interrupt(first, error)
             else:
@@ -404,7 +409,7 @@ class Scheduler:
         self.make_ready(task)
 
     def stacks(self) -> str:
-        """What every task is doing."""
+        """Return the stack of every task, as text."""
         frames = sys._current_frames()
         text = []
         for task in self.tasks:
@@ -413,12 +418,12 @@ class Scheduler:
         return "\n".join(text)
 
 
-#: The scheduler of the simulation that goes on, in a list of one.
+#: The active scheduler, in a list with one element.
 _current: list[Scheduler | None] = [None]
 
 
 def current() -> Scheduler | None:
-    """The scheduler, if the calling thread is the task that runs."""
+    """Return the scheduler if the calling thread is the running task; else None."""
     scheduler = _current[0]
     return scheduler if scheduler is not None and scheduler.ident == get_ident() else None
 

@@ -1,4 +1,4 @@
-"""Sockets, `poll`, `select` and selectors over simulated connections, with the names of the standard library."""
+"""Sockets, `poll`, `select` and selectors for simulated connections, with standard names."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from typing import Any, cast
 from .network import BUFFER, Computer, End, Listener, Network
 from .scheduler import Scheduler, Task, current
 
-#: The first descriptor: above those that a process usually has, and with room below 1024, where `select` ends.
+#: First descriptor: above the usual descriptors of a process, with room below 1024, the limit of `select`.
 _FIRST = 400
 
-#: Events of `poll` with their numbers on Linux, because Windows has no `poll`, and macOS has no `POLLRDHUP`. Those of
-#: `_ALWAYS` are reported whether they are wanted or not.
+#: Events of `poll` with their numbers on Linux, because Windows has no `poll`, and macOS has no `POLLRDHUP`. Events in
+#: `_ALWAYS` are reported whether they are requested or not.
 _IN, _PRI, _OUT, _ERR, _HUP, _NVAL, _RDHUP = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20, 0x2000
 _ALWAYS = _ERR | _HUP | _NVAL
 
@@ -26,13 +26,13 @@ _RealSocket = _socket.socket
 
 
 class Pollable:
-    """What has a descriptor, and events that tasks wait for."""
+    """An object with a descriptor, and events that tasks wait for."""
 
     def __init__(self, sockets: Sockets) -> None:
         self._sockets = sockets
-        #: who waits, and for which events
+        #: Waiting tasks, and the events that they wait for.
         self._waiters: list[tuple[Task, int]] = []
-        #: the selectors that it is registered with
+        #: Selectors that it is registered with.
         self.selectors: list[Selector] = []
         self._number = sockets.open(self)
 
@@ -40,11 +40,14 @@ class Pollable:
         return self._number
 
     def events(self) -> int:
-        """What `poll` reports."""
+        """Return the events that `poll` reports."""
         raise NotImplementedError
 
     def changed(self) -> None:
-        """Make those ready who wait for what there is now. A task that would only wait again does not run for it."""
+        """Make the tasks ready that wait for a current event.
+
+        A task that would only wait again does not run.
+        """
         for selector in self.selectors:
             selector.look_at(self)
         if self._waiters:
@@ -54,7 +57,7 @@ class Pollable:
                     self._sockets.scheduler.make_ready(task)
 
     def wait_for(self, mask: int, deadline: float | None) -> bool:
-        """Wait until one of these events may be there; False if the deadline came first."""
+        """Wait until one of these events might be present; return False if the deadline came first."""
         scheduler = self._sockets.scheduler
         waiter = scheduler.running, mask
         self._waiters.append(waiter)
@@ -65,7 +68,7 @@ class Pollable:
 
 
 class Socket(Pollable):
-    """What `socket.socket` makes while time is simulated: TCP, and as much of UDP as shows a route."""
+    """The `socket.socket` of simulated time: TCP, and enough of UDP to find a route."""
 
     makefile = _RealSocket.makefile
     _io_refs = 0
@@ -83,9 +86,9 @@ class Socket(Pollable):
         self._bound: tuple[str, int] | None = None
         self._listener: Listener | None = None
         self._end = end
-        #: None, -1 while it connects, or the outcome
+        #: None, -1 during a connection attempt, or its outcome.
         self._connecting: int | None = None
-        # How much a `recv` that waits asks for, and what the kernel has given it while it could not return.
+        # Size that a waiting `recv` requests, and bytes that the kernel has passed to it while it could not return.
         self._asked = 0
         self._given = b""
         if end is not None:
@@ -133,7 +136,8 @@ class Socket(Pollable):
         if isinstance(linger, bytes):
             is_on, seconds = struct.unpack("ii", linger)
             end.linger = float(seconds) if is_on else None
-        limit = self._options.get((_socket.IPPROTO_TCP, _socket.TCP_USER_TIMEOUT))
+        # Only Linux has the option.
+        limit = self._options.get((_socket.IPPROTO_TCP, getattr(_socket, "TCP_USER_TIMEOUT", -1)))
         end.user_timeout = limit * 1e-3 if isinstance(limit, int) else 0.0
         size = self._options.get((_socket.SOL_SOCKET, _socket.SO_SNDBUF))
         end.send_buffer = 2 * size if isinstance(size, int) else BUFFER  # Linux doubles it
@@ -314,7 +318,7 @@ class Socket(Pollable):
             self.changed()
 
     def detach(self) -> int:
-        raise OSError(errno.EOPNOTSUPP, "a simulated socket has no descriptor of its own")
+        raise OSError(errno.EOPNOTSUPP, "a simulated socket has no real descriptor; detach() is not supported")
 
     def __enter__(self) -> Socket:
         return self
@@ -329,7 +333,7 @@ class Socket(Pollable):
     # -- waiting -----------------------------------------------------------------------------------------
 
     def events(self) -> int:
-        """What `poll` reports."""
+        """Return the events that `poll` reports."""
         end = self._end
         if self._number < 0:
             return _NVAL
@@ -372,7 +376,7 @@ class Socket(Pollable):
     def _scheduler(self) -> Scheduler:
         scheduler = current()
         if scheduler is None:
-            raise OSError(errno.EBADF, "the simulated network is used by threads that take part only")
+            raise OSError(errno.EBADF, "a thread outside of the simulation cannot use the simulated network")
         return scheduler
 
     def _step(self) -> None:
@@ -404,7 +408,7 @@ class Socket(Pollable):
 
 
 class Sockets:
-    """The sockets of a simulation, by their descriptors."""
+    """Sockets of a simulation, by their descriptors."""
 
     def __init__(self, scheduler: Scheduler, network: Network) -> None:
         self.scheduler = scheduler
@@ -412,7 +416,7 @@ class Sockets:
         self._open: dict[int, Pollable] = {}
 
     def computer(self) -> Computer:
-        """That of the task that runs."""
+        """Return the computer of the running task."""
         return cast("Computer", self.scheduler.running.computer)
 
     def open(self, opened: Pollable) -> int:
@@ -426,12 +430,12 @@ class Sockets:
         self._open.pop(number, None)
 
     def find(self, which: Any) -> Pollable | None:
-        """What has this descriptor, or None if that does not belong to the simulation."""
+        """Return the object with this descriptor; None if it does not belong to the simulation."""
         return self._open.get(_descriptor(which))
 
     @property
     def count(self) -> int:
-        """How many are open."""
+        """Number of open sockets."""
         return sum(isinstance(each, Socket) for each in self._open.values())
 
     def pair(self) -> tuple[Socket, Socket]:
@@ -440,7 +444,8 @@ class Sockets:
         ends = End(self.network, computer, 0), End(self.network, computer, 0)
         for one, other in (ends, ends[::-1]):
             one.peer, one.is_connected = other, True
-            # Of the process and not of the network: an event loop whose own pair were broken would never wait again.
+            # A pair belongs to the process rather than to the network. If its own pair broke, an event loop would never
+            # wait again.
             computer.ends.pop(one)
         family = getattr(_socket, "AF_UNIX", _socket.AF_INET)  # Windows' Python has no AF_UNIX
         here, there = (Socket(self, family, _socket.SOCK_STREAM, 0, end) for end in ends)
@@ -466,7 +471,7 @@ class Sockets:
         return [e for e, m in ready if m == _IN], [e for e, m in ready if m == _OUT], []
 
     def wait(self, wanted: Mapping[int, int], timeout: float | None) -> dict[int, int]:
-        """Wait for events of descriptors; {descriptor: mask}, empty when time is up."""
+        """Wait for events of descriptors; return {descriptor: mask}, empty on a timeout."""
         scheduler = self.scheduler
         scheduler.step()
         deadline = scheduler.deadline(timeout)
@@ -515,16 +520,16 @@ class Poll:
 
 
 class Selector(Pollable, selectors._BaseSelectorImpl):
-    """`selectors.DefaultSelector`, with deadlines as fine as the clock.
+    """`selectors.DefaultSelector`, with the resolution of the clock for deadlines.
 
-    Like epoll, it has a descriptor, looks only at what has changed since there was nothing to report of it, and reports
-    nothing of what is closed.
+    Like epoll, it has a descriptor. It checks only objects that have changed since they had nothing to report, and
+    reports nothing for closed objects.
     """
 
     def __init__(self, sockets: Sockets) -> None:
         selectors._BaseSelectorImpl.__init__(self)
         Pollable.__init__(self, sockets)
-        # Descriptor and events of each that is registered, and those to look at, in the order in which they changed.
+        # Descriptor and events of each registered object, and the objects to check, in the order of their changes.
         self._watched: dict[Pollable, tuple[int, int]] = {}
         self._changed: dict[Pollable, None] = {}
 
@@ -557,7 +562,7 @@ class Selector(Pollable, selectors._BaseSelectorImpl):
         self._sockets.forget(self._number)
 
     def look_at(self, found: Pollable) -> None:
-        """Something that is registered has changed."""
+        """Note that a registered object has changed."""
         self._changed[found] = None
         if self._waiters:
             self.changed()
@@ -566,7 +571,7 @@ class Selector(Pollable, selectors._BaseSelectorImpl):
         return _IN if self._ready() else 0
 
     def _ready(self) -> list[tuple[int, int]]:
-        """(descriptor, events) of what can be reported."""
+        """Return (descriptor, events) of each object that can be reported."""
         ready = []
         for found in list(self._changed):
             number, mask = self._watched[found]

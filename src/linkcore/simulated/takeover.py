@@ -1,4 +1,4 @@
-"""`simulated_time`: a block in which time, threads and sockets are simulated, for everything that is called in it."""
+"""`simulated_time`: a block with simulated time, threads and sockets for all called code."""
 
 from __future__ import annotations
 
@@ -33,13 +33,14 @@ from .sockets import Poll, Selector, Socket, Sockets
 if sys.platform != "win32":
     import fcntl
 
-#: Seconds since 1970 at which a simulation begins: 2026-01-01.
+#: Calendar time at which a simulation begins, in s since 1970: 2026-01-01.
 _EPOCH = 1767225600.0
 
-#: Names of more clocks that count the seconds since some start.
+#: Names of further clocks that count the seconds since some start.
 _OF_LINUX = ("CLOCK_BOOTTIME", "CLOCK_MONOTONIC_RAW")
 
-#: Modules that keep what they have: those that this is made of, the interpreter's own, and those that never wait.
+#: Modules without replacements: modules that the simulation uses, the interpreter's own, and modules that never
+#: wait.
 _KEPT = (
     "_thread",
     "importlib",
@@ -52,26 +53,26 @@ _KEPT = (
     "execnet",
 )
 
-#: Modules of C or with locks of their own, imported before the first simulation rather than in it: they keep what they
-#: find as they are imported, so that the first run in a process would differ from the next.
+#: C modules, or modules with their own locks, to import before the first simulation. They keep the objects that they
+#: find during import. So importing them inside a simulation would make the first run in a process differ from the next.
 _BEFORE = ("asyncio", "concurrent.futures.thread", "linkcore.clock", "multiprocessing.process", "numpy.random")
 
-#: What can happen to a computer, and how it is written.
+#: Faults of a computer, and their text form.
 _OF_COMPUTERS = ("suspend", "resume", "hold", "release", "kill", "power_off", "power_on")
 _FAULT = re.compile(r"(\w+)=([\w.-]+)@(\d+(?:\.\d*)?)")
 
-#: How many names a module had, and which of them may have what is replaced: those that had it, and those called like it
-#: since another may be in its place for a while. To look through all names of all modules for each block would take
-#: most of the time of a short one.
+#: Name of a module -> number of its names, and the names that might refer to replaced objects. These are names that
+#: referred to one, and names equal to the name of such an object, because another object might temporarily be in its
+#: place. Searching all names of all modules for each block would take most of the time of a short block.
 _names: dict[str, tuple[int, tuple[str, ...]]] = {}
 
 
 class Simulation(StrictAttributes):
-    """What goes on in a `simulated_time` block.
+    """Control of a `simulated_time` block, and its state.
 
     Attributes:
-        network: the computers and what is between them.
-        here: the computer on which the block runs.
+        network: Computers, and the connections between them.
+        here: Computer on which the block runs.
     """
 
     def __init__(self, scheduler: Scheduler, network: Network, here: Computer, sockets: Sockets) -> None:
@@ -82,41 +83,41 @@ class Simulation(StrictAttributes):
 
     @property
     def now(self) -> float:
-        """Seconds since the block began."""
+        """Simulated time since the block began, in s."""
         return self._scheduler.now
 
     @property
     def trace(self) -> int:
-        """Checksum of every step so far: equal for two runs that did the same."""
+        """Checksum of all steps so far. It is equal for two runs that did the same."""
         return self._scheduler.trace
 
     @property
     def steps(self) -> int:
-        """How often a thread has passed a lock, a queue, a socket or a clock."""
+        """Number of times that a thread has passed a lock, a queue, a socket or a clock."""
         return self._scheduler.steps
 
     @property
     def random(self) -> random.Random:
-        """Numbers that follow from the seed."""
+        """Random numbers that depend on the seed."""
         return self._scheduler.random
 
     @property
     def open_sockets(self) -> int:
-        """How many sockets are open, on all computers."""
+        """Number of open sockets, on all computers."""
         return self._sockets.count
 
     @property
     def threads(self) -> list[str]:
-        """Names of the threads that have not ended, beside the one of the block."""
+        """Names of the threads that have not ended, without the thread of the block."""
         return [task.name for task in self._scheduler.tasks[1:] if not task.is_over]
 
     def computer(self, name: str, address: str) -> Computer:
-        """One more computer, with a name and an IPv4 address of its own."""
+        """Add a computer with its own name and IPv4 address."""
         return self.network.add(name, address)
 
     @contextlib.contextmanager
     def on(self, computer: Computer) -> Iterator[None]:
-        """Run the block as a program of another computer: its sockets and threads are there."""
+        """Run a block as a program of another computer, with its sockets and threads."""
         task = self._scheduler.running
         before, task.computer = task.computer, computer
         try:
@@ -125,28 +126,42 @@ class Simulation(StrictAttributes):
             task.computer = before
 
     def at(self, seconds: float, call: Callable[[], object]) -> None:
-        """Call something at a time of the simulation, such as `computer.suspend`. It must not wait."""
+        """Call a function, such as `computer.suspend`, at a simulated time. It must not wait."""
         self._scheduler.call_at(seconds, call)
 
     def schedule(self, *faults: str) -> None:
-        """Have faults happen to a computer, or to its cable: `schedule("cut=robot@5", "mend=robot@5.5")`.
+        """Schedule faults of computers or cables: `schedule("cut=robot@5", "mend=robot@5.5")`.
 
-        Each is `NAME=COMPUTER@SECONDS`, in seconds since the block began. Of the cable between that computer and the
-        one of the block: `cut` (every packet is lost), `cut_to` and `cut_from` (in one direction), `mend`, `reset`
-        (every connection is reset at both ends). Of the computer: `suspend` and `resume` (its program; its kernel goes
-        on), `hold` and `release` (a function in C holds the interpreter's lock of its program), `kill` (its program),
-        `power_off`, `power_on`.
+        Each text is `NAME=COMPUTER@SECONDS`, in seconds since the block began.
+
+        Faults of the cable between that computer and the computer of the block:
+
+        - `cut`: every packet is lost
+        - `cut_to`, `cut_from`: packets to the computer, or from it, are lost
+        - `mend`: packets arrive again
+        - `reset`: every connection is reset at both ends
+
+        Faults of the computer:
+
+        - `suspend`, `resume`: its program is suspended, but its kernel keeps running
+        - `hold`, `release`: a function in C holds the interpreter's lock of its program
+        - `kill`: its program is killed
+        - `power_off`, `power_on`: it has no power
+
+        Args:
+            faults: Texts of the faults.
 
         Raises:
-            BadValue: no such fault, no such computer, or no such time.
+            BadValue: If there is no such fault, no such computer, or no such time.
         """
         for text in faults:
             match = _FAULT.fullmatch(text)
             if match is None:
-                raise BadValue(f"{text!r} is no fault; expected NAME=COMPUTER@SECONDS, such as 'cut=robot@5'")
+                raise BadValue(f"invalid fault {text!r}; expected NAME=COMPUTER@SECONDS, such as 'cut=robot@5'")
             name, computer, seconds = match.groups()
             if computer not in self.network.computers:
-                raise BadValue(f"{text!r}: there is no computer {computer!r}, but {', '.join(self.network.computers)}")
+                known = ", ".join(self.network.computers)
+                raise BadValue(f"{text!r}: no computer is called {computer!r}; expected one of {known}")
             self.at(float(seconds), self._fault(name, self.network.computers[computer], text))
 
     def _fault(self, name: str, there: Computer, text: str) -> Callable[[], object]:
@@ -161,23 +176,29 @@ class Simulation(StrictAttributes):
         if name in of_cables:
             return of_cables[name]
         if name not in _OF_COMPUTERS:
-            raise BadValue(f"{text!r}: no such fault; there are {', '.join([*of_cables, *_OF_COMPUTERS])}")
+            known = ", ".join([*of_cables, *_OF_COMPUTERS])
+            raise BadValue(f"{text!r}: no fault is called {name!r}; expected one of {known}")
         call: Callable[[], object] = getattr(there, name)
         return call
 
     def preempt(self, *packages: str) -> None:
-        """Have threads yield from now on between two lines of these packages or modules, too; without one, no more.
+        """Let threads switch between two lines of these packages or modules, too.
 
-        So data races are tried that pass no lock, queue, socket or clock: `sim.preempt("my_cell", "urlink")`. With all
-        of the library a program takes 5 to 15 times as long meanwhile; `at` begins and ends it at a time of the
-        simulation. The seed decides in which functions threads yield, so more seeds try more. Left alone is what
-        modules call that keep a `threading.Lock` from when they were imported, since that is a real one. A debugger, or
-        coverage by `sys.settrace`, sees nothing of the block meanwhile.
+        This finds data races in code without a lock, queue, socket or clock. An example is
+        `sim.preempt("my_cell", "urlink")`. A call without a name ends it. Use `at` to begin and end it at a simulated
+        time. With the whole library, a program takes 5 to 15 times as long. The seed selects the functions in which
+        threads yield, so more seeds test more functions.
+
+        Threads do not yield in calls from a module that has held a `threading.Lock` since its import, because that is a
+        real lock. A debugger, or coverage with `sys.settrace`, does not see the block in the meantime.
+
+        Args:
+            packages: Names of packages or modules.
         """
         self._scheduler.trace_lines(Preemption(self._scheduler, packages, sys.modules).trace if packages else None)
 
     def stacks(self) -> str:
-        """What every thread is doing."""
+        """Return the stack of every thread, as text."""
         return self._scheduler.stacks()
 
 
@@ -185,24 +206,25 @@ class Simulation(StrictAttributes):
 def simulated_time(
     seed: int = 0, *, limit: float = 86400.0, latency: float = 1e-4, jitter: float = 5e-5
 ) -> Iterator[Simulation]:
-    """Run a block on a clock that jumps from one event to the next, with threads in an order that `seed` decides.
+    """Run a block on a clock that jumps from one event to the next.
 
-    In the block `time`, `threading`, `queue`, `concurrent.futures`, `socket`, `select`, `selectors` and asyncio are
-    simulated, for every module that uses them. Threads that were running before take no part and see real time.
+    `seed` decides the order of the threads. In the block, `time`, `threading`, `queue`, `concurrent.futures`, `socket`,
+    `select`, `selectors` and asyncio are simulated, for every module that uses them. Threads that were already running
+    do not take part and use real time.
 
     Args:
-        seed: the same seed gives the same run.
-        limit: seconds of simulated time after which the block gets `TimeLimit`.
-        latency: seconds that a packet takes between two computers.
-        jitter: up to so many seconds more.
+        seed: Seed of the run. The same seed gives the same run.
+        limit: Simulated time after which the block gets `TimeLimit`, in s.
+        latency: Time that a packet takes between two computers, in s.
+        jitter: Maximum additional time of a packet, in s.
 
     Raises:
-        Deadlock: every thread waits for another one, without a deadline.
-        TimeLimit: see `limit`.
-        LocalError: time is simulated already.
+        Deadlock: If every thread waits for another one, without a deadline.
+        TimeLimit: If the simulated time exceeds `limit`.
+        LocalError: If time is already simulated.
     """
     if current() is not None:
-        raise LocalError("time is simulated already: one block cannot be inside another")
+        raise LocalError("time is already simulated; do not nest simulated_time blocks")
     for name in _BEFORE:
         importlib.import_module(name)
     scheduler = Scheduler(seed, limit)
@@ -213,7 +235,7 @@ def simulated_time(
     of_pools: Any = _pool._threads_queues
     pooled = list(of_pools)
     collects = gc.isenabled()
-    gc.disable()  # what it calls would be called at other steps in every run
+    gc.disable()  # finalizers would be called at different steps in every run
     scheduler.adopt("main", here)
     put_back = _take_over(_replacements(sockets))
     install(scheduler)
@@ -221,14 +243,14 @@ def simulated_time(
     try:
         yield Simulation(scheduler, network, here, sockets)
     finally:
-        # `concurrent.futures` would log as critical that the threads of a pool are ended while they wait for work.
+        # `concurrent.futures` would log a critical error when the idle threads of a pool are ended.
         of_futures = logging.getLogger("concurrent.futures")
         was_disabled, of_futures.disabled = of_futures.disabled, True
         scheduler.end()
         of_futures.disabled = was_disabled
         install(None)
         put_back()
-        # The interpreter joins those of pools as it exits, which is only for real threads.
+        # At exit, the interpreter joins the threads of pools. This works only for real threads.
         for thread in list(of_pools):
             if thread not in pooled:
                 del of_pools[thread]
@@ -238,16 +260,17 @@ def simulated_time(
 
 
 def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
-    """What of the standard library is replaced, by what."""
+    """Return pairs of a replaced object of the standard library and its replacement."""
     scheduler = sockets.scheduler
-    # Its own, so that who asks for more of it does not change the order of the threads.
+    # Use a separate generator, so that a program that requests more random bytes does not change the order of the
+    # threads.
     chance = random.Random(scheduler.random.random())
     sleep, select_, getaddrinfo, urandom = time.sleep, select.select, socket.getaddrinfo, os.urandom
     getpid = os.getpid
     of_library: Any = sys.modules["linkcore.clock"]
-    # Of `call_soon_threadsafe`: since CPython 3.14 it has a lock, which is for threads that run at once.
     new_event_loop: Any = sys.modules["asyncio"].new_event_loop
     selector_loop: Any = sys.modules["asyncio"].SelectorEventLoop
+    # The handle class of `call_soon_threadsafe`. Since CPython 3.14, it has a lock for threads that run in parallel.
     handle: Any = vars(sys.modules["asyncio.events"]).get("_ThreadSafeHandle", type("Handle", (), {}))
 
     task: Any = sys.modules["asyncio.tasks"].Task
@@ -283,7 +306,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         return lambda *args, **named: (real if current() is None else simulated)(*args, **named)
 
     def lock(simulated: Callable[[], Any], real: Callable[[], Any]) -> Callable[[], Any]:
-        # That of a module or class is a real one, whether the module was there before or not.
+        # A lock of a module or class is a real one, whether the module was imported before or not.
         return lambda: (real if current() is None or is_importing() else simulated)()
 
     def new_socket(family: int = -1, type: int = -1, proto: int = -1, fileno: int | None = None) -> Any:
@@ -292,7 +315,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     of_system: list[tuple[object, object]] = []
     if sys.platform != "win32":
         gettime, ioctl = time.clock_gettime, fcntl.ioctl
-        # The others count the time of the processor.
+        # The other clocks count processor time.
         clocks = {time.CLOCK_MONOTONIC: since_start, time.CLOCK_REALTIME: since_1970}
         clocks |= {which: since_start for name in _OF_LINUX if (which := getattr(time, name, None)) is not None}
 
@@ -329,7 +352,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (threading.Semaphore, primitives.Semaphore),
         (queue.SimpleQueue, primitives.SimpleQueue),
         (_pool._global_shutdown_lock, primitives.Lock()),
-        # Windows' default loop waits for completions of the kernel, which knows nothing of simulated sockets.
+        # The default loop of Windows waits for completions in the kernel, which does not know simulated sockets.
         (new_event_loop, choose(selector_loop, new_event_loop)),
         (handle, type("Handle", handle.__bases__, {})),
         (task, type("Task", (task,), numbered)),
@@ -343,12 +366,12 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
 
 
 class _Look:
-    """What is in `sys.modules`.
+    """Snapshot of `sys.modules`.
 
     Attributes:
-        values, modules: all that is there, which may be any object, and the modules among it.
-        sizes: how many names each module has.
-        places: the names that may have what is replaced, each with its module.
+        values, modules: All values, which can be any object, and the modules among them.
+        sizes: Number of names in each module.
+        places: Names that might refer to replaced objects, each with its module.
     """
 
     def __init__(self, replacements: list[tuple[object, object]]) -> None:
@@ -371,7 +394,7 @@ class _Look:
 
     @property
     def is_current(self) -> bool:
-        """No module has come or gone since, and none has another number of names."""
+        """Whether the modules are unchanged, and each still has the same number of names."""
         values = list(sys.modules.values())
         return (
             len(values) == len(self.values)
@@ -380,12 +403,12 @@ class _Look:
         )
 
 
-#: The last one. Most blocks begin and end with the same modules as the one before.
+#: Latest snapshot. Most blocks begin and end with the same modules as the previous block.
 _last: list[_Look] = []
 
 
 def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
-    """Replace objects wherever a module has them by a name; how to put them back."""
+    """Replace objects in all modules that refer to them by name; return an undo function."""
     by_identity = {id(real): simulated for real, simulated in replacements}
     if not (_last and _last[0].is_current):
         _last[:] = [_Look(replacements)]
@@ -396,11 +419,11 @@ def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
         if id(value) in by_identity:
             done.append((module, attribute, value))
             setattr(module, attribute, by_identity[id(value)])
-    # Methods of the class itself, for the sake of what is derived from it.
+    # Replace the methods of the class itself, so that derived classes use them too.
     kept = {name: getattr(threading.Thread, name) for name in primitives.METHODS}
     for name, method in primitives.METHODS.items():
         setattr(threading.Thread, name, method)
-    # For good: a thread of the block is found in sets afterwards too.
+    # Do not undo this: sets find threads of the block by their hash even afterwards.
     threading.Thread.__hash__ = primitives.hash_  # type: ignore[assignment]
 
     def put_back() -> None:
@@ -411,7 +434,7 @@ def _take_over(replacements: list[tuple[object, object]]) -> Callable[[], None]:
             setattr(module, attribute, value)
         if look.is_current:
             return
-        # Modules that were imported meanwhile have the simulated ones.
+        # Modules that were imported in the block refer to the simulated objects.
         sizes = dict(zip(map(id, look.modules), look.sizes, strict=True))
         for name, module in list(sys.modules.items()):
             if (

@@ -1,4 +1,4 @@
-"""The `rhdlink` command: one module per subcommand, and what they share."""
+"""The `rhdlink` command: one module per subcommand, and shared modules."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from linkcore.cli.program import program
 
 __all__ = ["main"]
 
-#: command -> the module of this folder that declares it
+#: Module that declares each command.
 _COMMANDS = {
     "serve": "serve",
     "turtle": "turtle",
@@ -28,8 +28,8 @@ _DESCRIPTION = "Read, drive, host and simulate mobile robots that run the Robot 
 
 _EPILOG = """\
 addresses:
-  smr12              a robot, by name or number; the port is 24902 where none is named
-  localhost:8001     one on another port
+    smr12              a robot, by host name or address; the default port is 24902
+    localhost:8001     a robot on another port
 
 a first try, in two terminals:
   rhdlink turtle
@@ -37,5 +37,5 @@ a first try, in two terminals:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status and never raises."""
+    """Run the command line. Returns the exit status and never raises an exception."""
     return program("rhdlink", _COMMANDS, _DESCRIPTION, _EPILOG, argv)

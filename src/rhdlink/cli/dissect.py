@@ -1,4 +1,4 @@
-"""`rhdlink dissect`: every byte of a connection with its meaning."""
+"""`rhdlink dissect`: show every byte of a connection with its meaning."""
 
 from __future__ import annotations
 
@@ -24,26 +24,28 @@ from ..wire.dissection import PackagePart, Piece, dissect, guess_sender, tables_
     "dissect",
     "show the bytes of a connection",
     argument("file", metavar="FILE", help="raw bytes or hex text of one direction, or a recording; - for stdin"),
-    argument("--from", dest="sender", choices=("server", "client"), help="who sent them (guessed)"),
-    argument("--tables", metavar="FILE", help="raw bytes or hex text of the server, for the bytes of its client"),
-    argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (as found, or 2)"),
+    argument("--from", dest="sender", choices=("server", "client"), help="sender of the bytes (default: detected)"),
+    argument(
+        "--tables", metavar="FILE", help="raw bytes or hex text of the server, to dissect the bytes of its client"
+    ),
+    argument("--width", type=int, choices=(2, 4), help="32-bit words of a time stamp (default: detected, or 2)"),
     *SHOWN,
 )
 def run(args: argparse.Namespace) -> int:
-    """Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE holds
-    raw bytes, such as the payload of a network capture, or hex digits, or is a recording; with - the bytes or hex
+    """Show every package in the bytes of one direction of a connection: offset, bytes in hex, meaning. FILE contains
+    raw bytes, such as the payload of a network capture, or hex digits, or is a recording. With -, the bytes or hex
     digits are read from stdin.
 
-    The bytes of a client do not say how long its variables are: --tables names a file with the bytes of the server
-    from the same connection. The number of words of a time stamp, 2 or 4, is found from the server's handshake,
-    unless --width is given. Bytes that belong to no package are shown too: nothing is hidden.
+    The bytes of a client do not show the lengths of its variables. --tables names a file with the bytes of the server
+    from the same connection. The number of words of a time stamp, 2 or 4, is detected from the server's handshake,
+    unless --width is given. Bytes that belong to no package are shown too.
 
     examples:
       rhdlink dissect server.bin
       rhdlink dissect client.bin --tables server.bin --count 3
       rhdlink dissect drive.urlog --json
     """
-    # On a terminal this is shown only while no package is printed.
+    # On a terminal, the bar is shown only while no package is printed.
     with ProgressBar(f"dissecting {args.file}", args.quiet) as progress:
         return print_pieces(_shown(args, progress), args)
 
@@ -57,7 +59,7 @@ def _shown(args: argparse.Namespace, progress: ProgressBar) -> Iterator[Shown]:
 def _pieces(args: argparse.Namespace) -> Iterator[Piece]:
     tables, told = tables_in(input_bytes(args.tables)) if args.tables is not None else ({}, None)
     if args.tables is not None and not tables:
-        raise BadRecording(f"{args.tables} holds no handshake of a server{text_hint(input_bytes(args.tables))}")
+        raise BadRecording(f"{args.tables} contains no handshake of a server{text_hint(input_bytes(args.tables))}")
     for data in _connections(args.file):
         own, found = tables_in(data)
         sender = args.sender or ("server" if own else guess_sender(data))
@@ -65,7 +67,7 @@ def _pieces(args: argparse.Namespace) -> Iterator[Piece]:
 
 
 def _connections(name: str) -> Iterator[bytes]:
-    """The bytes in a file or on stdin; of a recording, connection by connection."""
+    """Yield the bytes of a file or of stdin; for a recording, yield the bytes of each connection."""
     data = input_bytes(name)
     if not data.startswith(MAGIC):
         yield data
@@ -87,7 +89,7 @@ def _as_json(piece: Piece) -> dict[str, Any]:
 
 
 def lines(number: int, piece: Piece) -> Iterator[str]:
-    """A piece as lines of text."""
+    """Format a piece as lines of text."""
     yield f"#{number} {printable(piece.package) or '??'}: {piece.meaning}, {piece.size} bytes at {piece.offset}"
     if piece.error is not None:
         yield f"  !! {printable(piece.error)}"

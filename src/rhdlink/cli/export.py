@@ -1,4 +1,4 @@
-"""`rhdlink export`: writes a recording to a file of another program."""
+"""`rhdlink export`: write a recording to a file in another format."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from .options import tell
 
 @exporting
 def run(args: argparse.Namespace) -> int:
-    """Write a recording to a file of another program.
+    """Write a recording to a file in another format.
 
-    A column for each variable, as 32-bit words, and a row or message for each batch that the robot sent. A file of
-    that name is replaced once the new one is complete. Every format except .csv needs the extra of its name: pip
-    install 'urlink-robot[parquet]', or 'urlink-robot[data]' for all. The suffix of the file names the format:
+    The file has a column for each variable, as 32-bit words, and a row or message for each batch that the robot sent.
+    An existing file is replaced when the new file is complete. The suffix of the file selects the format. Every format
+    except .csv needs the extra with its name: pip install 'urlink-robot[parquet]', or 'urlink-robot[data]' for all.
 
     examples:
       rhdlink export drive.urlog drive.csv encl encr

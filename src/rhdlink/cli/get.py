@@ -1,4 +1,4 @@
-"""`rhdlink get`: prints the values of variables."""
+"""`rhdlink get`: print the values of variables."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ from .variable_text import TYPES, as_json, check_names, typed, with_meaning, wor
     *ADDRESS,
     argument("names", metavar="NAME", nargs="+", help="a variable of the robot", trailing=True),
     argument("--as", dest="type", choices=tuple(TYPES), help="decode the words as values of this type"),
-    argument("--order", choices=("little", "big"), default="little", help="of values of two words (little)"),
-    argument("--json", action="store_true", help="one JSON object a line, for each variable"),
+    argument(
+        "--order", choices=("little", "big"), default="little", help="order of values of two words (default: little)"
+    ),
+    argument("--json", action="store_true", help="print one JSON object per line, for each variable"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Print the values of variables, one line each, in the order in which they are named.
+    """Print the values of variables, one per line, in the given order.
 
-    The words come first, as they are on the wire; after the `=` stands their meaning, if the name has one by
-    convention. If a read and a write variable have the same name, the read variable is printed.
+    The words are printed first, as they are on the wire. Their meaning follows after `=` if the name has a
+    conventional meaning. If a read and a write variable have the same name, the read variable is printed.
 
-    With --as the words are decoded as values of a type, and only these are printed.
+    With --as, the words are decoded as values of a type, and only these values are printed.
 
     examples:
       rhdlink get localhost tick

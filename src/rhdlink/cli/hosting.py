@@ -1,4 +1,4 @@
-"""Options of a host, and serving it until it ends: shared by `serve` and `turtle`."""
+"""Options of a host, and serving until it ends; shared by `serve` and `turtle`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .options import tell
 
 
 def service_arguments(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
-    """The arguments of `Host` that were given, and the limits: those that were not given are those of `limits`."""
+    """Arguments of `Host` that were given, and the limits. Missing limits are taken from `limits`."""
     # `turtle` has no option for the address.
     names = ("port", "address", "width", "resend", "client_timeout", "inactivity_timeout")
     given = {name: value for name in names if (value := getattr(args, name, None)) is not None}
@@ -28,39 +28,42 @@ _LIMITS = tuple(field.name for field in fields(Limits))
 
 
 def _limit(text: str) -> tuple[str, int]:
-    """One limit, as it is given on the command line."""
+    """Parse one limit of the command line."""
     name, _, number = text.partition("=")
     if name not in _LIMITS or not number.isdecimal() or int(number) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected NAME=N, NAME being one of {', '.join(_LIMITS)}")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a limit; expected NAME=N, with NAME one of {', '.join(_LIMITS)}"
+        )
     return name, int(number)
 
 
 def service_options(default: str) -> tuple[Row, ...]:
-    """The options of a host; `default` says where a value comes from that is not given."""
+    """Return the options of a host. `default` is the source of default values, for the help texts."""
     return (
         argument(
             "--width",
             type=int,
             choices=WIDTHS,
-            help="32-bit words of a time stamp, as the clients have it: 4 if they are 64-bit builds of the original's "
-            f"ordinary sources, which would decode garbage ({default}2)",
+            help="32-bit words of a time stamp, as the clients expect: 4 for 64-bit builds of the original's "
+            f"ordinary sources, which would otherwise decode garbage (default: {default}2)",
         ),
         argument(
             "--resend",
             choices=get_args(Resend),
-            help=f"variables in a reply: those set since the last one, or all that were ever set ({default}changed)",
+            help="variables in a reply: variables set since the last reply, or all that were ever set "
+            f"(default: {default}changed)",
         ),
         argument(
             "--client-timeout",
             type=seconds,
             metavar="S",
-            help=f"seconds for a request to be complete, or a reply to be read ({default}5)",
+            help=f"maximum seconds to complete a request or to read a reply (default: {default}5)",
         ),
         argument(
             "--inactivity-timeout",
             type=seconds,
             metavar="S",
-            help=f"seconds without a request after which a reader may lose its slot ({default}10)",
+            help=f"seconds without a request after which a reader may lose its slot (default: {default}10)",
         ),
         argument(
             "--limit",
@@ -68,19 +71,19 @@ def service_options(default: str) -> tuple[Row, ...]:
             default=[],
             type=_limit,
             metavar="NAME=N",
-            help=f"the most that a client may request: {', '.join(_LIMITS)} (in bytes); can be repeated",
+            help=f"largest request of a client: {', '.join(_LIMITS)} (in bytes); can be repeated",
         ),
     )
 
 
 def serve_until_told(host: Host, what: str, duration: float | None) -> int:
-    """Serve until Ctrl-C, SIGTERM or the end of `duration`; then stop properly, print statistics, return the status.
+    """Serve until Ctrl-C, SIGTERM or the end of `duration`, then stop and print statistics. Return the exit status.
 
-    The address is printed on stdout once clients can connect.
+    The address is printed on stdout when clients can connect.
 
     Raises:
-        PluginFailed: a critical plugin raised.
-        BadAddress: the port cannot be listened on.
+        PluginFailed: If a critical plugin fails.
+        BadAddress: If the port is not available.
     """
     with Interruption() as interruption:
         with host:
@@ -91,9 +94,9 @@ def serve_until_told(host: Host, what: str, duration: float | None) -> int:
                 pass
         stats = host.stats
         tell(
-            f"{stats.ticks} ticks, late by {1e3 * stats.late_median:.3f} ms (median), {1e3 * stats.late_p99:.3f} ms "
-            f"(99 of 100 less), {stats.overruns} overruns; {stats.refused_writes} writes refused, "
-            f"{stats.bad_clients} clients closed for what they sent"
+            f"{stats.ticks} ticks, late by {1e3 * stats.late_median:.3f} ms (median) and {1e3 * stats.late_p99:.3f} ms "
+            f"(99th percentile), {stats.overruns} overruns; {stats.refused_writes} writes refused, "
+            f"{stats.bad_clients} clients disconnected because of invalid data"
         )
         if stats.failed_plugins:
             tell(f"failed plugins: {', '.join(stats.failed_plugins)}")

@@ -26,7 +26,7 @@ from ..smrcl.server import PORT, MissionServer
 from .options import connected, port, tell
 from .turtle_world import WORLD, drawn, world
 
-#: Seconds between two updates of the progress.
+#: Interval between updates of the progress, in s.
 _VIEW = 0.2
 
 
@@ -35,44 +35,49 @@ _VIEW = 0.2
     "run a script in SMR-CL",
     argument("file", metavar="FILE", nargs="?", help="the script"),
     one_of(
-        argument("--robot", metavar="ADDRESS", help="a host, or host:port; the port is 24902 unless named"),
+        argument("--robot", metavar="ADDRESS", help="a host, or host:port (default port: 24902)"),
         argument(
             "--turtle",
             nargs="?",
             const="velocity",
             choices=("velocity", "smr"),
-            help="a robot in a walled square of 11 x 11 m in this process, "
+            help="a simulated robot in a walled square of 11 x 11 m in this process, "
             "driven by velocity (default) or by two wheels",
         ),
     ),
-    argument("--profile", choices=sorted(PROFILES), default="sound", help="as MRC does it, or sound (sound)"),
-    argument("--conf", metavar="PATH", help="a robot.conf, or the folder calib/ that it is in"),
+    argument("--profile", choices=sorted(PROFILES), default="sound", help="mrc (like MRC) or sound (default: sound)"),
+    argument("--conf", metavar="PATH", help="a robot.conf, or its folder calib/"),
     argument(
-        "--calibration", metavar="NAME", help="of the calibrations in --conf (the robot's name, or this computer's)"
+        "--calibration",
+        metavar="NAME",
+        help="name of the calibrations in --conf (default: the robot's name, or this computer's)",
     ),
-    argument("--trace", action="store_true", help="show each line as it is executed"),
+    argument("--trace", action="store_true", help="show each line when it is executed"),
     argument("--svg", metavar="FILE", help="draw the turtle's path into FILE at the end: .svg or .png"),
     *WORLD,
     argument("--realtime", action="store_true", help="run the turtle in real time, not as fast as possible"),
     argument("--lockstep", action="store_true", help="the robot waits for each request: $time counts ticks"),
-    argument("--log-folder", metavar="DIR", help="where the script's logs go (nowhere)"),
-    argument("--timeout", type=seconds, default=5.0, metavar="S", help="fail after S seconds of silence (5)"),
+    argument("--log-folder", metavar="DIR", help="folder for the script's logs (default: logs are not saved)"),
+    argument("--timeout", type=seconds, default=5.0, metavar="S", help="fail after S seconds of silence (default: 5)"),
     one_of(
         argument("--check", action="store_true", help="only check the script"),
         argument("--serve", action="store_true", help="serve clients of MRC until Ctrl-C, SIGTERM or --duration"),
     ),
-    argument("--port", type=port, default=PORT, metavar="P", help=f"of --serve, 0 for a free one ({PORT})"),
-    argument("--listen", default="127.0.0.1", metavar="H", help="address of --serve (127.0.0.1)"),
-    argument("--duration", type=seconds, metavar="S", help="end --serve after S seconds (never)"),
+    argument(
+        "--port", type=port, default=PORT, metavar="P", help=f"port of --serve, 0 for a free port (default: {PORT})"
+    ),
+    argument("--listen", default="127.0.0.1", metavar="H", help="address of --serve (default: 127.0.0.1)"),
+    argument("--duration", type=seconds, metavar="S", help="end --serve after S seconds (default: never)"),
 )
 def _run(args: argparse.Namespace) -> int:
     """Run a mission: a script in SMR-CL, the language of DTU's mobile robot controller MRC, on a robot, or on a turtle
-    in this process. The script is checked before it begins; an error names its line, and the robot stops.
+    in this process. The script is checked before it starts. An error shows its line, and the robot stops.
 
-    Text of `print` and values of `eval` go to stdout, everything else to stderr. With --trace each line is shown as
-    it is executed. With --profile mrc the robot does what MRC would do, tick by tick, and what MRC prints is printed.
+    Text of `print` and values of `eval` go to stdout, and all other output goes to stderr. With --trace, each line is
+    shown when it is executed. With --profile mrc, the robot does what MRC would do, tick by tick, and MRC's output is
+    printed.
 
-    With --check the script is only checked, with --serve clients of MRC can connect and send commands.
+    With --check, the script is only checked. With --serve, clients of MRC can connect and send commands.
 
     examples:
       rhdlink mission square.smr --turtle
@@ -85,9 +90,9 @@ def _run(args: argparse.Namespace) -> int:
     if args.serve:
         return _serve(args)
     if args.duration is not None:
-        args.usage_error("--duration is for --serve: a script ends by itself")
+        args.usage_error("--duration needs --serve; a script ends on its own")
     if args.file is None:
-        args.usage_error("a script is needed, unless there is --serve")
+        args.usage_error("no script was given; it can only be omitted with --serve")
     if args.check:
         return _check(args)
     return _execute(args)
@@ -99,7 +104,7 @@ def _check(args: argparse.Namespace) -> int:
     for mistake in mistakes:
         print(f"{printable(mission.name)}: {printable(str(mistake))}")
     if not mistakes:
-        tell(f"{mission.name}: no mistake found")
+        tell(f"{mission.name}: no mistakes found")
     return 1 if mistakes else 0
 
 
@@ -136,7 +141,7 @@ def _watch(run: MissionRun, interruption: Interruption, args: argparse.Namespace
             if clock.now() >= due:
                 due = clock.now() + _VIEW
                 progress(text=_view(run))
-        # After a signal the robot is stopped, and has time to answer.
+        # After a signal, the robot is stopped and gets time to answer.
         with contextlib.suppress(LinkError):
             run.wait(args.timeout + 1.0)
 
@@ -168,12 +173,12 @@ def _print(text: str) -> None:
 
 
 def _print_as_mrc(said: Said) -> None:
-    # Not escaped: the lines are those of the user's own script.
+    # Not escaped, because the lines come from the user's own script.
     print(said.printed, end="", flush=True)
 
 
 def _print_what_clients_said(said: Said) -> None:
-    # Lines from the network are escaped for the terminal, line by line.
+    # Escape lines from the network for the terminal, line by line.
     print("\n".join(map(printable, said.printed.split("\n"))), end="", flush=True)
 
 
@@ -184,7 +189,7 @@ def _trace(said: Said) -> None:
 
 def _serve(args: argparse.Namespace) -> int:
     if args.file is not None:
-        args.usage_error("--serve takes its commands from clients, not from a script")
+        args.usage_error("a script cannot be combined with --serve, which takes commands from clients")
     conf = _conf(args)
     link, driven = _link(args, is_realtime=True)
     server = MissionServer(
@@ -208,31 +213,31 @@ def _serve(args: argparse.Namespace) -> int:
 
 
 def _conf(args: argparse.Namespace) -> RobotConf | str | None:
-    """What the robot is, as far as it is told.
+    """Return the configuration of the robot, or its path, from the options.
 
     Raises:
-        BadConfiguration: the calibration that is asked for is not there.
+        BadConfiguration: If the requested calibration does not exist.
     """
     if args.calibration is None:
         path: str | None = args.conf
         return path
     if args.conf is None:
-        args.usage_error("--calibration is the name of files beside --conf")
+        args.usage_error("--calibration needs --conf, which names the folder of the calibration files")
     return read_robot_conf(args.conf, calibration=args.calibration)
 
 
 def _link(args: argparse.Namespace, *, is_realtime: bool) -> tuple[RobotLink, World | None]:
-    """The robot, and its world if it is a turtle.
+    """Open the link to the robot; return it, and the world if the robot is a turtle.
 
     Raises:
-        BadValue: the world cannot be made, or the picture cannot be written.
+        BadValue: If the world cannot be created, or the picture cannot be written.
     """
     if args.turtle is None:
         if not (args.svg is None and args.floor is None and args.start is None):
-            args.usage_error("--svg, --floor and --start are for a --turtle")
+            args.usage_error("--svg, --floor and --start need --turtle")
         robot = connected(args, args.robot or "localhost", access="w")
         return ClientLink(robot, is_lockstep=args.lockstep, owns=True), None
     turtle = Turtle(world(args)) if args.turtle == "velocity" else SmrTurtle(world(args))
     if args.svg is not None:
-        drawn(turtle.world, args, args.svg)  # raises at once if it cannot be written
+        drawn(turtle.world, args, args.svg)  # raises an error immediately if it cannot be written
     return PluginLink([turtle], is_realtime=is_realtime), turtle.world

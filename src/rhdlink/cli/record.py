@@ -1,4 +1,4 @@
-"""`rhdlink record`: records what a robot sends."""
+"""`rhdlink record`: record the data that a robot sends."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from .recording_summary import read_summary
 
 @command(
     "record",
-    "record what a robot sends",
+    "record the data of a robot",
     *ADDRESS,
-    argument("file", metavar="FILE", help="file to make; it must not exist yet"),
-    argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)"),
+    argument("file", metavar="FILE", help="new file; it must not exist yet"),
+    argument("--period", type=seconds, metavar="S", help="seconds between syncs (default: every tick of the robot)"),
     DURATION,
-    argument("--count", type=positive_int, metavar="N", help="end after N syncs (never)"),
+    argument("--count", type=positive_int, metavar="N", help="end after N syncs (default: never)"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Record the raw bytes that a robot sends to a reader, with the times at which they came, into a new file.
+    """Record the raw bytes that a robot sends to a reader, with their arrival times, into a new file.
 
-    Every variable is in it from the first batch on, whether this library knows its meaning or not. A lost
-    connection is noted and made again. Ctrl-C, SIGTERM, --duration and --count end the recording properly.
-    After a crash the file can still be read up to the crash. Play it with `rhdlink replay`, look into it with
-    `rhdlink dissect`.
+    The file contains every variable, beginning with the first batch, whether this library knows its meaning or not. If
+    the connection is lost, this is recorded, and the command reconnects. Ctrl-C, SIGTERM, --duration and --count end
+    the recording properly. After a crash, the file can be read up to the crash. Play the file with `rhdlink replay`,
+    or examine it with `rhdlink dissect`.
 
     examples:
       rhdlink record localhost drive.urlog

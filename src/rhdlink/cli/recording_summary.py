@@ -1,4 +1,4 @@
-"""Summary of a recording of a robot that runs RHD: batches, connections, and how often each variable was set."""
+"""Summary of a recording of an RHD robot: batches, connections, and how often each variable was set."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ..recording import play
 
 @dataclass
 class RecordingSummary:
-    """The contents of a recording.
+    """Contents of a recording.
 
     Attributes:
-        file: its name.
-        size: bytes.
-        is_complete: whether it was closed in good order.
-        left_out: bytes at its end that are unfinished or damaged.
-        seconds: from the first batch to the last.
-        batches: how many, those of handshakes among them.
-        connections: how many.
-        width: words of a time stamp.
-        variables: name -> how many batches set it.
+        file: Name of the file.
+        size: Size in bytes.
+        is_complete: Whether the file was closed properly.
+        left_out: Number of bytes at its end that are unfinished or damaged.
+        seconds: Time from the first batch to the last, in s.
+        batches: Number of batches, including handshakes.
+        connections: Number of connections.
+        width: Number of 32-bit words of a time stamp.
+        variables: Number of batches that set each variable, by name.
     """
 
     file: str
@@ -38,8 +38,8 @@ class RecordingSummary:
     variables: dict[str, int] = field(default_factory=dict)
 
     def as_text(self) -> str:
-        """For people."""
-        state = "complete" if self.is_complete else "not closed in order"
+        """Format the summary as text for a person."""
+        state = "complete" if self.is_complete else "not closed properly"
         left_out = f", {self.left_out} bytes at its end unreadable" if self.left_out else ""
         rate = f", {self.batches / self.seconds:.1f}/s" if self.seconds else ""
         connections = f"{self.connections} connection{'' if self.connections == 1 else 's'}"
@@ -53,11 +53,11 @@ class RecordingSummary:
 
 
 def read_summary(path: str, quiet: bool) -> RecordingSummary:
-    """Read a recording through.
+    """Read a whole recording.
 
     Raises:
-        BadRecording: it holds no robot that runs RHD.
-        PacketError: it holds bytes that are not a batch.
+        BadRecording: If the recording contains no RHD robot.
+        PacketError: If the recording contains bytes that are not a batch.
     """
     with ProgressBar(f"reading {path}", quiet) as progress:
         recording = RecordingFile(path, progress)

@@ -1,4 +1,4 @@
-"""`rhdlink replay`: prints what is in a recording, or what was set, at the times at which it arrived."""
+"""`rhdlink replay`: print a summary of a recording, or play its changes at the recorded times."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from .variable_text import in_units, update_as_json, with_meaning, words_of
 
 @command(
     "replay",
-    "print what is in a recording, or play it",
+    "print a summary of a recording, or play it",
     RECORDING,
     argument("names", metavar="NAME", nargs="*", help="print only these variables", trailing=True),
     argument("--rate", type=replay_rate, metavar="R", help="play at R times the recorded speed, or max"),
-    argument("--count", type=positive_int, metavar="N", help="end after N lines (never)"),
-    argument("--json", action="store_true", help="one JSON object a line"),
+    argument("--count", type=positive_int, metavar="N", help="end after N lines (default: never)"),
+    argument("--json", action="store_true", help="print one JSON object per line"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Print what is in a recording: how long it is, how many batches, how often each variable was set.
+    """Print a summary of a recording: its duration, its number of batches, and how often each variable was set.
 
-    With --rate print what was set instead, a line for each batch that set a variable: at R times the speed
-    at which it was recorded, or at once with --rate max. Recordings are made by `rhdlink record`, or by the
-    logger plugin in a file that ends in .urlog.
+    With --rate, print the changes instead, one line for each batch that set a variable: at R times the recorded speed,
+    or without pauses with --rate max. Recordings are made by `rhdlink record`, or by the logger plugin with a file
+    name that ends in .urlog.
 
     examples:
       rhdlink replay drive.urlog
@@ -50,11 +50,11 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.rate is None:
         if args.names or args.count is not None:
-            args.usage_error("what to print can be chosen only when the recording is played, with --rate")
+            args.usage_error("NAME and --count need --rate")
         summary = read_summary(args.file, args.quiet)
         print(strict_json(vars(summary)) if args.json else summary.as_text())
         return 0
-    # On a terminal this is shown only while nothing is printed.
+    # On a terminal, the bar is shown only while nothing is printed.
     with ProgressBar(f"reading {args.file}", args.quiet) as progress, Interruption() as interruption:
         recording = RecordingFile(args.file, progress)
         progress.next(f"playing {args.file}")
@@ -74,7 +74,7 @@ def _updates(
             there = {row.name for row in (*moment.database.read, *moment.database.write)}
             missing = [name for name in args.names if name not in there]
             if missing:
-                raise BadRecording(f"{recording.path} holds no variable {', '.join(map(repr, missing))}")
+                raise BadRecording(f"{recording.path} contains no variable {', '.join(map(repr, missing))}")
         if interruption.number is not None or interruption.wait(max(clock.delay(moment.received), 0.0)):
             return
         update = moment.update(names)
@@ -86,7 +86,7 @@ def _line(update: Update) -> str:
     clock = time.strftime("%H:%M:%S", time.localtime(update.received.wall))
     parts = [f"{clock}.{int(update.received.wall * 1000) % 1000:03d}"]
     for name, change in update.changes.items():
-        # An update does not have the direction; a name has the same meaning in both.
+        # An update does not contain the direction, but a name has the same meaning in both directions.
         words = words_of(change.value)
         direction = "r" if in_units("r", name, words) else "w"
         parts.append(f"{printable(name)} {with_meaning(direction, name, words)}")

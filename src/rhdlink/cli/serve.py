@@ -1,4 +1,4 @@
-"""`rhdlink serve`: hosts a robot from an `rhdconfig.xml`."""
+"""`rhdlink serve`: host a robot from an `rhdconfig.xml`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from .options import port
     "serve",
     "run plugins and serve their variables",
     argument("config", metavar="CONFIG.xml", help="an rhdconfig.xml"),
-    argument("--port", type=port, metavar="P", help="listen on port P, 0 for a free one (the file's)"),
-    argument("--listen", dest="address", metavar="H", help="listen on the address H (the file's, or 127.0.0.1)"),
+    argument("--port", type=port, metavar="P", help="listen on port P, 0 for a free port (default: the file's)"),
+    argument(
+        "--listen", dest="address", metavar="H", help="listen on the address H (default: the file's, or 127.0.0.1)"
+    ),
     *service_options("the file's, or "),
     DURATION,
 )
@@ -27,10 +29,10 @@ def run(args: argparse.Namespace) -> int:
     """Host a robot: run the plugins that an rhdconfig.xml names, and serve their variables, until Ctrl-C, SIGTERM or
     --duration. Plugins are closed at the end.
 
-    The file is that of the original daemon, with plugins in Python: lib="package.module:Class". Modules are
-    searched in Python's path, then in the folder of the file. Without <address value="..."/> in <server> only
-    programs on this machine can connect: whoever can connect can drive the robot. When a plugin with
-    critical="true" fails, the robot is shut down with exit status 1; other plugins that fail are disabled.
+    The file has the format of the original daemon, with plugins in Python: lib="package.module:Class". Modules are
+    searched in Python's path, then in the folder of the file. Without <address value="..."/> in <server>, only
+    programs on this computer can connect, because any program that can connect can drive the robot. If a plugin with
+    critical="true" fails, the robot is shut down with exit status 1. Other plugins that fail are disabled.
 
     examples:
       rhdlink serve rhdconfig.xml
@@ -39,11 +41,11 @@ def run(args: argparse.Namespace) -> int:
     """
     config = read_config(args.config)
     folder = str(Path(args.config).resolve().parent)
-    # Last, so that no file there shadows a module that is imported elsewhere.
+    # Add the folder last, so that its files never shadow a module that is imported elsewhere.
     sys.path.append(folder)
     try:
         host = Host.from_config(config, **service_arguments(args, config.limits))
-        names = ", ".join(plugin.name for plugin in host.plugins) or "no plugin"
+        names = ", ".join(plugin.name for plugin in host.plugins) or "no plugins"
         return serve_until_told(host, f"{args.config}: {names}", args.duration)
     finally:
         sys.path.remove(folder)

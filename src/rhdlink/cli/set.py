@@ -1,4 +1,4 @@
-"""`rhdlink set`: writes a variable, as master of the robot."""
+"""`rhdlink set`: write a variable, as master of the robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .variable_text import with_meaning, words_of
 
 def _word(text: str) -> int:
     if not re.fullmatch(r"[+-]?[0-9]{1,10}", text) or not -(2**31) <= int(text) < 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 32 bits")
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of 32 bits")
     return int(text)
 
 
@@ -25,16 +25,16 @@ def _word(text: str) -> int:
     "write a variable, as master",
     *ADDRESS,
     argument("name", metavar="NAME", help="a write variable of the robot"),
-    argument("values", metavar="VALUE", nargs="+", type=_word, help="its words"),
-    argument("--hold", type=seconds, metavar="S", help="stay master for S seconds (leave at once)"),
+    argument("values", metavar="VALUE", nargs="+", type=_word, help="words of the variable"),
+    argument("--hold", type=seconds, metavar="S", help="stay master for S seconds (default: leave immediately)"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Write a variable, as the master of the robot. A robot has one master at a time: while another program is
-    master, this fails.
+    """Write a variable, as the master of the robot. A robot has one master at a time, so this command fails while
+    another program is master.
 
-    VALUEs are the words of the variable as they are on the wire: whole numbers of 32 bits, one for each word;
-    30000, and not 0.3 m/s. Many robots stop when their master leaves, which this does at once unless --hold
-    says how long to stay; Ctrl-C ends that earlier. THIS MOVES A REAL ROBOT.
+    VALUEs are the words of the variable as they are on the wire: integers of 32 bits, one for each word, for example
+    30000 instead of 0.3 m/s. Many robots stop when their master leaves. This command leaves immediately, unless --hold
+    gives a time to stay. Ctrl-C ends this time earlier. THIS MOVES A REAL ROBOT.
 
     examples:
       rhdlink set localhost cmdtransvel 30000 --hold 2

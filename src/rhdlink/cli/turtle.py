@@ -1,4 +1,4 @@
-"""`rhdlink turtle`: hosts a simulated robot."""
+"""`rhdlink turtle`: host a simulated robot."""
 
 from __future__ import annotations
 
@@ -19,25 +19,27 @@ from .turtle_world import WORLD, drawn, world
 @command(
     "turtle",
     "run a simulated robot in a square world",
-    argument("--drive", choices=("velocity", "smr"), default="velocity", help="kind of robot (velocity)"),
-    argument("--port", type=port, default=PORT, metavar="P", help=f"listen on port P, 0 for a free one ({PORT})"),
-    argument("--period", type=seconds, default=0.01, metavar="S", help="seconds between ticks (0.01)"),
-    argument("--lockstep", action="store_true", help="one tick with each request of the master"),
+    argument("--drive", choices=("velocity", "smr"), default="velocity", help="kind of robot (default: velocity)"),
+    argument(
+        "--port", type=port, default=PORT, metavar="P", help=f"listen on port P, 0 for a free port (default: {PORT})"
+    ),
+    argument("--period", type=seconds, default=0.01, metavar="S", help="seconds between ticks (default: 0.01)"),
+    argument("--lockstep", action="store_true", help="make one tick for each request of the master"),
     *service_options(""),
     *WORLD,
     argument("--picture", metavar="FILE", help="draw the path into FILE at the end: .svg or .png"),
     DURATION,
 )
 def run(args: argparse.Namespace) -> int:
-    """Run a simulated robot in a walled square of 11 x 11 m, until Ctrl-C, SIGTERM or --duration; programs connect to
-    it as to a real one.
+    """Run a simulated robot in a walled square of 11 x 11 m, until Ctrl-C, SIGTERM or --duration. Programs connect to
+    it like to a real one.
 
       --drive velocity   speed and turn rate: cmdtransvel, cmdrotvel; transpos, rotpos
       --drive smr        two wheels: speedl, speedr; encl, encr, irsensor, linesensor
 
-    It stops when its master leaves, and at walls. With --lockstep simulated time advances with each request of the
-    master and not otherwise: the same each time, and as fast as the program requests. With --picture the path is
-    drawn at the end.
+    The robot stops when its master leaves, and at walls. With --lockstep, simulated time advances only with requests
+    of the master: each run is the same, and as fast as the program sends requests. With --picture, the path is drawn
+    at the end.
 
     examples:
       rhdlink turtle
@@ -46,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     """
     robot = Turtle(world(args)) if args.drive == "velocity" else SmrTurtle(world(args))
     if args.picture is not None:
-        drawn(robot.world, args, args.picture)  # raises at once if it cannot be written
+        drawn(robot.world, args, args.picture)  # raises an error immediately if it cannot be written
     pacing: Pacing = "lockstep" if args.lockstep else "period"
     host = Host([robot], period=args.period, pacing=pacing, **service_arguments(args, Limits()))
     status = serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)

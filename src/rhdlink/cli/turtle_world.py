@@ -1,4 +1,4 @@
-"""The world of a turtle for `turtle` and `mission`: its options, and the drawing of the path in it."""
+"""The world of a turtle for `turtle` and `mission`: its options, and a drawing of the path."""
 
 from __future__ import annotations
 
@@ -11,37 +11,41 @@ from linkcore.cli.progress import ProgressBar
 from ..host.scene import Scene
 from ..host.world import World, save
 
-#: The size of a turtle's world, m.
+#: Side length of a turtle's world, in m.
 _SIZE = 11.0
 
 
 def world(args: argparse.Namespace) -> World:
-    """The world of the options.
+    """Create the world from the options.
 
     Raises:
-        BadValue: the drawing cannot be read, or the start is outside.
+        BadValue: If the drawing cannot be read, or the start is outside the world.
     """
     scene = None if args.floor is None else Scene.from_svg(args.floor, _SIZE)
     return World(_SIZE, args.start, scene)
 
 
 def pose(text: str) -> tuple[float, float, float]:
-    """``X,Y,DEG``: m, m, and the heading in rad."""
+    """Parse ``X,Y,DEG`` to m, m, and the heading in rad."""
     try:
         x, y, degrees = (float(word) for word in text.split(","))
     except ValueError:
         x = y = degrees = math.nan
     if not all(map(math.isfinite, (x, y, degrees))):
-        raise argparse.ArgumentTypeError(f"{text!r} is no pose; expected X,Y,DEG")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pose; expected X,Y,DEG")
     return x, y, math.radians(degrees)
 
 
 #: The options of a turtle's world: tape, walls, and the turtle's pose.
 WORLD = (
     argument(
-        "--floor", metavar="FILE.svg", help="tape and walls of the turtle's world: lines of the drawing, walls by class"
+        "--floor",
+        metavar="FILE.svg",
+        help="tape and walls of the turtle's world: the lines of a drawing; a class marks walls",
     ),
-    argument("--start", type=pose, metavar="X,Y,DEG", help="where the turtle begins, m and degrees (the middle, 0)"),
+    argument(
+        "--start", type=pose, metavar="X,Y,DEG", help="start pose of the turtle, m and degrees (default: the middle, 0)"
+    ),
 )
 
 

@@ -1,7 +1,7 @@
-"""The variables of a robot as text and as JSON: their words, and what the words mean.
+"""The variables of a robot as text and as JSON: their words, and the meaning of the words.
 
-A robot sends names and lengths, but no types and units. The ready-made classes declare those of the conventional
-names; a declaration is used if its direction and length match as well.
+A robot sends names and lengths, but no types and units. The ready-made classes declare types and units of conventional
+names. A declaration is used only if its direction and length match as well.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     pass
 
 _TYPES: tuple[ValueType[Any, Any, Any], ...] = (Int32, UInt32, Int64, Float32, Float64, Bool, Millionths)
-#: Types that can be named on the command line: "int32", "uint32", ...
+#: Types that can be selected on the command line: "int32", "uint32", ...
 TYPES = {repr(each).lower(): each for each in _TYPES}
 
-#: Words of a variable that are shown on one line.
+#: Maximum number of words of a variable on one line.
 _MOST_WORDS = 16
 
 
@@ -45,7 +45,7 @@ _KNOWN = _known()
 
 
 def in_units(direction: str, name: str, words: Words) -> str:
-    """The value with its unit: ``0.3 m/s``; "" where the name has none."""
+    """Format the value with its unit: ``0.3 m/s``; "" if the name has no unit."""
     declaration = _KNOWN.get((direction, name, len(words)))
     if declaration is None or not declaration.unit:
         return ""
@@ -58,40 +58,40 @@ def in_units(direction: str, name: str, words: Words) -> str:
 
 
 def words_of(value: int | Words) -> Words:
-    """The words of a variable that was not declared: its value is an int or an array (see `Variable`)."""
+    """Words of an undeclared variable, whose value is an int or an array (see `Variable`)."""
     return np.atleast_1d(np.asarray(value, np.int32))
 
 
 def typed(name: str, words: Words, type_name: str, order: Order) -> list[int | float | bool]:
-    """The values in the words of a variable.
+    """Convert the words of a variable to values.
 
     Raises:
-        BadValue: the number of words is not a multiple of those of the type.
+        BadValue: If the number of words is not a multiple of the length of the type.
     """
     value_type = TYPES[type_name]
     size = value_type.length(1)
     count, left = divmod(len(words), size)
     if left or not count:
-        raise BadValue(f"{name} has {len(words)} words; a {type_name} takes {size}")
+        raise BadValue(f"{name} has {len(words)} words; a value of {type_name} needs {size}")
     found: list[int | float | bool] = np.atleast_1d(value_type.unpack_many(words, count, order)).tolist()
     return found
 
 
 def words_text(words: Words, most: int | None = _MOST_WORDS) -> str:
-    """The words of a variable, on one line."""
+    """Format the words of a variable on one line."""
     shown = [str(int(word)) for word in words[:most]]
     left = len(words) - len(shown)
     return " ".join(shown) + (f" … {left} more" if left else "")
 
 
 def with_meaning(direction: str, name: str, words: Words, most: int | None = _MOST_WORDS) -> str:
-    """The words of a variable, at most so many of them, and their meaning if the name has one: ``30000 = 0.3 m/s``."""
+    """Format up to `most` words of a variable, with their meaning if the name has one: ``30000 = 0.3 m/s``."""
     meaning = in_units(direction, name, words)
     return words_text(words, most) + (f" = {meaning}" if meaning else "")
 
 
 def as_json(variable: Variable) -> dict[str, Any]:
-    """A variable as a JSON object; its value always as a list of words."""
+    """Convert a variable to a JSON object, with its value as a list of words."""
     words = words_of(variable.value)
     return {
         "name": variable.name,
@@ -105,7 +105,7 @@ def as_json(variable: Variable) -> dict[str, Any]:
 
 
 def as_columns(variable: Variable) -> tuple[str, ...]:
-    """A variable for a table: direction, id, name, words, meaning, time stamp."""
+    """Format a variable for a table: direction, id, name, words, meaning, time stamp."""
     words = words_of(variable.value)
     meaning = in_units(variable.direction, variable.name, words)
     return (
@@ -119,7 +119,7 @@ def as_columns(variable: Variable) -> tuple[str, ...]:
 
 
 def update_as_json(update: Update) -> dict[str, Any]:
-    """The value, and when it was received."""
+    """Convert an update to a JSON object: the values, and their arrival time."""
     return {
         "received": update.received.wall,
         "variables": {name: words_of(change.value).tolist() for name, change in update.changes.items()},
@@ -128,7 +128,7 @@ def update_as_json(update: Update) -> dict[str, Any]:
 
 
 def check_names(names: Iterable[str], robot: Variables | Collection[str], where: str) -> None:
-    """Raise `NotThere` for names that are not variables."""
+    """Raise `NotThere` if some names are not variables."""
     missing = [name for name in names if name not in robot]
     if missing:
         raise NotThere(f"{where} has no variable {', '.join(map(repr, missing))}; `rhdlink vars` lists all")

@@ -1,4 +1,4 @@
-"""`rhdlink vars`: lists the variables of a robot."""
+"""`rhdlink vars`: list the variables of a robot."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .variable_text import as_columns, as_json
     "vars",
     "list the variables of a robot",
     *ADDRESS,
-    argument("--json", action="store_true", help="one JSON object a line, for each variable"),
+    argument("--json", action="store_true", help="print one JSON object per line, for each variable"),
 )
 def run(args: argparse.Namespace) -> int:
-    """List the variables of a robot: direction, id, name, words, meaning, and when each was set.
+    """List the variables of a robot: direction, id, name, words, meaning, and time stamp.
 
-    `read` variables go from the robot to programs, `write` variables from programs to the robot. A robot sends
-    only the name and the length of a variable; the meaning after the `=` is that of the name by convention. A
-    time of 0 means that a variable was never set.
+    `read` variables go from the robot to programs, and `write` variables go from programs to the robot. A robot sends
+    only the name and the length of a variable. The meaning after `=` is the conventional meaning of the name. A time
+    of 0 means that a variable was never set.
 
     examples:
       rhdlink vars localhost
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
       rhdlink vars localhost --json | jq -r .name
     """
     with connected(args) as robot:
-        # The values of the handshake are the newest.
+        # The values of the handshake are the newest values.
         found = robot.variables
         if args.json:
             for variable in found:
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
             return 0
         print(printable(f"{robot.address}: {len(found)} variables, time stamps of {robot.width} words"))
         if not found:
-            return 0  # no columns either
+            return 0  # without variables there are no columns
         rows = [as_columns(variable) for variable in found]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         # A long array must not push the columns after it off the screen.

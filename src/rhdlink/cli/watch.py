@@ -1,4 +1,4 @@
-"""`rhdlink watch`: shows variables live, on a terminal or as lines."""
+"""`rhdlink watch`: show variables live, on a terminal or as lines."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from .watch_view import RateCounter, View
     "watch variables live",
     *ADDRESS,
     argument("names", metavar="NAME", nargs="*", help="watch only these variables", trailing=True),
-    argument("--period", type=seconds, metavar="S", help="seconds between syncs (every tick of the robot)"),
+    argument("--period", type=seconds, metavar="S", help="seconds between syncs (default: every tick of the robot)"),
     argument("--plain", action="store_true", help="print one line per second, even on a terminal"),
-    argument("--json", action="store_true", help="one JSON object a line, for each sync that set a variable"),
-    argument("--count", type=positive_int, metavar="N", help="end after N lines (never)"),
+    argument("--json", action="store_true", help="print one JSON object per line, for each sync that set a variable"),
+    argument("--count", type=positive_int, metavar="N", help="end after N lines (default: never)"),
     DURATION,
 )
 def run(args: argparse.Namespace) -> int:
-    """Watch variables live: their words, their meaning if their names are conventional ones, and how often per
-    second each is set. It connects as a reader, so the robot's master is not disturbed.
+    """Watch variables live: their words, the meaning of conventional names, and how often per second each one is set.
+    The command connects as a reader, so it does not disturb the robot's master.
 
-    On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain. When
-    the connection is lost the view shows LOST, and continues when the robot is back. At the end a summary and a
-    next step are printed on stderr. With --json each sync that set a variable is one object: what was set, by
-    name, and when it came.
+    On a terminal, the view is drawn ten times per second. Elsewhere, or with --plain, one line is printed per second.
+    If the connection is lost, the view shows LOST, and continues when the robot is back. At the end, a summary and a
+    next step are printed on stderr. With --json, each sync that set a variable is one object: the set values by name,
+    and their arrival time.
 
     examples:
       rhdlink watch localhost
@@ -59,12 +59,12 @@ def _check(sync_thread: SyncThread) -> None:
 
 
 def _lines(robot: Variables, args: argparse.Namespace, interruption: Interruption) -> None:
-    """One JSON object for each update."""
+    """Print one JSON object for each update."""
     queue = PacketQueue(drop_oldest(16384))
     robot.subscribe(lambda update: queue.offer([update]), *args.names, policy=drop_oldest(16384))
     sync_thread = robot.background(args.period)
     shown = 0
-    # On a terminal this is shown only while nothing is printed.
+    # On a terminal, the bar is shown only while nothing is printed.
     with ProgressBar("waiting for updates", args.quiet) as progress:
         while not interruption.is_over:
             update: Update | None = queue.next(0.05)
@@ -77,7 +77,7 @@ def _lines(robot: Variables, args: argparse.Namespace, interruption: Interruptio
             if shown == args.count:
                 break
     if queue.dropped:
-        tell(f"{queue.dropped} updates were dropped: the output was too slow for them")
+        tell(f"dropped {queue.dropped} updates, because the output was too slow")
 
 
 def _views(robot: Variables, args: argparse.Namespace, interruption: Interruption) -> None:
@@ -87,7 +87,7 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
     sync_thread = robot.background(args.period)
     begun = clock.now()
     with drawing(args.plain, tell, View.as_line, lambda view: view) as (draw, pause):
-        # The first view comes after the first syncs; before them there are only the values of the handshake.
+        # Draw the first view after the first syncs. Before them, there are only the values of the handshake.
         interruption.wait(min(0.2, pause))
         for shown in itertools.count(1):
             is_over = interruption.is_over
@@ -99,7 +99,7 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
     seconds = clock.now() - begun
     rate = f" ({sync_thread.syncs / seconds:.1f}/s)" if seconds >= 1.0 else ""
     tell(f"watched for {seconds:.1f} s; {sync_thread.syncs} syncs{rate}, {robot.reconnects} reconnects")
-    tell(f"next: rhdlink record {shlex.quote(args.address)} drive.urlog records what the robot sends")
+    tell(f"next: rhdlink record {shlex.quote(args.address)} drive.urlog records the robot's data")
 
 
 def _view(robot: Variables, counter: RateCounter, names: frozenset[str]) -> View:

@@ -1,6 +1,6 @@
-"""The view of `rhdlink watch`: the variables, and how often each is set.
+"""The view of `rhdlink watch`: the variables, and how often each one is set.
 
-The panel needs rich, which is imported when one is drawn.
+The panel needs rich, which is imported only when a panel is drawn.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .variable_text import in_units, with_meaning, words_of, words_text
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
 
-#: Seconds over which rates are counted.
+#: Time over which rates are counted, in s.
 WINDOW = 2.0
 
 _STATUS = {
@@ -34,17 +34,17 @@ _LABEL = "bright_black"
 
 @dataclass(frozen=True)
 class View:
-    """One moment of a robot.
+    """State of a robot at one moment.
 
     Attributes:
-        robot: its address.
-        connection: state of the connection.
-        age: seconds since the newest values came.
-        rate: syncs with new values per second; None in the first half second.
-        rates: name -> how often per second it was set.
-        variables: those that are watched.
-        reconnects: connections after the first.
-        trouble: the error that ended the last connection; None while connected.
+        robot: Address of the robot.
+        connection: State of the connection.
+        age: Seconds since the newest values arrived.
+        rate: Syncs with new values per second; None in the first half second.
+        rates: Number of times per second that each variable was set, by name.
+        variables: Watched variables.
+        reconnects: Number of connections after the first.
+        trouble: Error that ended the last connection; None while connected.
     """
 
     robot: str
@@ -62,7 +62,7 @@ class View:
         return self.connection is ConnectionState.CONNECTED
 
     def as_line(self) -> str:
-        """The view on one line; old values are marked as old."""
+        """Format the view on one line. Old values are marked as old."""
         parts = [f"{time.strftime('%H:%M:%S')} {self.connection.name}", printable(self.robot)]
         if not self.is_fresh:
             parts.append(f"OLD DATA, {self.age:.1f} s")
@@ -77,7 +77,7 @@ class View:
         return " | ".join(parts)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """The view as a panel, for rich."""
+        """Format the view as a panel, for rich."""
         from rich import box
         from rich.panel import Panel
         from rich.table import Table
@@ -114,7 +114,7 @@ class View:
 
 
 class RateCounter:
-    """Counts updates over a window of two seconds; called by subscriptions, read by the view."""
+    """Counts updates over a window of two seconds. Subscriptions call it, and the view reads it."""
 
     def __init__(self, began: float) -> None:
         self._lock = threading.Lock()
@@ -123,14 +123,14 @@ class RateCounter:
         self.trouble: str | None = None
 
     def on_update(self, update: Update) -> None:
-        """Note which variables were set."""
+        """Note the variables that were set."""
         now = update.received.monotonic
         with self._lock:
             self._updates.append((now, tuple(update.changes)))
             self._forget(now)
 
     def on_connection(self, event: ConnectionEvent) -> None:
-        """Keep the error of a lost connection until it is made again."""
+        """Keep the error of a lost connection until the connection is made again."""
         if event.error is not None:
             self.trouble = str(event.error)
         elif event.state is ConnectionState.CONNECTED:
@@ -140,7 +140,7 @@ class RateCounter:
                 self._updates.clear()
 
     def rates(self, now: float) -> tuple[float | None, dict[str, float]]:
-        """Updates per second, and for each variable how often per second it was set; None and {} in the first 0.5 s."""
+        """Updates per second, and the same for each variable by name; None and {} in the first 0.5 s."""
         with self._lock:
             self._forget(now)
             seconds = min(now - self._began, WINDOW)

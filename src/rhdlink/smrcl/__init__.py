@@ -1,8 +1,8 @@
 """Missions: SMR-CL, the language of DTU's mobile robot controller MRC, executed in Python.
 
-Where the facts come from: MRC's sources (LaserNavigation, 2014) and recorded runs of it, which the tests repeat tick by
-tick. `docs/smrcl.md` describes the language, and `profile.py` has each difference from the original. Of the motions,
-`followwall2` alone has not been compared with a run of it.
+The facts come from MRC's sources (LaserNavigation, 2014) and from recorded runs of MRC, which the tests repeat tick by
+tick. `docs/smrcl.md` describes the language, and `profile.py` lists each difference from the original. Only the motion
+`followwall2` has not been compared with a run of MRC.
 """
 
 from __future__ import annotations

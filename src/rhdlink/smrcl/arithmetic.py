@@ -1,8 +1,9 @@
-"""The numbers of SMR-CL: doubles with the results of C, which Python refuses in part.
+"""The numbers of SMR-CL: doubles with C's results, even if Python would raise an exception.
 
-Python raises where C returns inf or nan (``1/0``, ``ln(0)``, ``exp(1000)``), so each operation that can is wrapped. A
-script is never ended by arithmetic. Angles and remainders are reduced by repeated addition as MRC does it, since the
-last bits of a reading depend on that; a value that would need more than `REDUCTION_STEPS` steps is reduced in one.
+Python raises an exception for some operations that return inf or nan in C (``1/0``, ``ln(0)``, ``exp(1000)``), so all
+of them are wrapped. Arithmetic never ends a script. Angles and remainders are reduced by repeated addition as in MRC,
+because the last bits of a result depend on it. A value that would need more than `REDUCTION_STEPS` steps is reduced in
+one step.
 """
 
 from __future__ import annotations
@@ -11,23 +12,23 @@ import math
 import re
 from collections.abc import Callable, Mapping
 
-#: x86 makes a nan with the sign bit set, and C prints it as "-nan". The sign means nothing.
+#: The nan of x86 has its sign bit set, and C prints it as "-nan". The sign has no meaning.
 NAN = -math.nan
 
-#: Steps of a reduction by repeated addition. MRC has no bound: ``rem(1e20, 1)`` never returns there.
+#: Maximum number of steps of a reduction by repeated addition. MRC has no limit: there, ``rem(1e20, 1)`` never returns.
 REDUCTION_STEPS = 100_000
 
-#: C's int has 32 bits; what does not fit becomes the smallest one on x86.
+#: C's int has 32 bits. On x86, a number that does not fit becomes the smallest int.
 _INT_MIN = -(2**31)
 
-# What C's strtod takes that begins with a digit or a point: hexadecimal, or decimal with an optional exponent.
+# Numbers of C's strtod that begin with a digit or a point: hexadecimal, or decimal with an optional exponent.
 _NUMBER = re.compile(
     r"0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][+-]?[0-9]+)?|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 )
 
 
 def parse_number(text: str, start: int = 0) -> tuple[float, int] | None:
-    """The number at `start` and the index behind it; None if there is none."""
+    """Number at `start`, and the index after it; None if there is no number."""
     found = _NUMBER.match(text, start)
     if found is None:
         return None
@@ -41,7 +42,10 @@ def parse_number(text: str, start: int = 0) -> tuple[float, int] | None:
 
 
 def leading_number(text: str) -> float | None:
-    """The number that a text begins with, as C's scanf and atof take it, with a sign; None if there is none."""
+    """Number at the start of a text, as C's scanf and atof read it.
+
+    It can have a sign. None if there is no number.
+    """
     text = text.lstrip(" \t\r\n\v\f")
     has_sign = text[:1] in ("-", "+")
     found = parse_number(text, int(has_sign)) if text else None
@@ -51,24 +55,24 @@ def leading_number(text: str) -> float | None:
 
 
 def format_number(value: float) -> str:
-    """As C's ``%lf`` prints it: six decimals, ``inf``, ``nan``, ``-nan``."""
+    """Format as C's ``%lf``: six decimals, ``inf``, ``nan``, ``-nan``."""
     if value != value:
         return "-nan" if math.copysign(1.0, value) < 0 else "nan"
     return f"{value:.6f}"
 
 
 def truncate(value: float) -> int:
-    """As C converts a double to int: toward zero, and INT_MIN for what an int cannot hold."""
+    """Convert to int as C does: toward zero, and INT_MIN for a number that an int cannot hold."""
     return int(value) if -2147483649.0 < value < 2147483648.0 else _INT_MIN
 
 
 def sign(value: float) -> float:
-    """-1.0 below zero, else 1.0: zero and nan count as positive."""
+    """-1.0 below zero, otherwise 1.0; zero and nan count as positive."""
     return -1.0 if value < 0.0 else 1.0
 
 
 def divide(a: float, b: float) -> float:
-    """``a / b``."""
+    """Compute ``a / b`` as C does."""
     if b != 0.0:
         return a / b
     if a != a or a == 0.0:
@@ -77,7 +81,7 @@ def divide(a: float, b: float) -> float:
 
 
 def power(a: float, b: float) -> float:
-    """C's ``pow``."""
+    """Compute C's ``pow``."""
     try:
         return math.pow(a, b)
     except OverflowError:
@@ -90,7 +94,7 @@ def power(a: float, b: float) -> float:
 
 
 def normalize_angle(angle: float) -> float:
-    """Into [-pi, pi], both ends possible; inf and nan stay what they are."""
+    """Reduce to [-pi, pi]; both ends are possible. inf and nan are not changed."""
     if not -math.inf < angle < math.inf:
         return angle
     turns = abs(angle) / math.tau
@@ -104,7 +108,10 @@ def normalize_angle(angle: float) -> float:
 
 
 def remainder_inclusive(a: float, b: float) -> float:
-    """MRC's ``rem``: into [0, abs(b)] with both ends, so that ``rem(3, 3)`` is 3 and ``rem(-3, 3)`` is 0."""
+    """Compute MRC's ``rem``, which is in [0, abs(b)] with both ends.
+
+    So ``rem(3, 3)`` is 3 and ``rem(-3, 3)`` is 0.
+    """
     b = abs(b)
     if not (a > b or a < 0.0):
         return a
@@ -118,7 +125,7 @@ def remainder_inclusive(a: float, b: float) -> float:
 
 
 def remainder_modulo(a: float, b: float) -> float:
-    """`a` modulo ``abs(b)``: into [0, abs(b)); nan where there is none."""
+    """Compute `a` modulo ``abs(b)``, in [0, abs(b)); nan if it is undefined."""
     b = abs(b)
     if b == 0.0 or math.isinf(a) or a != a or b != b:
         return NAN
@@ -130,7 +137,7 @@ def remainder_modulo(a: float, b: float) -> float:
 
 
 def _normalize_degrees(angle: float) -> float:
-    # By way of radians, as MRC does it: the last bits differ from a reduction by 360.
+    # Convert to radians first, as MRC does: the last bits differ from a reduction by 360.
     return normalize_angle(angle / 180.0 * math.pi) / math.pi * 180.0
 
 
@@ -146,17 +153,20 @@ def _exponential(value: float) -> float:
 
 
 def sine(angle: float) -> float:
-    """C's ``sin``: nan of an infinite angle."""
+    """Compute C's ``sin``; nan for an infinite angle."""
     return math.sin(angle) if math.isfinite(angle) else NAN
 
 
 def cosine(angle: float) -> float:
-    """C's ``cos``: nan of an infinite angle."""
+    """Compute C's ``cos``; nan for an infinite angle."""
     return math.cos(angle) if math.isfinite(angle) else NAN
 
 
 def _total(function: Callable[[float], float]) -> Callable[[float], float]:
-    """`function` with nan where Python raises: outside of its domain, and at infinity."""
+    """Wrap `function` to return nan outside its domain and at infinity.
+
+    Python raises an exception there.
+    """
 
     def total(value: float) -> float:
         try:
@@ -167,7 +177,7 @@ def _total(function: Callable[[float], float]) -> Callable[[float], float]:
     return total
 
 
-#: Functions of one argument by name. `abs` is C's fabs.
+#: Functions of one argument, by name. `abs` is C's fabs.
 UNARY_FUNCTIONS: Mapping[str, Callable[[float], float]] = {
     "sin": sine,
     "cos": cosine,
@@ -183,6 +193,6 @@ UNARY_FUNCTIONS: Mapping[str, Callable[[float], float]] = {
     "normalizeangledeg": _normalize_degrees,
 }
 
-#: Functions of two arguments by name, but for `ntrue`, which counts. `rem` depends on the profile. `math.hypot` is not
-#: that of the C library (from Python 3.10 on), and differs from it in the last bit for six pairs of a thousand.
+#: Functions of two arguments, by name, except `ntrue`, which counts. `rem` depends on the profile. Since Python 3.10,
+#: `math.hypot` is not the function of the C library. Its last bit differs for six pairs of a thousand.
 BINARY_FUNCTIONS: Mapping[str, Callable[[float, float], float]] = {"atan2": math.atan2, "hypot": math.hypot}

@@ -1,6 +1,6 @@
-"""The errors of a script that can be found before it runs: every line is parsed and checked.
+"""Find errors of a script before it runs: every line is parsed and checked.
 
-Whether a system variable exists depends on the robot, so that is found only where a robot is given.
+Whether a system variable exists depends on the robot, so this is checked only if a robot is given.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ def check(
     checks_numbers: bool = True,
     system: Collection[str] | None = None,
 ) -> list[Mistake]:
-    """Every mistake in a script, in the order of its lines.
+    """List every mistake in a script, in the order of its lines.
 
     Args:
-        plan: its lines.
-        functions: that the mission has beside those of the language.
-        variables: that exist before it begins.
-        checks_numbers: whether a number that no motion takes is a mistake.
-        system: the system variables of the robot; None if that is not known.
+        plan: Lines of the script.
+        functions: Additional functions of the mission.
+        variables: Variables that exist before the script begins.
+        checks_numbers: Whether a number that is too large for a motion is a mistake.
+        system: System variables of the robot; None if they are not known.
     """
     parser = Parser(COMMANDS, functions)
     trees = [parser.parse(line.text) for line in plan.lines]
@@ -49,7 +49,7 @@ def check(
     found: list[Mistake] = []
     for line, tree in zip(plan.lines, trees, strict=True):
         for column, message in _mistakes(tree, plan, made, checks_numbers, system):
-            # The column counts in the file, where the line may be indented.
+            # The column is counted in the file, where the line can be indented.
             found.append(Mistake(line.number, column + line.indent, message))
     return found
 
@@ -57,7 +57,7 @@ def check(
 def _mistakes(
     tree: ScriptLine, plan: MissionPlan, made: Collection[str], checks_numbers: bool, system: Collection[str] | None
 ) -> Iterator[tuple[int, str]]:
-    """The mistakes in a line, each with its column."""
+    """Yield the mistakes in a line, each with its column."""
     for statement in tree.statements:
         for variable in _variables(statement):
             if variable.is_system:
@@ -68,7 +68,7 @@ def _mistakes(
         if isinstance(statement, If) and statement.label not in plan.labels:
             yield (statement.column, f'there is no label "{statement.label}"')
         if isinstance(statement, WaitFor) and not statement.conditions:
-            yield (statement.column, "a character that is not ASCII can stand in texts and comments only")
+            yield (statement.column, "a character that is not ASCII is allowed only in texts and comments")
         if isinstance(statement, CommandStatement):
             for text in _command_mistakes(statement, plan, checks_numbers):
                 yield (statement.column, text)
@@ -93,14 +93,14 @@ def _command_mistakes(statement: CommandStatement, plan: MissionPlan, checks_num
 
 
 def _texts(statement: CommandStatement, kind: ParameterKind) -> Iterator[str]:
-    """The parameters of a kind that are texts."""
+    """Yield the parameters of a kind that are texts."""
     for number, operand in enumerate(statement.parameters):
         if isinstance(operand, TextLiteral) and COMMANDS[statement.name].kind(number) is kind:
             yield operand.value
 
 
 def _made(trees: Iterable[ScriptLine]) -> Iterator[str]:
-    """The variables that a script makes: by an assignment, or by a command."""
+    """Yield the variables that a script makes, by an assignment or by a command."""
     for tree in trees:
         for statement in tree.statements:
             if isinstance(statement, Assign) and isinstance(statement.target, VariableName):
@@ -110,7 +110,7 @@ def _made(trees: Iterable[ScriptLine]) -> Iterator[str]:
 
 
 def _variables(part: object) -> Iterator[VariableName]:
-    """The variables that a statement reads, or a part of one."""
+    """Yield the variables that a statement or a part of it reads."""
     if isinstance(part, VariableName):
         yield part
     elif isinstance(part, Assign):
@@ -121,6 +121,6 @@ def _variables(part: object) -> Iterator[VariableName]:
         for each in part:
             yield from _variables(each)
     elif is_dataclass(part):
-        # Not by `fields`, with which a check takes a third longer.
+        # Do not use `fields`: a check would take a third longer.
         for each in vars(part).values():
             yield from _variables(each)

@@ -1,7 +1,7 @@
-"""The commands of the language, one row each: the parameters that it takes, and the function that carries it out.
+"""The commands of the language: one row each, with parameters and function.
 
-How many parameters there are is checked by MRC, and what they are is not; here both are, before a script runs and when
-a line is executed. A new command is a function, a row below, and a row of the page on SMR-CL.
+MRC checks the number of parameters, but not their kinds. This module checks both, before a script runs and when a line
+is executed. To add a command, write a function, a row below, and a row of the page on SMR-CL.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from .parser import FUNCTIONS, KEYWORDS
 from .plan import Outcome
 from .syntax import CommandStatement, TextLiteral
 
-#: Parameters of a command whose last one may be repeated, as in MRC, which calls it "up to 9".
+#: Maximum number of parameters of a command whose last one can be repeated, as in MRC, which calls it "up to 9".
 MOST_PARAMETERS = 49
-#: m, or rad, beyond which no motion is meant.
+#: Largest accepted length in m, or angle in rad or degrees.
 _FARTHEST = 1e6
 
 
 class ParameterKind(enum.Enum):
-    """The kind of a parameter."""
+    """Kind of a parameter."""
 
     NUMBER = "a number"
-    #: m, rad or degrees, of at most `_FARTHEST` where the profile checks numbers.
+    #: m, rad or degrees; at most `_FARTHEST` if the profile checks numbers.
     LENGTH = "a length or an angle"
     TEXT = "a text"
     #: A text that names a label of the script.
     LABEL = "a label"
     #: A text that names the variable that the command makes.
     NEW_NAME = "a new name"
-    #: MRC looks at whether there is a parameter, and not at what it is.
+    #: MRC checks only whether the parameter exists, not its value.
     ANY = "anything"
 
 
@@ -48,17 +48,18 @@ class ScriptCommand:
     """A row of the table.
 
     Attributes:
-        name: of the command.
-        carry_out: takes a `MissionEffects` and the parameters, a float or a str each.
-        kinds: of its parameters.
-        optional: how many of the last ones may be left out.
-        repeats: the last one may come again and again.
-        needs_condition: how it looks with a stop condition, which it needs; "" where it needs none.
-        hook: a function of the user can carry it out, see `Mission.on`; what MRC prints where there is none. None for a
-            command that no function replaces.
+        name: Name of the command.
+        carry_out: Function that executes the command. It is called with a `MissionEffects` and the parameters, each a
+            float or a str.
+        kinds: Kinds of its parameters.
+        optional: Number of parameters at the end that can be omitted.
+        repeats: Whether the last parameter can be repeated.
+        needs_condition: Example of the command with the stop condition that it needs; "" if it needs none.
+        hook: Text that MRC prints without the hardware. A function of the user can execute such a command; see
+            `Mission.on`. None for a command that no function replaces.
 
     Raises:
-        TypeError: the function does not take these parameters.
+        TypeError: If the function does not accept these parameters.
     """
 
     name: str
@@ -75,40 +76,40 @@ class ScriptCommand:
             try:
                 signature.bind(None, *range(count))
             except TypeError as error:
-                raise TypeError(f"{self.name} takes {self.count}, and its function does not: {error}") from None
+                raise TypeError(f"{self.name} takes {self.count}, but its function does not: {error}") from None
 
     @property
     def least(self) -> int:
-        """How many parameters there must be."""
+        """Minimum number of parameters."""
         return len(self.kinds) - self.optional
 
     @property
     def most(self) -> int:
-        """How many there may be."""
+        """Maximum number of parameters."""
         return MOST_PARAMETERS if self.repeats else len(self.kinds)
 
     def takes(self, count: int) -> bool:
-        """Whether so many parameters will do."""
+        """Whether this number of parameters is allowed."""
         return self.least <= count <= self.most
 
     @property
     def count(self) -> str:
-        """In words: how many."""
+        """Number of parameters, in words."""
         if self.least == self.most:
             return f"{self.least} parameter{'s' * (self.least != 1)}"
         return f"{self.least} to {self.most} parameters"
 
     def kind(self, number: int) -> ParameterKind:
-        """The kind of a parameter, counted from 0, be it one too many."""
+        """Kind of a parameter, counted from 0. A parameter too many has the kind of the last one."""
         return self.kinds[min(number, len(self.kinds) - 1)] if self.kinds else ParameterKind.ANY
 
     def mistakes(self, statement: CommandStatement, values: Sequence[object], *, checks_numbers: bool) -> Iterator[str]:
-        """The errors of a statement with this command.
+        """Yield the errors of a statement with this command.
 
         Args:
-            statement: as it is written.
-            values: of its parameters, a float or a str each; None for one that is not known yet.
-            checks_numbers: whether a number that no motion takes is an error.
+            statement: Parsed statement.
+            values: Values of its parameters, each a float or a str; None for a value that is not known yet.
+            checks_numbers: Whether a number that is too large for a motion is an error.
         """
         if not self.takes(len(values)):
             yield f"{self.name} takes {self.count}, not {len(values)}"

@@ -1,4 +1,4 @@
-"""The control functions of MRC: their parameters (`setpar`) and their inputs, taken from variables (`routeinput`)."""
+"""The control functions of MRC: parameters (`setpar`) and routed inputs (`routeinput`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _PARAMETERS: Mapping[tuple[str, str, str], str] = {
     ("motioncontrol", "drivetopoint", "evalmethod"): "evaluation",
 }
 
-#: Inputs, likewise: whether they are taken before the script, and the attribute of `ControlFunctions` that they set.
+#: Inputs, by module, function and name: whether they are read before the script, and the set attribute of
+#: `ControlFunctions`.
 _INPUTS: Mapping[tuple[str, str, str], tuple[bool, str]] = {
     ("mrc", "odoconnect", "dth"): (True, "heading"),
     ("mrc", "odoconnect", "steeringangle"): (True, "steering_angle"),
@@ -48,24 +49,24 @@ class ControlFunctions:
     """The control functions of a robot.
 
     Args:
-        control: its motion control.
+        control: Motion control of the robot.
 
     Attributes:
-        control: as given.
-        heading: of the counter or gyro, before offset and gain.
-        steering_angle: is stored only, as in MRC.
-        stop: not 0 ends the mission.
+        control: The argument.
+        heading: Heading of the counter or gyro, before offset and gain.
+        steering_angle: Steering angle, which is only stored, as in MRC.
+        stop: Stop input; a value other than 0 ends the mission.
     """
 
     def __init__(self, control: MotionControl) -> None:
         self.control = control
         self.heading = self.steering_angle = self.stop = 0.0
-        # Owner and name of the attribute, and the place, by what stands in `_INPUTS`.
+        # Owner and name of the attribute, and the index in the pool, by the path in `_INPUTS`.
         self._sensed: dict[str, tuple[object, str, int]] = {}
         self._acted: dict[str, tuple[object, str, int]] = {}
 
     def set_parameter(self, module: str, function: str, name: str, value: float) -> bool:
-        """Set a parameter. False if there is none of that name."""
+        """Set a parameter. Return False if there is no such parameter."""
         attribute = _PARAMETERS.get((module, function, name))
         if attribute is None:
             return False
@@ -73,11 +74,11 @@ class ControlFunctions:
         return True
 
     def has_input(self, module: str, function: str, name: str) -> bool:
-        """Whether there is an input of that name."""
+        """Whether there is such an input."""
         return (module, function, name) in _INPUTS
 
     def route_input(self, module: str, function: str, name: str, place: int) -> bool:
-        """Have an input come from a place in the pool. False if there is none of that name."""
+        """Route an input from an index in the pool. Return False if there is no such input."""
         if not self.has_input(module, function, name):
             return False
         is_sensed, path = _INPUTS[module, function, name]
@@ -87,11 +88,11 @@ class ControlFunctions:
         return True
 
     def sense(self, pool: Sequence[float]) -> None:
-        """Take the inputs that come before the script."""
+        """Read the inputs that are needed before the script."""
         for owner, attribute, place in self._sensed.values():
             setattr(owner, attribute, pool[place])
 
     def act(self, pool: Sequence[float]) -> None:
-        """Take the others."""
+        """Read the other inputs."""
         for owner, attribute, place in self._acted.values():
             setattr(owner, attribute, pool[place])

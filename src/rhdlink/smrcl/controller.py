@@ -1,4 +1,6 @@
-"""The main loop of a mission, one cycle per answer of the robot, without a robot, a clock or a thread.
+"""The main loop of a mission, with one cycle per answer of the robot.
+
+It needs no robot, clock or thread.
 
 ::
 
@@ -7,11 +9,11 @@
     request = controller.first_request()
     while not controller.is_finished:
         raw = exchange(request)                # the robot's read variables, by name
-        request = controller.step(raw)         # what is to be written next
-    exchange(request)                          # the robot stands
+        request = controller.step(raw)         # the variables to write next
+    exchange(request)                          # the robot stops
 
-The order within a cycle is that of MRC: sensors, odometry, script, motion control, watches, log. What a cycle writes
-acts on the robot from its next answer on.
+The order within a cycle is the same as in MRC: sensors, odometry, script, motion control, watches, log. The values
+written in a cycle act on the robot from its next answer.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from .recipients import Outbox, Said
 from .robot_conf import RobotConf
 from .vehicle import Vehicle
 
-#: As many as MRC has.
+#: Number of warm-up cycles, as in MRC.
 _WARM_UP = 20
 
 
@@ -45,7 +47,7 @@ class CycleProgram(Protocol):
         """The plan that is executed."""
 
     def step(self) -> bool:
-        """One cycle; whether it is over."""
+        """Perform one cycle. Return whether the program has ended."""
 
 
 @dataclass
@@ -53,15 +55,15 @@ class PlanProgram:
     """One plan, executed once.
 
     Attributes:
-        interpreter: executes its lines.
-        run: its execution.
+        interpreter: Interpreter that executes its lines.
+        run: Execution of the plan.
     """
 
     interpreter: ScriptInterpreter
     run: Run
 
     def step(self) -> bool:
-        """One cycle; whether the script is over."""
+        """Perform one cycle. Return whether the script has ended."""
         return self.interpreter.step(self.run)
 
 
@@ -69,22 +71,23 @@ class MissionController:
     """Executes a mission cycle by cycle.
 
     Args:
-        conf: what the robot is.
-        read: length of each of its read variables, by name.
-        write: the values of its write variables, by name.
-        profile: as MRC does it, or sound.
-        functions: further functions for expressions.
-        hooks: what carries out commands that need hardware.
-        limits: bounds.
-        warm_up: cycles before the first line, in which the filters of the sensors settle.
+        conf: Description of the robot.
+        read: Length of each of the robot's read variables, by name.
+        write: Values of the robot's write variables, by name.
+        profile: Profile of the mission, like MRC or sound.
+        functions: Additional functions for expressions.
+        hooks: Functions for commands that need hardware.
+        limits: Limits of the mission.
+        warm_up: Number of cycles before the first line, in which the filters of the sensors settle.
 
     Attributes:
-        vehicle: the robot.
-        interpreter: executes lines.
-        effects: what commands do.
-        failure: why the mission ended early; None if it did not.
-        is_finished: the mission is over: what `step` returned last has the robot stand.
-        cycle: of the mission, from 0; -2 before the robot has answered, and -1 after the answer before the first cycle.
+        vehicle: The robot.
+        interpreter: Interpreter that executes lines.
+        effects: Objects that commands use.
+        failure: Failure that ended the mission early; None if there was none.
+        is_finished: Whether the mission has ended. The last result of `step` then stops the robot.
+        cycle: Number of the cycle, counted from 0. It is -2 before the robot has answered, and -1 after the answer
+            before the first cycle.
     """
 
     def __init__(
@@ -116,7 +119,7 @@ class MissionController:
         self.cycle = -2
         self._was_blocked = False
 
-    # -- what is executed -------------------------------------------------------------------------------
+    # -- the program ------------------------------------------------------------------------------------
 
     def load(self, source: str) -> None:
         """Execute a script."""
@@ -124,12 +127,15 @@ class MissionController:
         self._program = PlanProgram(self.interpreter, Run(plan))
 
     def serve(self) -> ClientDialogue:
-        """Execute what clients send. `exit` ends all of it under MRC's profile, and otherwise only that client."""
+        """Execute commands from clients.
+
+        In MRC's profile, `exit` ends the whole dialogue; otherwise it ends only the client that sent it.
+        """
         self._program = dialogue = ClientDialogue(self.effects)
         return dialogue
 
     def execute(self, program: CycleProgram) -> None:
-        """Execute a program of one's own."""
+        """Execute another program."""
         self._program = program
 
     @property
@@ -138,25 +144,25 @@ class MissionController:
         return None if self._program is None else self._program.run
 
     def take_said(self) -> list[Said]:
-        """The output of the mission since the last call."""
+        """Remove and return the output of the mission since the last call."""
         return self._outbox.take()
 
     # -- cycles -----------------------------------------------------------------------------------------
 
     def first_request(self) -> dict[str, list[int]]:
-        """The variables that are written before the first answer."""
+        """Variables to write before the first answer of the robot."""
         self.vehicle.outputs.reset_motors()
         return self.vehicle.outputs.take_changed()
 
     def step(self, raw: Mapping[str, Sequence[int]], time: float = 0.0) -> dict[str, list[int]]:
-        """One cycle.
+        """Perform one cycle.
 
         Args:
-            raw: the robot's read variables.
-            time: ``$time``, s.
+            raw: Read variables of the robot.
+            time: Value of ``$time``, in s.
 
         Returns:
-            What is to be written next, by name.
+            Variables to write next, by name.
         """
         vehicle = self.vehicle
         self.cycle += 1
@@ -168,7 +174,7 @@ class MissionController:
         try:
             vehicle.sense(raw)
         except (ArithmeticError, ValueError) as error:
-            self._fail(f"what the robot measures cannot be computed: {error}")
+            self._fail(f"the robot's sensor values cannot be used: {error}")
         if self.cycle > self._warm_up:
             is_over = self._program is None or self._program.step()
             if isinstance(self._program, PlanProgram) and self._program.run.failure is not None:
@@ -189,7 +195,7 @@ class MissionController:
 
     @property
     def is_held(self) -> bool:
-        """Whether the mission stands at a breakpoint."""
+        """Whether the mission is held at a breakpoint."""
         run = self.run
         return run is not None and run.stage is Stage.HOLD
 
@@ -203,7 +209,7 @@ class MissionController:
         return self.vehicle.stand()
 
     def _fail(self, reason: str) -> None:
-        """End what is executed: the script, or of a dialogue the present command. The robot stands."""
+        """End the script, or the current command of a dialogue, and stop the robot."""
         self.vehicle.control.rest()
         failure = self.interpreter.failure(self.run, reason)
         if isinstance(self._program, ClientDialogue):
@@ -212,7 +218,7 @@ class MissionController:
             self.failure = failure
 
     def _supervise(self) -> None:
-        """The status of motion control, and the watches."""
+        """Report changes of the motion-control status, and update the watches."""
         is_blocked = self.vehicle.control.is_blocked
         if is_blocked != self._was_blocked:
             self._was_blocked = is_blocked

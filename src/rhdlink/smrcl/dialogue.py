@@ -1,11 +1,13 @@
-"""The server side of a mission: commands from clients instead of a file, as MRC takes them on its port.
+"""The server side of a mission: commands from clients instead of a file.
 
-Lines of text, each with at most 255 characters. Some words are answered at once (`eval`, `getevent`, `beginplan`, ...);
-everything else is a command, which is queued and executed when it is its turn. What becomes of a command is reported by
-events, which a client fetches one by one with `getevent`, or gets at once in the xml form (``set "xmlon" 1``).
+MRC receives such commands on its port.
 
-There is one queue for all clients, since there is one robot; ids, events, streams and the form belong to each client.
-No socket is here: bytes come in by `Session.receive` and go out by `Session.take`.
+Clients send lines of text with at most 255 characters. Some words are answered immediately (`eval`, `getevent`,
+`beginplan`, ...). All other lines are commands, which are queued and executed in order. Events report the outcome of a
+command. A client fetches events one by one with `getevent`, or receives them immediately as XML (``set "xmlon" 1``).
+
+All clients share one queue, because there is one robot. Each client has its own ids, events, streams and form. This
+module opens no socket: bytes come in through `Session.receive` and go out through `Session.take`.
 """
 
 from __future__ import annotations
@@ -19,17 +21,17 @@ from .motion.basic import Stop
 from .plan import ERROR, FREE_LINE, Failure, MissionPlan, PlanLine, Run
 from .recipients import Session
 
-#: Commands that wait, and plans: as in MRC.
+#: Maximum number of queued commands, and of plans, as in MRC.
 MOST_COMMANDS, MOST_PLANS = 400, 10
-#: Lines of a plan. MRC has 100000 bytes for them.
+#: Maximum number of lines of a plan. MRC has 100000 bytes for them.
 MOST_PLAN_LINES = 5000
-#: Lines that are taken from a client in one cycle.
+#: Maximum number of lines that are taken from a client in one cycle.
 _MOST_LINES = 100
 
 
 @dataclass
 class _Queued:
-    """A command that waits, or runs."""
+    """A command that is queued or running."""
 
     session: Session
     number: int
@@ -37,16 +39,16 @@ class _Queued:
 
 
 class ClientDialogue:
-    """Executes what clients send, stepped once per cycle.
+    """Executes commands from clients, with one step per cycle.
 
     Args:
-        effects: what commands do, and the interpreter that executes them.
+        effects: Objects that commands use, and the interpreter that executes them.
 
     Attributes:
-        sessions: the clients.
-        failures: of commands, the newest last.
-        queue: the commands that wait.
-        run: the program that is executed.
+        sessions: Sessions of the clients.
+        failures: Failures of commands, the newest last.
+        queue: Queued commands.
+        run: Program that is executed.
     """
 
     def __init__(self, effects: MissionEffects) -> None:
@@ -61,7 +63,7 @@ class ClientDialogue:
         self.run: Run | None = None
         self._plans: list[MissionPlan] = []
         self._current: _Queued | None = None
-        # MRC leaves the result of the command before in place, where an empty plan ends with it.
+        # MRC keeps the result of the previous command, and an empty plan ends with it.
         self._result = 0.0
         self._cycles = -1
         self._is_ending = False
@@ -69,15 +71,15 @@ class ClientDialogue:
     # -- clients --------------------------------------------------------------------------------------
 
     def connect(self) -> Session:
-        """A new client."""
+        """Add a new client."""
         session = Session(self._outbox, self._vehicle.symbols.pool)
         self.sessions.append(session)
         return session
 
     def disconnect(self, session: Session) -> None:
-        """A client has gone.
+        """Remove a client.
 
-        Under the sound profile its commands are flushed, and if one of them was running the robot stops.
+        In the sound profile its commands are flushed, and the robot stops if one of them was running.
         """
         session.is_closed = True
         if session not in self.sessions:
@@ -99,7 +101,7 @@ class ClientDialogue:
     # -- cycles ---------------------------------------------------------------------------------------
 
     def step(self) -> bool:
-        """One cycle; whether the dialogue is over."""
+        """Perform one cycle. Return whether the dialogue has ended."""
         self._cycles += 1
         time = self._interpreter.time
         for session in self.sessions:
@@ -120,7 +122,7 @@ class ClientDialogue:
         return is_over
 
     def fail(self, failure: Failure) -> None:
-        """What is executed cannot go on: its command ends with an error. Those that wait are begun after it."""
+        """End the current command with an error. Queued commands are executed after it."""
         run, current = self.run, self._current
         if run is not None and current is not None:
             run.failure, run.result = failure, ERROR
@@ -130,7 +132,7 @@ class ClientDialogue:
             self.failures.append(failure)
 
     def tell(self, plain: str, xml: str) -> None:
-        """Tell every client of something that the robot did."""
+        """Send an event about the robot to every client."""
         for session in self.sessions:
             session.event(plain, xml)
 
@@ -142,7 +144,7 @@ class ClientDialogue:
             self._take_line(session, line)
 
     def _take_line(self, session: Session, line: str) -> None:
-        # The order matters, since only the beginning of the line is looked at: `planet` is a line of a plan.
+        # The order matters, because only the beginning of the line is compared: `planet` is a line of a plan.
         if line.startswith("exit"):
             session.send("ok\n")
             if not self._profile.client_loss_stops:
@@ -168,11 +170,11 @@ class ClientDialogue:
         elif line.startswith("eval"):
             session.send(self._evaluate(session, line))
         elif line.startswith("setvar"):
-            # Answered by nothing, also when it is wrong.
+            # There is no answer, even if it is wrong.
             self._effects.client = session
             self._interpreter.perform_aside(f"set   {line[6:]}")
         elif line.startswith("laserscan"):
-            # 361 values of two bytes. No laser scanner is known here, and MRC sends zeros without one.
+            # 361 values of two bytes. No laser scanner is supported here, and MRC sends zeros without a scanner.
             session.send("\0" * 722)
         elif line.startswith("flushcmds"):
             self._flush(session)
@@ -205,7 +207,8 @@ class ClientDialogue:
         if not session.uses_xml:
             return "".join(f"{format_number(value)} " for value in values) + "\n"
         found = "<eval "
-        # The names are cut out of the line: behind "eval $" the first, two characters behind the last one each other.
+        # The names are cut out of the line. The first one begins after "eval $", and each other one two characters
+        # after the end of the previous one.
         place = 6
         for value in values:
             end = line.find(";", place) if place <= len(line) else -1
@@ -223,7 +226,7 @@ class ClientDialogue:
             self._outbox.message(f"beginplan {name}\n")
             session.send("ok\n")
         else:
-            # MRC says ok, and adds the lines to the plan before.
+            # MRC answers ok, and adds the lines to the previous plan.
             session.recorded = None
             session.send(f"error there are {MOST_PLANS} plans already\n")
 
@@ -239,7 +242,7 @@ class ClientDialogue:
     def _end_plan(self, session: Session, text: str) -> None:
         plan = session.recorded or MissionPlan([])
         self._outbox.message("\n" + "".join(f"{line.text}\0" for line in plan.lines) + f"endplan {text}\n")
-        # MRC prints addresses; these count from the beginning of the plan.
+        # MRC prints addresses; these numbers count from the beginning of the plan.
         size = sum(len(line.text) + 1 for line in plan.lines)
         self._outbox.message(f"start 0 end {size:x}  label 0 nlabels {len(plan.labels)}\n")
         session.send("ok\n")
@@ -251,13 +254,13 @@ class ClientDialogue:
                 return
 
     def _is_named(self, plan: MissionPlan, name: str) -> bool:
-        # MRC takes the blank before a name for a part of it.
+        # In MRC, the blank before a name is part of the name.
         return plan.name == name or (self._profile.names_are_checked and plan.name.strip() == name.strip())
 
     # -- the queue ------------------------------------------------------------------------------------
 
     def _go_on(self) -> None:
-        """Go on with the present command, and begin others until one takes time."""
+        """Continue the current command, and begin others until one takes time."""
         left = MOST_COMMANDS
         while True:
             run, current = self.run, self._current
@@ -291,7 +294,7 @@ class ClientDialogue:
     def _finish(self, run: Run, current: _Queued) -> None:
         self.run = None
         self._keep(run)
-        # A plan whose last line took no time ends without a word.
+        # A plan whose last line took no time ends without an event.
         if run.result != FREE_LINE:
             current.session.command_event(current.number, "stopcond", run.result)
 

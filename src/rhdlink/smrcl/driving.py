@@ -1,4 +1,7 @@
-"""The commands that move the robot, and those about its motion and its odometry; `commands` has the table of all."""
+"""Commands for motions, motion settings and odometry.
+
+`commands` has the table of all commands.
+"""
 
 from __future__ import annotations
 
@@ -20,33 +23,33 @@ from .sensors import LineKind
 
 
 def forward(effects: MissionEffects, distance: float) -> Outcome:
-    """`fwd`: straight on, m; the distance is negative for backward."""
+    """`fwd`: drive straight ahead by a distance in m; a negative distance is backward."""
     effects.vehicle.control.distance = distance
     return effects.move(Forward(distance))
 
 
 def turn(effects: MissionEffects, angle: float, unit: object = None) -> Outcome:
-    """`turn`: on the spot."""
+    """`turn`: turn on the spot."""
     return effects.move(Turn(_radians(angle, unit)))
 
 
 def turn_on_arc(effects: MissionEffects, radius: float, angle: float, unit: object = None) -> Outcome:
-    """`turnr`: on an arc of a radius, m."""
+    """`turnr`: turn along an arc with a radius in m."""
     return effects.move(ArcTurn(radius, _radians(angle, unit)))
 
 
 def turn_on_clothoid(effects: MissionEffects, radius: float, angle: float, unit: object = None) -> Outcome:
-    """`turnc`: likewise, with a curvature that grows and shrinks."""
+    """`turnc`: turn along an arc whose curvature grows and shrinks."""
     return effects.move(Clothoid(radius, _radians(angle, unit)))
 
 
 def drive(effects: MissionEffects, *reference: float) -> Outcome:
-    """`drive`: along the line through a point in a direction; without them along the present one."""
+    """`drive`: drive along the line through a point in a direction, by default the current pose."""
     return _follow(effects, FollowDirection(), reference)
 
 
 def drive_on(effects: MissionEffects, *reference: float) -> Outcome:
-    """`driveon`: likewise, from the commanded speed on."""
+    """`driveon`: as `drive`, but begin at the commanded speed."""
     return _follow(effects, FollowDirection(keeps_speed=True), reference)
 
 
@@ -75,40 +78,42 @@ def _follow(effects: MissionEffects, motion: FollowDirection, reference: Sequenc
 def drive_to_point(
     effects: MissionEffects, x: float, y: float, th: float, radius: float, frame: object = None
 ) -> Outcome:
-    """`drivetopoint`: to a pose by arcs of a radius and a straight line."""
+    """`drivetopoint`: drive to a pose along arcs of a radius and a straight line."""
     goal = PlanarPose(x, y, _radians(th, None))
     return effects.move(DriveToPoint(goal, radius, is_absolute=frame == "abs"))
 
 
 def set_wheels(effects: MissionEffects, left: float, right: float) -> Outcome:
-    """`motorcmds`: the speeds of the wheels, m/s."""
+    """`motorcmds`: set the speeds of the wheels, in m/s."""
     return effects.move(Wheels(left, right))
 
 
 def follow_line(effects: MissionEffects, kind: str) -> Outcome:
-    """`followline`: a black or a white line."""
+    """`followline`: follow a black or a white line."""
     try:
         effects.vehicle.line_kind = LineKind(kind)
     except ValueError:
         names = ", ".join(each.value for each in LineKind)
-        effects.reject_name(f'followline knows no line "{kind}", only {names}')
+        effects.reject_name(f'followline has no line "{kind}", only {names}')
         effects.vehicle.line_kind = LineKind.BLACK_MIDDLE
     return effects.move(FollowLine())
 
 
 def follow_wall(effects: MissionEffects, side: str, distance: float) -> Outcome:
-    """`followwall`: beside a wall at a distance, m."""
+    """`followwall`: follow a wall at a distance in m."""
     _choose_side(effects, side)
     return effects.move(FollowWall(effects.side_is_left, distance))
 
 
 def follow_wall_by_table(effects: MissionEffects, side: str, distance: float) -> Outcome:
-    """`followwall2`: likewise, with the gains of wdssparam.dat."""
+    """`followwall2`: follow a wall at a distance, with the gains of wdssparam.dat."""
     _choose_side(effects, side)
     if side[1:2] not in ("d", "r"):
-        effects.reject_name(f'followwall2 knows no method "{side[1:2]}", only d and r', "Wrong parameter \n")
+        effects.reject_name(f'followwall2 has no method "{side[1:2]}", only d and r', "Wrong parameter \n")
     if side[1:2] == "r":
-        raise LineFault("followwall2 by regression needs an estimator of walls, which is not there; use rd or ld")
+        raise LineFault(
+            "followwall2 by regression needs an estimator of walls, which does not exist here; use rd or ld"
+        )
     if not effects.vehicle.control.parameters.wall_table:
         raise LineFault("followwall2 needs the table of wdssparam.dat (wall_table of the robot's configuration)")
     return effects.move(FollowWallTable(effects.side_is_left, distance))
@@ -122,12 +127,12 @@ def _choose_side(effects: MissionEffects, side: str) -> None:
 
 
 def stop(effects: MissionEffects) -> Outcome:
-    """`stop`: stand, and hold the heading."""
+    """`stop`: stop, and hold the heading."""
     return effects.move(Stop())
 
 
 def idle(effects: MissionEffects) -> Outcome:
-    """`idle`: the motors at zero."""
+    """`idle`: set the motors to zero."""
     return effects.move(Standing())
 
 
@@ -137,37 +142,40 @@ def align(effects: MissionEffects) -> Outcome:
 
 
 def move_to(effects: MissionEffects, x: float, y: float, z: float) -> Outcome:
-    """`movetoxyz`: what a function of the user does."""
+    """`movetoxyz`: call the user's function."""
     effects.use_hook(x, y, z)
     return effects.wait(never)
 
 
 def generate(effects: MissionEffects, *parameters: float) -> Outcome:
-    """`funcgen`: a signal; parameters that are left out are those of the signal before."""
+    """`funcgen`: generate a signal.
+
+    Omitted parameters keep their values from the previous signal.
+    """
     effects.signal[: len(parameters)] = parameters
     return effects.move(FunctionGenerator(effects.signal))
 
 
 def ignore_obstacles(effects: MissionEffects) -> Outcome:
-    """`ignoreobstacles`: the next motion is not slowed down by them."""
+    """`ignoreobstacles`: the next motion does not slow down before obstacles."""
     effects.vehicle.control.ignore_obstacles()
     return effects.at_once()
 
 
 def set_target_here(effects: MissionEffects) -> Outcome:
-    """`targethere`: the next motion begins where the robot is."""
+    """`targethere`: let the next motion begin at the current position of the robot."""
     effects.vehicle.control.target = effects.vehicle.odometry.pose.copy()
     return effects.go_on()
 
 
 def reset_covariance(effects: MissionEffects) -> Outcome:
-    """`resetodocov`: the pose is certain."""
+    """`resetodocov`: reset the uncertainty of the pose."""
     effects.vehicle.covariance.reset()
     return effects.go_on()
 
 
 def reset_motors(effects: MissionEffects) -> Outcome:
-    """`resetmotors`: stand for six cycles, in which the motors of an SMR are reset."""
+    """`resetmotors`: stop for six cycles, in which the motors of an SMR are reset."""
     vehicle = effects.vehicle
     effects.output.message(f" p0 {format_number(effects.routine_result)} \n")
     start = PlanarPose()
@@ -191,5 +199,5 @@ def reset_motors(effects: MissionEffects) -> Outcome:
 
 
 def _radians(angle: float, unit: object) -> float:
-    """An angle in degrees, or in radians if there is another parameter, whatever it is."""
+    """Convert an angle from degrees. With any value of `unit`, the angle is already in rad."""
     return angle * math.pi / 180.0 if unit is None else angle

@@ -1,7 +1,9 @@
-"""What commands act on, and what many of them do; the commands of flow, log, events, texts and special hardware.
+"""The objects that commands use, and the commands that do not move the robot.
 
-A command is a function: it takes `MissionEffects` and the command's parameters, sets the default end of its line, and
-returns how the line goes on. `commands` has the table of all.
+These are the commands for flow, log, events, texts and special hardware.
+
+A command is a function. It takes `MissionEffects` and the command's parameters, sets the default end of its line, and
+returns whether the line takes time. `commands` has the table of all commands.
 """
 
 from __future__ import annotations
@@ -22,18 +24,18 @@ from .symbols import DataLog, split_index
 if TYPE_CHECKING:
     from .commands import ScriptCommand
 
-#: What carries out a command that needs hardware: it is given the parameters, and may return system variables by name.
-#: The one for `read` returns a text.
+#: Function that executes a command that needs hardware. It is called with the parameters, and can return system
+#: variables by name. The function for `read` returns a text.
 Hook = Callable[..., Mapping[str, float] | str | None]
 
-#: Characters of the text buffer.
+#: Maximum length of the text buffer, in characters.
 _BUFFER = 255
-#: Watches under the sound profile; MRC has two.
+#: Maximum number of watches in the sound profile; MRC has two.
 _MOST_WATCHES = 100
 
 
 class Watch:
-    """A condition that is tested in every cycle, and sends an event when it becomes true."""
+    """A condition that is tested in every cycle. It sends an event when it becomes true."""
 
     def __init__(self, name: str, conditions: Sequence[Value]) -> None:
         self.name = name
@@ -41,10 +43,10 @@ class Watch:
         self._value = 0.0
 
     def update(self, interpreter: ScriptInterpreter) -> bool:
-        """Whether it has risen in this cycle.
+        """Test the condition. Return whether its value has risen in this cycle.
 
         Raises:
-            LineFault: its condition cannot be computed.
+            LineFault: If the condition cannot be computed.
         """
         value = interpreter.watch(self._conditions)
         has_risen = value > self._value
@@ -53,34 +55,34 @@ class Watch:
 
 
 def always() -> bool:
-    """The default end of what is done at once."""
+    """The default end of a command that is done immediately."""
     return True
 
 
 class MissionEffects:
-    """What commands act on.
+    """The objects that commands use.
 
     Args:
-        interpreter: whose lines they are.
-        hooks: what carries out commands that need hardware, by the name of the command.
+        interpreter: Interpreter that executes the lines.
+        hooks: Functions for commands that need hardware, by the name of the command.
 
     Attributes:
-        interpreter, hooks: as given.
-        vehicle: what moves.
-        output: gets the output that MRC prints.
-        client: receives texts, events, streams and logs.
-        profile: as MRC does it, or sound.
-        symbols: the variables of the mission.
-        command: the present one, or the last.
-        run: the plan that it belongs to.
-        conditions: its stop conditions.
-        log: of the variables.
-        watches: of conditions.
-        text_buffer: what `stringcat` has made.
-        is_reading: `read` waits for a line from its client.
-        side_is_left: the side of the wall that `followwall` follows.
-        signal: the parameters of `funcgen`.
-        routine_result: what `resetmotors` prints: the x that it found the time before.
+        interpreter, hooks: The arguments.
+        vehicle: Robot that moves.
+        output: Receiver of the output that MRC prints.
+        client: Receiver of texts, events, streams and logs.
+        profile: Profile of the mission, like MRC or sound.
+        symbols: Variables of the mission.
+        command: Current command, or the last one.
+        run: Plan that the command belongs to.
+        conditions: Stop conditions of the command.
+        log: Log of the variables.
+        watches: Active watches.
+        text_buffer: Text that `stringcat` has made.
+        is_reading: Whether `read` waits for a line from its client.
+        side_is_left: Whether `followwall` follows a wall on the left.
+        signal: Parameters of `funcgen`.
+        routine_result: Value that `resetmotors` prints: the x of its previous execution.
     """
 
     def __init__(self, interpreter: ScriptInterpreter, hooks: Mapping[str, Hook]) -> None:
@@ -108,47 +110,49 @@ class MissionEffects:
         """Execute a command.
 
         Raises:
-            LineFault: it cannot be executed.
+            LineFault: If the command cannot be executed.
         """
         self.command, self.run, self.conditions = command, run, conditions
         return command.carry_out(self, *parameters)
 
-    # -- how a line goes on ---------------------------------------------------------------------------
+    # -- when the next line begins ----------------------------------------------------------------------
 
     def wait(self, end: Callable[[], bool]) -> Outcome:
-        """The line takes time, by default until `end` is true."""
+        """End for a line that takes time, by default until `end` is true."""
         self.interpreter.default_end = end
         return Outcome.WAIT
 
     def at_once(self) -> Outcome:
-        """The line is done, and the next one follows in the next cycle."""
+        """End for a line that is done immediately. The next line follows in the next cycle."""
         return self.wait(always)
 
     def go_on(self, end: Callable[[], bool] = always) -> Outcome:
-        """The line takes no time. `end` is that of a line of stop conditions that follows."""
+        """End for a line that takes no time. `end` applies to a following line of stop conditions."""
         self.interpreter.default_end = end
         return Outcome.NEXT
 
     def move(self, motion: ControlledMotion) -> Outcome:
-        """Begin a motion; the line takes until its end."""
+        """Begin a motion. The line takes until the end of the motion."""
         control = self.vehicle.control
         control.start(motion)
         return self.wait(lambda: motion.is_done(control))
 
-    # -- what is not there ----------------------------------------------------------------------------
+    # -- missing names and hardware ----------------------------------------------------------------------
 
     def reject_name(self, reason: str, mrc: str = "") -> None:
-        """Fail because of a name, or say what MRC says and go on."""
+        """Fail because of a name. In MRC's profile, print MRC's message and continue."""
         if self.profile.names_are_checked:
             raise LineFault(reason)
         if mrc:
             self.output.message(mrc)
 
     def use_hook(self, *parameters: float | str, mrc: str | None = None) -> None:
-        """Have a function of the user do what needs hardware.
+        """Call the user's function for a command that needs hardware.
 
         Args:
-            mrc: what MRC prints instead; by default the command's `hook`, with the first parameter in it.
+            parameters: Parameters of the command.
+            mrc: Text that MRC prints without the hardware. The default is the command's `hook`, with the parameters in
+                it.
         """
         name = self.command.name
         hook = self.hooks.get(name)
@@ -157,19 +161,17 @@ class MissionEffects:
             try:
                 self.vehicle.variables.provide(found or {})
             except (BadValue, TypeError, AttributeError) as error:
-                raise LineFault(f"the function for {name} returned no system variables: {error}") from error
+                raise LineFault(f"the function for {name} did not return system variables: {error}") from error
         elif self.profile.needs_are_checked:
-            raise LineFault(
-                f'{name} needs hardware: give the mission a function for it, mission.on("{name}", function)'
-            )
+            raise LineFault(f'{name} needs hardware; register a function for it with mission.on("{name}", function)')
         elif text := (self.command.hook or "").format(*parameters) if mrc is None else mrc:
             self.output.message(text)
 
     def call_hook(self, hook: Hook, *parameters: float | str) -> Any:
-        """What a function of the user returns.
+        """Call a function of the user and return its result.
 
         Raises:
-            LineFault: it raised.
+            LineFault: If the function raises an exception.
         """
         try:
             return hook(*parameters)
@@ -180,11 +182,11 @@ class MissionEffects:
     # -- the text buffer ------------------------------------------------------------------------------
 
     def set_text(self, text: str) -> None:
-        """Set the text buffer; what it has no room for is cut off."""
+        """Set the text buffer. Text beyond its size is cut off."""
         self.text_buffer = text[:_BUFFER]
 
     def take_input(self, text: str) -> None:
-        """A line for `read` has come; it becomes the text buffer."""
+        """Put a line that arrived for `read` into the text buffer."""
         self.is_reading = False
         self.set_text(text)
 
@@ -193,29 +195,29 @@ class MissionEffects:
 
 
 def pass_label(effects: MissionEffects, name: str) -> Outcome:
-    """`label`: where `goto`, `call` and `if` lead."""
+    """`label`: target of `goto`, `call` and `if`."""
     return effects.go_on(never)
 
 
 def go_to(effects: MissionEffects, label: str) -> Outcome:
-    """`goto`: the line with a label comes next."""
+    """`goto`: continue with the line that has a label."""
     effects.interpreter.go_to(label, effects.run)
     return effects.go_on(never)
 
 
 def call(effects: MissionEffects, label: str) -> Outcome:
-    """`call`: likewise, up to `return`."""
+    """`call`: continue with the line that has a label, until `return`."""
     run, most = effects.run, effects.interpreter.limits.calls
     back = run.plan.next
     effects.interpreter.go_to(label, run)
     if len(run.calls) >= most:
-        raise LineFault(f"more than {most} calls within each other", is_limit=True)
+        raise LineFault(f"more than {most} nested calls", is_limit=True)
     run.calls.append(back)
     return effects.go_on(never)
 
 
 def go_back(effects: MissionEffects) -> Outcome:
-    """`return`: behind the last `call`."""
+    """`return`: continue after the last `call`."""
     run = effects.run
     if not run.calls:
         raise LineFault("return without a call")
@@ -224,7 +226,7 @@ def go_back(effects: MissionEffects) -> Outcome:
 
 
 def wait(effects: MissionEffects, seconds: float) -> Outcome:
-    """`wait`: seconds, in which the present motion goes on."""
+    """`wait`: wait for some seconds, during which the current motion continues."""
     pool, place = effects.symbols.pool, effects.symbols.system["cmdtime"].place
     return effects.wait(lambda: pool[place] >= seconds)
 
@@ -233,10 +235,10 @@ def wait(effects: MissionEffects, seconds: float) -> Outcome:
 
 
 def log(effects: MissionEffects, *names: str) -> Outcome:
-    """`log`: have variables logged in each cycle."""
+    """`log`: log variables in each cycle."""
     for text in names:
         if len(effects.log.places) >= DataLog.MOST_COLUMNS:
-            effects.reject_name(f"a log has at most {DataLog.MOST_COLUMNS} variables", "logtable full\n")
+            effects.reject_name(f"a log can have at most {DataLog.MOST_COLUMNS} variables", "logtable full\n")
             continue
         is_system = text[:1] == "$"
         name, index = split_index(text[1:] if is_system else text)
@@ -252,7 +254,7 @@ def log(effects: MissionEffects, *names: str) -> Outcome:
 
 
 def control_log(effects: MissionEffects, word: str, name: str = "log", unused: str = "") -> Outcome:
-    """`control`: the log; it is saved as `name`."""
+    """`control`: start, stop, reset or save the log; it is saved as `name`."""
     if word == "stoplog":
         effects.log.is_on = False
     elif word == "startlog":
@@ -264,7 +266,7 @@ def control_log(effects: MissionEffects, word: str, name: str = "log", unused: s
     elif word == "savelog":
         effects.client.save_log(name, effects.log.text)
     else:
-        effects.reject_name(f'control knows no word "{word}"')
+        effects.reject_name(f'control has no word "{word}"')
     return effects.at_once()
 
 
@@ -272,7 +274,7 @@ def stream(effects: MissionEffects, period: float, *names: str) -> Outcome:
     """`stream`: send variables to the client, every `period` cycles."""
     variables = []
     for text in names:
-        # MRC looks for both, a system variable behind the first character and a variable of the script.
+        # MRC searches for both: a system variable without the first character, and a variable of the script.
         is_system = text[:1] == "$" or not effects.profile.names_are_checked
         system = effects.symbols.find_system(text[1:]) if is_system else None
         user = effects.symbols.user.get(text)
@@ -284,35 +286,35 @@ def stream(effects: MissionEffects, period: float, *names: str) -> Outcome:
 
 
 def add_watch(effects: MissionEffects, name: str, number: float) -> Outcome:
-    """`addwatch`: an event whenever its condition becomes true."""
+    """`addwatch`: send an event whenever the watch's condition becomes true."""
     most = _MOST_WATCHES if effects.profile.watches_apart else 2
     if len(effects.watches) < most:
         effects.watches.append(Watch(name if effects.profile.watches_apart else name[:31], effects.conditions))
     elif effects.profile.watches_apart:
-        raise LineFault(f"there are {most} watches already", is_limit=True)
+        raise LineFault(f"there are already {most} watches", is_limit=True)
     return effects.at_once()
 
 
 def put_event(effects: MissionEffects, name: str) -> Outcome:
-    """`putevent`: an event that the client gets when it asks for one."""
+    """`putevent`: queue an event, which the client receives when it asks for one."""
     effects.client.user_event(name)
     return effects.go_on()
 
 
 def sync_event(effects: MissionEffects, name: str) -> Outcome:
-    """`syncevent`: one that the client is sent at once."""
+    """`syncevent`: send an event to the client immediately."""
     effects.client.sync_event(name)
     return effects.go_on()
 
 
 def print_text(effects: MissionEffects, text: str) -> Outcome:
-    """`print`: to the client."""
+    """`print`: send a text to the client."""
     effects.client.text(text)
     return effects.at_once()
 
 
 def read(effects: MissionEffects, prompt: str) -> Outcome:
-    """`read`: ask the client; its answer becomes the text buffer."""
+    """`read`: ask the client. Its answer becomes the text buffer."""
     hook = effects.hooks.get("read")
     if hook is not None:
         effects.set_text(str(effects.call_hook(hook, prompt)))
@@ -321,13 +323,13 @@ def read(effects: MissionEffects, prompt: str) -> Outcome:
     if not effects.profile.reads_input:
         return effects.wait(never)
     if not effects.client.can_answer:
-        raise LineFault('read needs an answer: give the mission a function for it, mission.on("read", function)')
+        raise LineFault('read needs an answer; register a function for it with mission.on("read", function)')
     effects.is_reading = True
     return effects.wait(lambda: not effects.is_reading)
 
 
 def join_texts(effects: MissionEffects, *parts: float | str) -> Outcome:
-    """`stringcat`: into the text buffer."""
+    """`stringcat`: join texts and numbers into the text buffer."""
     texts = []
     for part in parts:
         if isinstance(part, str):
@@ -338,7 +340,7 @@ def join_texts(effects: MissionEffects, *parts: float | str) -> Outcome:
 
 
 def write_whole(effects: MissionEffects, value: float) -> Outcome:
-    """`tointstring`: a number without its fraction, into the text buffer."""
+    """`tointstring`: put a number without its fraction into the text buffer."""
     return _keep_text(effects, f"{truncate(value)} ")
 
 
@@ -352,26 +354,29 @@ def _keep_text(effects: MissionEffects, text: str) -> Outcome:
 
 
 def ask(effects: MissionEffects, *parameters: float | str) -> Outcome:
-    """What a function of the user does; without one, see `ScriptCommand.hook`."""
+    """Call the user's function for the command. Without a function, see `ScriptCommand.hook`."""
     effects.use_hook(*parameters)
     return effects.at_once()
 
 
 def ask_of_text(effects: MissionEffects, text: str) -> Outcome:
-    """Likewise, of a text or of the text buffer for `"$str"`."""
+    """Call the user's function with a text; `"$str"` is the text buffer."""
     return ask(effects, effects.text_buffer if text[:1] == "$" else text)
 
 
 def get(effects: MissionEffects, what: str, text: str = "") -> Outcome:
-    """`get`: where a guide mark is."""
+    """`get`: find the position of a guide mark."""
     if what == "guidemark":
         effects.vehicle.variables.provide({"guidemarkok": 0.0})
         return ask(effects, what, text)
-    effects.reject_name(f'get knows no "{what}", only guidemark')
+    effects.reject_name(f'get cannot find "{what}"; expected guidemark')
     return effects.at_once()
 
 
 def estimate_wall(effects: MissionEffects, method: str, *parameters: float) -> Outcome:
-    """`wallest`: where a wall is, by a method; which MRC knows beside these two is not known."""
+    """`wallest`: estimate the position of a wall.
+
+    MRC has two methods; whether it has more is unknown.
+    """
     effects.use_hook(method, *parameters, mrc="" if method[1:2] in ("b", "c") else "Wrong parameter \n")
     return effects.at_once()

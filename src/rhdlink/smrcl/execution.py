@@ -1,4 +1,4 @@
-"""The loop of a mission on a robot: exchange, compute, and what a user's program sees of it."""
+"""The loop of a mission on a robot: exchange values, compute, and call the user's functions."""
 
 from __future__ import annotations
 
@@ -27,28 +27,30 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-#: Gives a value in each cycle: a number, or for "line" and "ir" as many as there are sensors.
+#: Function that returns a value in each cycle: a number, or for "line" and "ir" one number per sensor.
 Provider = Callable[[], "float | Sequence[float]"]
 
-#: Seconds for the last words to a robot that does not answer.
+#: Maximum time for the final stop command to a robot that does not answer, in s.
 _STAND_TIMEOUT = 0.5
 
 
-#: Commands that a function can carry out.
+#: Commands that a user's function can execute.
 _COMMANDS = frozenset(command.name for command in COMMANDS.values() if command.hook is not None)
 _OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LOG)
 
 
 @dataclass
 class Callbacks:
-    """The callbacks of a user's program. All of them are called between two ticks, so they have to be quick.
+    """The callbacks of a user's program.
+
+    All of them are called between two ticks, so they must be quick.
 
     Attributes:
-        hooks: what carries out commands that need hardware, by the name of the command.
-        observers: functions that are called with texts, by kind: "line", "values", "message", "text", "event".
-        readers: functions that are called with all output.
-        providers: of sensors and system variables, by name.
-        functions: for expressions, by name.
+        hooks: Functions for commands that need hardware, by the name of the command.
+        observers: Functions that are called with texts, by kind: "line", "values", "message", "text", "event".
+        readers: Functions that are called with all output.
+        providers: Functions that return values of sensors and system variables, by name.
+        functions: Functions for expressions, by name.
     """
 
     hooks: dict[str, Hook] = field(default_factory=dict)
@@ -58,7 +60,7 @@ class Callbacks:
     functions: dict[str, Callable[..., float]] = field(default_factory=dict)
 
     def tell(self, said: Said) -> None:
-        """Call the readers, and the observers of this kind. What one raises is logged; the others are called."""
+        """Call the readers, and the observers of this kind. Exceptions are logged."""
         for reader in self.readers:
             self._call(reader, said)
         for observer in self.observers.get(said.kind.value, ()):
@@ -69,29 +71,31 @@ class Callbacks:
         try:
             function(what)
         except Exception:
-            _log.exception("%r raised", function)
+            _log.exception("%r raised an exception", function)
 
 
 class WithCallbacks:
-    """What takes callbacks of a user's program: a mission, or its server."""
+    """Base class of objects that take callbacks of a user's program: a mission, or its server."""
 
     def __init__(self) -> None:
         self._callbacks = Callbacks()
 
     def on(self, name: str, function: Callable[..., object]) -> Self:
-        """Have a function carry out a command, or get the output of one kind. Returns this.
+        """Register a function that executes a command, or receives one kind of output.
+
+        Returns this object.
 
         A command that needs hardware ("vision", "laser", "get", "play", "speak", "open", "writewifi", "wallest",
-        "barcode", "movetoxyz") calls it with its parameters; it may return system variables by name, as in
-        ``{"vis0": 1.0}``. The one for "read" returns the text that was asked for.
+        "barcode", "movetoxyz") calls the function with its parameters. The function can return system variables by
+        name, for example ``{"vis0": 1.0}``. The function for "read" returns the requested text.
 
-        For "line" the function is called with each line that is executed, for "values" with the values of `eval`, for
-        "text" with the text of `print`, for "event" and "message" with each of these.
+        For "line", the function is called with each executed line. For "values" it gets the values of `eval`, for
+        "text" the text of `print`, and for "event" and "message" each event or message.
 
-        All of it is called between two ticks of the robot and has to be quick.
+        Every function is called between two ticks of the robot and must be quick.
 
         Raises:
-            BadValue: there is nothing of that name, or it cannot be called.
+            BadValue: If there is no command or output with this name, or the function is not callable.
         """
         check_callable(function, "function")
         if name in _COMMANDS:
@@ -100,29 +104,31 @@ class WithCallbacks:
             self._callbacks.observers.setdefault(name, []).append(function)
         else:
             names = ", ".join(sorted(_COMMANDS | _OBSERVED))
-            raise BadValue(f"a mission has no {name!r}; expected one of {names}")
+            raise BadValue(f"unknown command or output {name!r}; expected one of {names}")
         return self
 
     def on_said(self, function: Callable[[Said], object]) -> Self:
-        """Have a function get all output of the mission, in its order and with its kind. Returns this.
+        """Register a function that receives all output of the mission. Returns this object.
+
+        The function is called with each output and its kind, in order.
 
         Raises:
-            BadValue: it cannot be called.
+            BadValue: If the function is not callable.
         """
         check_callable(function, "function")
         self._callbacks.readers.append(function)
         return self
 
     def provide(self, name: str, provider: Provider) -> Self:
-        """Have a function give a value in each cycle. Returns this.
+        """Register a function that provides a value in each cycle. Returns this object.
 
         Args:
             name: "line" for the brightness under each line sensor, 0 for black and 1 for white; "ir" for the five
                 infrared distances in m, from left to right; or the name of a built-in system variable.
-            provider: is called between two ticks of the robot and has to be quick.
+            provider: Function that returns the value. It is called between two ticks of the robot and must be quick.
 
         Raises:
-            BadValue: it cannot be called.
+            BadValue: If the provider is not callable.
         """
         check_callable(provider, "provider")
         self._callbacks.providers[name.removeprefix("$")] = provider
@@ -133,17 +139,17 @@ class MissionExecution:
     """One execution of a mission.
 
     Args:
-        link: to the robot.
-        controller: with what is to be executed.
-        callbacks: a user's program.
-        save_log: is given the name and the text of each log that the script saves, and as "log" what is left in it at
-            the end.
-        before_step: is called when the robot has answered, before anything is computed.
+        link: Link to the robot.
+        controller: Controller with the loaded mission.
+        callbacks: Callbacks of a user's program.
+        save_log: Function that is called with the name and the text of each log that the script saves. At the end it is
+            also called with "log" and the remaining rows.
+        before_step: Function that is called after the robot has answered, before anything is computed.
 
     Attributes:
-        controller: what executes.
-        cycles: exchanges with the robot so far.
-        is_told: what is to be written next is what was written last.
+        controller: Controller that executes the mission.
+        cycles: Number of exchanges with the robot so far.
+        is_told: Whether the next values to write equal the last written values.
     """
 
     def __init__(
@@ -165,11 +171,14 @@ class MissionExecution:
         self._period = controller.vehicle.control.parameters.period
 
     def cycle(self) -> bool:
-        """One exchange with the robot, and what follows from it; False when the mission is over and the robot stands.
+        """Exchange values with the robot once, and compute.
+
+        Returns:
+            False when the mission has ended and the robot is at rest; otherwise True.
 
         Raises:
-            RemoteError: the robot is gone, or silent.
-            MissionFailed: a provider raised.
+            RemoteError: If the robot has disconnected or does not answer.
+            MissionFailed: If a provider raises an exception.
         """
         controller = self.controller
         raw = self._link.exchange(self._request)
@@ -191,7 +200,7 @@ class MissionExecution:
         return True
 
     def _time(self) -> float:
-        """``$time``: of a robot whose time stands still between two exchanges the time that it has lived."""
+        """Value of ``$time``: for a robot whose time stops between two exchanges, its elapsed time."""
         if not self._link.is_lockstep:
             return time.time()
         return self.cycles * self._period if self.controller.vehicle.profile.knows_time else 0.0
@@ -208,12 +217,12 @@ class MissionExecution:
                 else:
                     vehicle.variables.provide({name: value})  # type: ignore[dict-item]
             except Exception as error:
-                raise MissionFailed(f"what provides {name!r} raised {type(error).__name__}: {error}") from error
+                raise MissionFailed(f"the provider of {name!r} raised {type(error).__name__}: {error}") from error
 
     def _save(self, text: str) -> None:
         name, _, rows = text.partition("\n")
         if self._save_log is None:
-            _log.warning("the log %r is not saved: the mission has no folder for it", name)
+            _log.warning("log %r is not saved: the mission has no log_folder", name)
         else:
             self._save_log(name, rows)
 
@@ -224,7 +233,7 @@ class MissionExecution:
 
     @property
     def error(self) -> MissionFailed | None:
-        """The error that a user's program gets, for why the mission ended early; None if it did not."""
+        """Error that ended the mission early, for the user's program; None if there was none."""
         failure = self.controller.failure
         if failure is None:
             return None
@@ -232,9 +241,9 @@ class MissionExecution:
         return kind(failure.reason, failure.line, failure.text, failure.column)
 
     def stand(self) -> None:
-        """Have the robot stand, if it can still be reached. Never raises."""
+        """Stop the robot if it can still be reached. Never raises an exception."""
         request = self.controller.vehicle.stand()
-        # The first exchange sends it, the second one shows that it was taken.
+        # The first exchange sends the request, and the second one shows that the robot received it.
         with contextlib.suppress(LinkError):
             for _ in range(2):
                 self._link.exchange(request, _STAND_TIMEOUT)
@@ -243,9 +252,9 @@ class MissionExecution:
 
 @contextlib.contextmanager
 def leaving_at_exit(leave: Callable[[], object]) -> Iterator[None]:
-    """While the block lasts, a process that comes to its end calls `leave` first.
+    """Call `leave` if the process ends during the block.
 
-    A daemon thread would otherwise be frozen between two ticks, with the robot at its last speeds.
+    A daemon thread would otherwise freeze between two ticks, and the robot would keep its last speeds.
     """
     atexit.register(leave)
     try:
@@ -255,19 +264,19 @@ def leaving_at_exit(leave: Callable[[], object]) -> Iterator[None]:
 
 
 def log_saver(folder: str | os.PathLike[str] | None) -> Callable[[str, str], object] | None:
-    """Saves logs in a folder, and nowhere else; None for no folder."""
+    """Return a function that saves logs in a folder, and only there; None if there is no folder."""
     if folder is None:
         return None
     place = Path(folder)
 
     def save(name: str, text: str) -> None:
-        # A script, also one of an untrusted client, may name any file.
+        # A script can name any file, and it might come from an untrusted client.
         if not name or name in (".", "..") or Path(name).name != name or "\\" in name:
-            raise MissionFailed(f"a log cannot be saved as {name!r}; expected a name without a folder")
+            raise MissionFailed(f"cannot save a log as {name!r}; expected a name without a folder")
         try:
             (place / name).write_text(text, encoding="ascii")
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise MissionFailed(f"the log {place / name} cannot be written: {reason}") from error
+            raise MissionFailed(f"cannot write the log {place / name}: {reason}") from error
 
     return save

@@ -1,8 +1,8 @@
 """Compiler of expressions to Python functions.
 
-An expression is compiled once and evaluated many times: a condition in each cycle. A variable of the script is looked
-up by name each time, since the script may make it at any moment; a system variable is looked up once. Nothing is
-short-circuited: both sides of ``|`` and ``&`` are evaluated.
+An expression is compiled once and evaluated many times; a condition is evaluated in each cycle. A variable of the
+script is looked up by name each time, because the script can make it at any moment. A system variable is looked up
+once. There is no short circuit: both sides of ``|`` and ``&`` are always evaluated.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from .syntax import ArrayElement, Call, Expression, Negate, NumberLiteral, Varia
 #: A compiled expression.
 Value = Callable[[], float]
 
-#: What MRC reads beyond an array: the address of the array's name, taken for a double. It prints as 0 and is true.
+#: Value that MRC reads beyond an array: the address of the array's name as a double. It prints as 0 and is true.
 BEYOND = 4.6e-310
 
-#: Operators whose result is 0 or 1. Both operands are computed before.
+#: Operators whose result is 0 or 1. Both operands are computed first.
 _TRUTHS: Mapping[str, Callable[[float, float], bool]] = {
     "|": lambda left, right: left != 0.0 or right != 0.0,
     "&": lambda left, right: left != 0.0 and right != 0.0,
@@ -50,11 +50,11 @@ _ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
 
 
 class LineFault(Exception):
-    """A line cannot be executed. It ends the plan, and never leaves the interpreter.
+    """A line cannot be executed. The fault ends the plan, and never leaves the interpreter.
 
     Attributes:
-        column: of what is wrong in the line, from 1; 0 for the whole line.
-        is_limit: a bound was reached.
+        column: Column of the faulty part in the line, counted from 1; 0 for the whole line.
+        is_limit: Whether a limit was reached.
     """
 
     def __init__(self, message: str, column: int = 0, *, is_limit: bool = False) -> None:
@@ -64,15 +64,15 @@ class LineFault(Exception):
 
 
 class Compiler:
-    """Compiles expressions over one set of variables.
+    """Compiles expressions for one set of variables.
 
     Args:
-        symbols: the variables.
-        profile: of `rem`, and of what lies beyond an array.
-        functions: further functions, by name: those of the user.
+        symbols: Variables.
+        profile: Profile, which decides about `rem` and about an index beyond an array.
+        functions: Additional functions of the user, by name.
     """
 
-    #: Counters of `ntrue`.
+    #: Number of counters of `ntrue`.
     COUNTERS = 10
 
     def __init__(self, symbols: Symbols, profile: Profile, functions: Mapping[str, Callable[..., float]]) -> None:
@@ -88,17 +88,17 @@ class Compiler:
         self._user_functions = functions
 
     def reset_counter(self, number: int) -> bool:
-        """Set a counter of `ntrue` to 0; False if there is no such counter."""
+        """Set a counter of `ntrue` to 0. Return False if there is no such counter."""
         if not 0 <= number < self.COUNTERS:
             return False
         self._counters[number] = 0
         return True
 
     def find(self, variable: VariableName) -> Symbol:
-        """The symbol of a variable.
+        """Find the symbol of a variable.
 
         Raises:
-            LineFault: there is none.
+            LineFault: If there is no such variable.
         """
         if variable.is_system:
             symbol = self._symbols.find_system(variable.name)
@@ -107,11 +107,11 @@ class Compiler:
             return symbol
         found = self._symbols.user.get(variable.name)
         if found is None:
-            raise LineFault(f"there is no variable {variable.name}; it is made by assigning to it", variable.column)
+            raise LineFault(f"there is no variable {variable.name}; assign a value to it first", variable.column)
         return found
 
     def compile(self, expression: Expression) -> Value:
-        """A function that evaluates it, and raises `LineFault` where it cannot."""
+        """Compile to a function that evaluates the expression, or raises `LineFault` if it cannot."""
         if isinstance(expression, NumberLiteral):
             value = expression.value
             return lambda: value
@@ -155,7 +155,7 @@ class Compiler:
 
     @staticmethod
     def beyond(array: VariableName, symbol: Symbol, index: int) -> LineFault:
-        """The fault of an index that is beyond an array."""
+        """Create the fault for an index beyond an array."""
         name = f"${array.name}" if array.is_system else array.name
         what = f"values {name}[0] to {name}[{symbol.size - 1}]" if symbol.size > 1 else "one value"
         return LineFault(f"index {index} is beyond {name}, which has {what}", array.column)
@@ -172,7 +172,7 @@ class Compiler:
         return lambda: function(*[each() for each in arguments])
 
     def _guarded(self, call: Call) -> Callable[..., float]:
-        """A function of the user, of which nothing is known."""
+        """Wrap a function of the user, which might raise any exception."""
         function = self._user_functions[call.name]
 
         def guarded(*arguments: float) -> float:

@@ -1,8 +1,8 @@
-"""Executes lines, one plan at a time, stepped once per cycle.
+"""Executes the lines of one plan at a time, with one step per cycle.
 
-A line is read in one cycle, and from the next one on its default end and its stop conditions are tested, until one of
-them is true; then the next line is read in the cycle after that. Lines that take no time (assignments, `if`, `goto` and
-the like) are followed by the next one in the same cycle. This is the state machine `sm_interp` of MRC.
+A line is read in one cycle. Its default end and its stop conditions are tested from the next cycle, until one of them
+is true. The next line is read in the cycle after that. A line that takes no time (such as an assignment, `if` or
+`goto`) is followed by the next line in the same cycle. This is the state machine `sm_interp` of MRC.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MissionLimits:
-    """Bounds that no mission of the field comes near, and that keep one from running away.
+    """Limits that stop a runaway mission. Real missions stay far below them.
 
     Attributes:
-        lines: that may be executed in one cycle.
-        calls: within each other; as many as MRC has room for.
+        lines: Maximum number of lines executed in one cycle.
+        calls: Maximum number of nested calls, as in MRC.
     """
 
     lines: int = 20_000
@@ -40,7 +40,7 @@ class MissionLimits:
 
 
 def never() -> bool:
-    """The default end of what goes on until a stop condition is true."""
+    """The default end of a command that continues until a stop condition is true."""
     return False
 
 
@@ -48,25 +48,25 @@ class ScriptInterpreter:
     """Executes plans on a vehicle.
 
     Args:
-        vehicle: what moves, and has the variables.
-        output: gets the executed lines, the values of `eval`, and the messages.
-        commands: of the language, by name.
-        functions: further functions for expressions, by name.
-        limits: bounds.
+        vehicle: Robot that moves, and has the variables.
+        output: Receiver of the executed lines, the values of `eval`, and the messages.
+        commands: Commands of the language, by name.
+        functions: Additional functions for expressions, by name.
+        limits: Limits of the mission.
 
     Attributes:
-        vehicle, output, commands, limits: as given.
-        profile: as MRC does it, or sound.
-        symbols: the variables of the mission.
-        compiler: of expressions.
-        perform: executes a command, see `MissionEffects.perform`: its row, its parameters (of the number and the kinds
-            that it takes), the plan that it belongs to, and its stop conditions.
-        executed: lines so far.
-        default_end: of the last command.
-        time: ``$time``, s.
-        holds: asked before each line; the run stands while it is true.
-        skips: lines are those of a `case` that is not wanted.
-        case: the one that is.
+        vehicle, output, commands, limits: The arguments.
+        profile: Profile of the mission, like MRC or sound.
+        symbols: Variables of the mission.
+        compiler: Compiler of expressions.
+        perform: Function that executes a command; see `MissionEffects.perform`. Its arguments are the command's row,
+            its parameters (checked for number and kind), its plan and its stop conditions.
+        executed: Number of lines executed so far.
+        default_end: Default end of the last command.
+        time: Value of ``$time``, in s.
+        holds: Function that is called before each line. The run is held while it returns true.
+        skips: Whether lines are skipped, because they belong to another `case`.
+        case: Number of the wanted `case`.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class ScriptInterpreter:
         self.holds: Callable[[PlanLine], bool] | None = None
         self._condition = vehicle.symbols.system["condition"].place
         self.symbols.pool[self._condition] = -1.0
-        # The conditions of the present line, and as they were computed last. Watches use the same place in MRC.
+        # The conditions of the current line, and their last values. In MRC, watches use the same memory.
         self._tests: tuple[Value, ...] = ()
         self._found = [0.0] * 128
         self.case = 0
@@ -101,7 +101,7 @@ class ScriptInterpreter:
     # -- cycles -------------------------------------------------------------------------------------
 
     def step(self, run: Run) -> bool:
-        """One cycle of a run; whether it is over."""
+        """Perform one cycle of a run. Return whether the run has ended."""
         run.enter(self.vehicle.odometry.distance, self.vehicle.cycles)
         if run.stage is Stage.FETCH or run.stage is Stage.HOLD:
             self._fetch(run)
@@ -112,7 +112,7 @@ class ScriptInterpreter:
         return run.stage is Stage.DONE
 
     def update_variables(self, run: Run) -> None:
-        """Bring the system variables up to date, with distance and time of a run."""
+        """Update the system variables, with the distance and time of a run."""
         vehicle = self.vehicle
         driven = vehicle.odometry.distance - run.start_distance
         vehicle.variables.update(vehicle, driven, run.cycles, self.time)
@@ -152,7 +152,7 @@ class ScriptInterpreter:
             self.output.line(self.executed, line)
             left -= 1
             if left < 0:
-                reason = f"a loop that takes no time: {self.limits.lines} lines in one cycle"
+                reason = f"endless loop without a wait: {self.limits.lines} lines in one cycle"
                 self._fail(run, LineFault(reason, is_limit=True))
                 return
             if self.skips:
@@ -185,7 +185,10 @@ class ScriptInterpreter:
 
     @staticmethod
     def failure(run: Run | None, reason: str, column: int = 0, *, is_limit: bool = False) -> Failure:
-        """The failure of what a run executes, at a column of the line, or where the present statement begins."""
+        """Create the failure of the running line.
+
+        Its column is `column`, or the start of the current statement.
+        """
         if run is None or run.line is None:
             return Failure(reason, 0, 0, "", is_limit)
         line = run.line
@@ -195,11 +198,11 @@ class ScriptInterpreter:
 
     @property
     def conditions(self) -> tuple[bool, ...]:
-        """The stop conditions of the present line, as they were computed last."""
+        """Last values of the stop conditions of the current line."""
         return tuple(value != 0.0 for value in self._found[: len(self._tests)])
 
     def begin_command(self) -> None:
-        """Set ``$condition`` from the conditions that were computed last, and forget them."""
+        """Set ``$condition`` from the last values of the conditions, and drop the conditions."""
         self.symbols.pool[self._condition] = float(self._first_true())
         self._tests = ()
 
@@ -210,10 +213,10 @@ class ScriptInterpreter:
         return 0
 
     def set_conditions(self, conditions: tuple[Value, ...]) -> None:
-        """Test the stop conditions of a line, now and in each cycle that it takes.
+        """Test the stop conditions of a line now, and in each cycle that the line takes.
 
         Raises:
-            LineFault: one cannot be computed.
+            LineFault: If a condition cannot be computed.
         """
         self._test(conditions)
         self._tests = conditions
@@ -223,10 +226,10 @@ class ScriptInterpreter:
             self._found[number] = test()
 
     def watch(self, tests: Sequence[Value]) -> float:
-        """The value of the first condition of a watch.
+        """Compute the first condition of a watch.
 
         Raises:
-            LineFault: it cannot be computed.
+            LineFault: If the condition cannot be computed.
         """
         if self.profile.watches_apart:
             return tests[0]()
@@ -236,7 +239,10 @@ class ScriptInterpreter:
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
-        """A command within the present one, after which that goes on as before: a watch, or a client's `eval`."""
+        """Run a command inside the current one: a watch, or a client's `eval`.
+
+        The current command continues afterwards.
+        """
         pool = self.symbols.pool
         kept = self._tests, self.default_end, pool[self._condition]
         found = list(self._found) if self.profile.watches_apart else self._found
@@ -250,7 +256,7 @@ class ScriptInterpreter:
     # -- lines --------------------------------------------------------------------------------------
 
     def _skip(self, text: str) -> None:
-        """A line in a `switch` whose case has not come, or is over. It is not read any further."""
+        """Skip a line in a `switch` before the wanted case, or after it. The line is not parsed."""
         text = text.lstrip(" \t\r")
         if text.startswith("case "):
             value = leading_number(text[5:])
@@ -275,14 +281,14 @@ class ScriptInterpreter:
                 return Outcome.NEXT
             raise
         except (ArithmeticError, ValueError) as error:
-            raise LineFault(f"it cannot be computed: {error}") from error
+            raise LineFault(f"the line cannot be computed: {error}") from error
         return Outcome.NEXT
 
     def _reads_on(self, text: str, column: int) -> bool:
-        """Read the rest of a wrong line as MRC does: it complains of the names there.
+        """Read the rest of a wrong line as MRC does, which complains about unknown names.
 
         Returns:
-            Whether there is a character beyond ASCII in it, which has MRC forget the error.
+            Whether the rest contains a character beyond ASCII, which makes MRC forget the error.
         """
         for token in tokenize(text):
             if token.column < column:
@@ -294,7 +300,10 @@ class ScriptInterpreter:
         return False
 
     def evaluate(self, text: str) -> list[float] | None:
-        """The values of ``eval ...``, beside the present command; None if it is something else, or wrong."""
+        """Compute the values of ``eval ...`` while a command runs.
+
+        None if the text is another command, or wrong.
+        """
         line = self._parser.parse(text)
         statement = line.statements[0] if line.statements else None
         with self.aside():
@@ -316,7 +325,7 @@ class ScriptInterpreter:
         self.output.values("".join(f"{format_number(value)}  " for value in values) + "\n")
 
     def perform_aside(self, text: str) -> None:
-        """Execute a line beside the present command, unless it is wrong. It takes no time, whatever it says."""
+        """Execute a line while a command runs, unless the line is wrong. It never takes time."""
         line = PlanLine(text, 0)
         run = Run(MissionPlan([line]))
         run.line = line
@@ -326,10 +335,10 @@ class ScriptInterpreter:
     # -- flow ---------------------------------------------------------------------------------------
 
     def go_to(self, label: str, run: Run) -> None:
-        """Have the line with a label executed next.
+        """Continue with the line that has a label.
 
         Raises:
-            LineFault: there is no such label.
+            LineFault: If there is no such label.
         """
         place = run.plan.labels.get(label)
         if place is None:

@@ -1,8 +1,8 @@
-"""Text of one line to tokens (sections 1 and 3 of the language).
+"""Lexer: converts the text of one line to tokens (sections 1 and 3 of the language).
 
-A line ends at its end, at ``%``, at a line feed, or in a string that is not closed. Spaces, tabs and carriage returns
-separate tokens and mean nothing else. A number is what C's strtod takes; it has no sign. A name is a letter followed by
-letters and digits: an underscore is not part of one. A string stands between quotation marks or backslashes.
+A line ends at the end of the text, at ``%``, at a line feed, or in a string that is not closed. Spaces, tabs and
+carriage returns only separate tokens. A number has the syntax of C's strtod, without a sign. A name is a letter
+followed by letters and digits, without underscores. A string is enclosed in quotation marks or backslashes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from .arithmetic import parse_number
 
-#: MRC keeps a name in 80 bytes and overruns them; a longer name is an error here.
+#: Maximum length of a name. MRC keeps a name in 80 bytes and overruns them; here a longer name is an error.
 LONGEST_NAME = 79
 
 _LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ")
@@ -23,14 +23,14 @@ _PAIRS = frozenset(("==", "!=", ">=", "<=", "@v", "@a"))
 
 
 class TokenType(enum.Enum):
-    """The kind of a token."""
+    """Kind of a token."""
 
     NUMBER = "a number"
     STRING = "a text"
     NAME = "a name"
     SYSTEM = "a system variable"
     SYMBOL = "a symbol"
-    #: The end of the line. Everything behind it is skipped.
+    #: The end of the line. All text after it is skipped.
     END = "the end of the line"
     #: A byte beyond ASCII. MRC's parser takes it for the end of all input.
     FOREIGN = "a character that is not ASCII"
@@ -41,10 +41,10 @@ class Token:
     """A word of the language.
 
     Attributes:
-        type: what it is.
-        text: of a string without its quotation marks, of a system variable without the ``$``; of a symbol itself.
-        column: of its first character, from 1.
-        value: of a number.
+        type: Kind of the token.
+        text: Text of the token: a string without its quotation marks, a system variable without the ``$``.
+        column: Column of its first character, counted from 1.
+        value: Value of a number.
     """
 
     type: TokenType
@@ -61,7 +61,10 @@ class Token:
 
 
 def tokenize(line: str) -> list[Token]:
-    """The tokens of a line, the last of which is its end. Takes any text; what it means is for the parser."""
+    """Split a line into tokens, with its end as the last token.
+
+    Accepts any text; the parser finds errors.
+    """
     found = []
     place = 0
     while True:
@@ -85,7 +88,7 @@ def _next(line: str, place: int) -> tuple[Token, int]:
         value, end = number
         return Token(TokenType.NUMBER, line[place:end], column, value), end
     if first in ('"', "\\"):
-        # Either mark closes it.
+        # Either mark closes the string.
         end = place + 1
         while end < len(line) and line[end] not in ('"', "\\"):
             end += 1

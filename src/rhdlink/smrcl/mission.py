@@ -1,4 +1,4 @@
-"""A mission as a program holds it: a script and a robot, run here, in a thread, or step by step."""
+"""Missions for a user's program: a script and a robot, executed in a thread or step by step."""
 
 from __future__ import annotations
 
@@ -31,17 +31,19 @@ from .robot_link import AnyRobot, RobotLink, open_link, suitable_conf
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-#: Seconds that a process which ends gives a robot to stand.
+#: Time that a robot gets to stop when the process ends, in s.
 _LEAVE_TIMEOUT = 1.0
-#: Bytes of a script. MRC has room for 100000.
+#: Maximum size of a script, in bytes. MRC has room for 100000.
 LARGEST = 1 << 20
 
 
 def read_script(path: str | os.PathLike[str]) -> str:
-    """The text of a script in a file, as UTF-8 if it is that, else as Latin-1, which every file is.
+    """Read a script from a file, as UTF-8 or otherwise as Latin-1.
+
+    Every file is valid Latin-1.
 
     Raises:
-        BadValue: it cannot be read, or is too large.
+        BadValue: If the file cannot be read, or is too large.
     """
     try:
         with open(path, "rb") as file:
@@ -49,7 +51,7 @@ def read_script(path: str | os.PathLike[str]) -> str:
     except (OSError, ValueError) as error:
         raise BadValue(f"cannot read {os.fspath(path)}: {getattr(error, 'strerror', None) or error}") from error
     if len(data) > LARGEST:
-        raise BadValue(f"{os.fspath(path)} is larger than {LARGEST} bytes; that is no script")
+        raise BadValue(f"{os.fspath(path)} is larger than {LARGEST} bytes, so it is not a script")
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
@@ -57,29 +59,29 @@ def read_script(path: str | os.PathLike[str]) -> str:
 
 
 class Mission(StrictAttributes, WithCallbacks):
-    """A script, and the robot that it is for::
+    """A script and its robot::
 
         mission = Mission("square.smr", robot)
         mission.on("text", print)
         mission.run()
 
-    It can be run any number of times, each time from its beginning. When it ends, however it ends, the robot is
-    stopped; if this process is killed, the host has to do that.
+    A mission can be run any number of times, each time from its beginning. However it ends, the robot is stopped at its
+    end. If this process is killed, the host must stop the robot.
 
     Args:
-        source: a script: a path, or the text itself if it has more than one line or does not end in ".smr".
-        robot: a robot that is connected with write access; an address; a plugin such as `Turtle()`, which is run in
-            this process, as fast as it goes; None to check the script only.
-        compat: "sound", or "mrc" for what the original does, see `Profile`.
-        conf: what the robot is: a `RobotConf`, or the path of a `robot.conf`, or of the folder it is in, with the
-            calibrations of the robot's name; by default what a robot with such variables usually is.
-        variables: variables of the script that exist before it begins.
-        limits: bounds.
-        log_folder: where the logs go that the script saves, and as ``log`` what is left in it at the end; by default
-            nowhere.
+        source: Script: a path, or the text itself if it has more than one line or does not end in ".smr".
+        robot: Robot that is connected with write access, an address, or a plugin such as `Turtle()`. A plugin runs in
+            this process, as fast as possible. With None, the script can only be checked.
+        compat: "sound", or "mrc" for the behaviour of the original; see `Profile`.
+        conf: Description of the robot: a `RobotConf`, the path of a `robot.conf`, or the path of its folder, with the
+            calibrations of the robot's name. The default is a typical robot with the same variables.
+        variables: Variables of the script that exist before it begins.
+        limits: Limits of the mission.
+        log_folder: Folder for the logs that the script saves. The rows that remain at the end are saved there as
+            ``log``. By default, logs are not saved.
 
     Raises:
-        BadValue: an argument that cannot be, or a script that cannot be read.
+        BadValue: If an argument is not valid, or the script cannot be read.
     """
 
     def __init__(
@@ -107,21 +109,25 @@ class Mission(StrictAttributes, WithCallbacks):
     # -- a user's program ----------------------------------------------------------------------------
 
     def function(self, name: str, function: Callable[..., float]) -> Self:
-        """Have a function that expressions can call: ``mission.function("dist", math.dist)``. Returns the mission.
+        """Register a function for expressions: ``mission.function("dist", math.dist)``.
+
+        Returns the mission.
 
         Raises:
-            BadValue: no name of the language, one that is taken, or nothing that can be called.
+            BadValue: If the name is not allowed or already in use, or the function is not callable.
         """
         check_callable(function, "function")
         if not (name.isascii() and name.isalnum() and name[:1].isalpha()) or name in RESERVED:
-            raise BadValue(f"a function cannot be called {name!r}: expected letters and digits, and no word of SMR-CL")
+            raise BadValue(
+                f"a function cannot be named {name!r}; expected letters and digits, but not a word of SMR-CL"
+            )
         self._callbacks.functions[name] = function
         return self
 
     # -- checking ------------------------------------------------------------------------------------
 
     def check(self) -> list[Mistake]:
-        """Every mistake in the script that can be known before it runs, in the order of its lines."""
+        """List every mistake that can be found before the script runs, in order of its lines."""
         return self._check(None)
 
     def _check(self, system: Collection[str] | None) -> list[Mistake]:
@@ -136,22 +142,24 @@ class Mission(StrictAttributes, WithCallbacks):
     # -- running -------------------------------------------------------------------------------------
 
     def run(self, timeout: float | None = None) -> MissionRun:
-        """Run here, to the end.
+        """Run the mission in this thread, to its end.
 
         Args:
-            timeout: seconds after which it is cancelled; None for as long as it takes.
+            timeout: Time in seconds after which the mission is cancelled. If None, there is no limit.
 
         Returns:
-            How it went.
+            The finished run.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
-            LinkTimeout: it was not over in time; the robot stands.
-            BadMission: the script cannot work, and has not begun.
-            MissionFailed: a line could not be executed.
-            BadConfiguration: `conf` cannot be read, or says what cannot be.
-            AccessDenied, WrongVariables, ...: the robot cannot be driven.
-            ConnectionLost, LinkTimeout: it went away.
+            BadValue: If `timeout` is not a number of seconds.
+            LinkTimeout: If the mission does not end in time, or the robot does not answer. In the first case, the robot
+                is stopped.
+            BadMission: If the script contains mistakes. Nothing is executed.
+            MissionFailed: If a line cannot be executed.
+            BadConfiguration: If `conf` cannot be read, or contains an invalid setting.
+            AccessDenied, WrongVariables: If the robot cannot be driven. Connecting can raise other errors; see
+                `rhdlink.connect`.
+            ConnectionLost: If the robot disconnects.
         """
         seconds = math.inf if timeout is None else check_seconds(timeout, "timeout")
         run = self._prepare()
@@ -161,29 +169,34 @@ class Mission(StrictAttributes, WithCallbacks):
         return run
 
     def start(self) -> MissionRun:
-        """Run in a thread.
+        """Run the mission in another thread.
 
         Returns:
-            Its handle.
+            The handle of the run.
 
         Raises:
-            as `run`, for what can be known before the first cycle.
+            LinkError: If the mission cannot begin; see `run`.
         """
         run = self._prepare()
         run._start()
         return run
 
     def debug(self, breakpoints: Iterable[int] = ()) -> Debugger:
-        """Run step by step, and to lines of the file. The robot stands whenever the mission does.
+        """Run the mission step by step, and up to breakpoints.
+
+        The robot stops whenever the mission is held.
+
+        Args:
+            breakpoints: Line numbers in the file.
 
         Raises:
-            as `start`.
+            LinkError: If the mission cannot begin; see `run`.
         """
         return Debugger(self._prepare(), breakpoints)
 
     def _prepare(self) -> MissionRun:
         if self._robot is None:
-            raise BadValue("the mission has no robot; it can be checked, but not run")
+            raise BadValue("the mission has no robot, so it can be checked but not run; pass robot=")
         link = open_link(self._robot)
         owned = None if link is self._robot else link
         try:
@@ -219,23 +232,23 @@ class Mission(StrictAttributes, WithCallbacks):
 
 
 class MissionRun(Handle):
-    """A run of a mission. Made by `Mission`."""
+    """Handle of one run of a mission. Made by `Mission`."""
 
     def __init__(self, name: str, execution: MissionExecution, owned: RobotLink | None) -> None:
         super().__init__(Lifecycle(name, CallbackThread(f"mission {name} callbacks")))
         self._execution = execution
         self._owned = owned
 
-    # -- what it is at -------------------------------------------------------------------------------
+    # -- its current state ----------------------------------------------------------------------------
 
     @property
     def line(self) -> int:
-        """The line of the file that is executed, or was last; 0 before the first."""
+        """Number of the current or last line in the file; 0 before the first line."""
         return self._line.number if self._line is not None else 0
 
     @property
     def text(self) -> str:
-        """That line."""
+        """Text of that line."""
         return self._line.text.strip() if self._line is not None else ""
 
     @property
@@ -245,7 +258,7 @@ class MissionRun(Handle):
 
     @property
     def progress(self) -> float:
-        """How far down the script it is, from 0 to 1; 1 only once it has come to its own end."""
+        """Position in the script, from 0 to 1. It is 1 only after the script has reached its end."""
         if self.done and self.error is None:
             return 1.0
         run = self._execution.controller.run
@@ -254,23 +267,23 @@ class MissionRun(Handle):
 
     @property
     def conditions(self) -> tuple[bool, ...]:
-        """The stop conditions of that line, as they were computed last: which are true."""
+        """Last values of the stop conditions of that line, True for a condition that holds."""
         return self._execution.controller.interpreter.conditions
 
     @property
     def cycles(self) -> int:
-        """Ticks of the robot so far."""
+        """Number of ticks of the robot so far."""
         return self._execution.cycles
 
     @property
     def pose(self) -> Pose:
-        """Where the robot is by the mission's odometry: m, m, rad."""
+        """Pose of the robot from the mission's odometry: x in m, y in m, heading in rad."""
         pose = self._execution.controller.vehicle.odometry.pose
         return Pose(pose.x, pose.y, pose.th)
 
     @property
     def variables(self) -> Mapping[str, float | tuple[float, ...]]:
-        """The variables of the script; arrays as tuples."""
+        """Variables of the script, by name; arrays as tuples."""
         symbols = self._execution.controller.vehicle.symbols
         found: dict[str, float | tuple[float, ...]] = {}
         for name, symbol in list(symbols.user.items()):
@@ -279,10 +292,10 @@ class MissionRun(Handle):
         return found
 
     def system(self, name: str) -> float:
-        """A system variable, as it was last computed: ``run.system("$targetdist")``.
+        """Return the last value of a system variable: ``run.system("$targetdist")``.
 
         Raises:
-            BadValue: there is none of that name.
+            BadValue: If there is no such system variable.
         """
         symbols = self._execution.controller.vehicle.symbols
         symbol = symbols.system.get(name.removeprefix("$"))
@@ -293,11 +306,14 @@ class MissionRun(Handle):
     # -- its life ------------------------------------------------------------------------------------
 
     def wait(self, timeout: float = 3600.0, *, cancel: bool = True) -> None:
-        """Wait until it is over, by default for up to an hour; see `Handle.wait`."""
+        """Wait for the end of the mission, by default for at most one hour; see `Handle.wait`."""
         super().wait(timeout, cancel=cancel)
 
     def cancel(self) -> None:
-        """End it at the robot's next tick, and have the robot stand. Returns at once; `wait` returns when it stands."""
+        """End the mission and stop the robot at its next tick.
+
+        `cancel` returns immediately, and `wait` returns when the robot is at rest.
+        """
         if self._life.happened(Event.SEND):
             self._life.fire(Event.BRAKE)
         else:
@@ -328,7 +344,7 @@ class MissionRun(Handle):
                 if not self._execution.cycle():
                     break
                 if until < math.inf and clock.now() > until:
-                    raise LinkTimeout(f"{self.name} was not over in time")
+                    raise LinkTimeout(f"{self.name} did not end in time; it was cancelled, and the robot was stopped")
         except BaseException as error:
             self._execution.stand()
             self._end(error if isinstance(error, Exception) else MissionFailed(f"interrupted by {error!r}"))
@@ -358,11 +374,13 @@ class MissionRun(Handle):
 
 
 class Debugger(StrictAttributes):
-    """A mission that is executed line by line. A context manager that closes itself. Made by `Mission.debug`.
+    """A mission that is executed line by line.
+
+    A context manager that closes itself. Made by `Mission.debug`.
 
     Attributes:
-        breakpoints: numbers of lines before which `resume` stops.
-        run: the run: its variables, pose and so on.
+        breakpoints: Numbers of the lines before which `resume` stops.
+        run: Handle of the run, with its variables, pose and so on.
     """
 
     def __init__(self, run: MissionRun, breakpoints: Iterable[int]) -> None:
@@ -384,29 +402,35 @@ class Debugger(StrictAttributes):
 
     @property
     def line(self) -> int | None:
-        """The line of the file that comes next; None when the mission is over."""
+        """Number of the line in the file that comes next; None after the mission has ended."""
         return None if self.run.done or self._next is None else self._next.number
 
     @property
     def text(self) -> str:
-        """That line."""
+        """Text of that line."""
         return "" if self.run.done or self._next is None else self._next.text.strip()
 
     def step(self) -> int | None:
-        """Execute the next line, until the one after it is to begin; its number, or None when the mission is over.
+        """Execute the next line, until the line after it is due to begin.
+
+        Returns:
+            The number of that next line; None after the mission has ended.
 
         Raises:
-            MissionFailed: the line could not be executed.
-            ConnectionLost, LinkTimeout: the robot went away.
+            MissionFailed: If the line cannot be executed.
+            ConnectionLost, LinkTimeout: If the robot disconnects or does not answer.
         """
         self._steps = True
         return self._go_on()
 
     def resume(self) -> int | None:
-        """Execute until the next breakpoint; the number of that line, or None when the mission is over.
+        """Execute until the next breakpoint.
+
+        Returns:
+            The number of the line at the breakpoint; None after the mission has ended.
 
         Raises:
-            as `step`.
+            LinkError: If a line fails, or the robot does; see `step`.
         """
         self._steps = False
         return self._go_on()
@@ -422,7 +446,7 @@ class Debugger(StrictAttributes):
                     self._finish()
                     break
                 if controller.is_held:
-                    # One more exchange, which tells the robot to stand.
+                    # Exchange once more, to send the stop command to the robot.
                     self._execution.cycle()
                     break
         except Exception:
@@ -437,7 +461,7 @@ class Debugger(StrictAttributes):
             raise error
 
     def close(self) -> None:
-        """Have the robot stand, and end the mission. Idempotent."""
+        """Stop the robot and end the mission. Idempotent."""
         if not self.run.done:
             self._execution.stand()
             self.run.cancel()

@@ -1,11 +1,11 @@
-"""Odometry: the position of the robot from its counters, computed step for step as MRC does.
+"""Odometry: the position of the robot from its counters, computed step by step as in MRC.
 
-A step adds the mean travel of both wheels along the heading that the robot has half-way through its turn. How far it
-turned comes from the wheels, from a heading (`Odometry.heading`), or from a curvature. A step in which a counter moves
-by `max_tick` or more is dropped as a fault, its turn with it.
+A step adds the mean travel of both wheels, along the heading half-way through the turn of the robot. The turn is
+computed from the wheels, from a heading (`Odometry.heading`), or from a curvature. If a counter moves by `max_tick` or
+more in one step, the step is dropped as a fault, together with its turn.
 
-A velocity-omega robot has one counter, taken for the left wheel, and the right one stands still: its metres per count
-are doubled in the configuration, so that the mean is right again.
+A velocity-omega robot has one counter, which is used as the left wheel. Its right wheel never moves. The configuration
+doubles its metres per count, so that the mean of both wheels is right again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .arithmetic import cosine, divide, normalize_angle, sine
 from .planar_pose import PlanarPose
 from .robot_conf import RobotConf
 
-#: A difference beyond half of this is a counter of 30 bits that has wrapped.
+#: Range of a counter of 30 bits. If a difference exceeds half of it, the counter has wrapped.
 _COUNTER = 1 << 30
 
 
@@ -24,25 +24,25 @@ class Odometry:
     """The state of the odometry.
 
     Args:
-        conf: of the robot; what a script changes of it is changed here.
+        conf: Initial configuration of the robot. A script changes the attributes below instead.
 
     Attributes:
         left_scale: m per count of the left counter.
-        right_scale: likewise of the right one.
-        width: between the wheels, m.
-        period: of a cycle, s.
-        max_tick: counts in one cycle from which on a step is a fault.
+        right_scale: m per count of the right counter.
+        width: Distance between the wheels, in m.
+        period: Duration of a cycle, in s.
+        max_tick: Number of counts in one cycle that makes a step a fault.
         heading_source: 0 for the wheels, 1 for `heading`, 2 for `curvature`.
-        is_rate: `heading` is a rate in rad/s rather than an angle.
-        is_relative: the counters tell the counts since the last cycle.
-        pose: where the robot is since the start, or since it was set; the heading in [-pi, pi].
-        heading: of a gyro or counter, rad.
-        curvature: 1/m.
-        velocity: m/s, as are `left_velocity` and `right_velocity`.
-        distance: driven, m, forward and backward alike.
-        left_distance, right_distance: m, backward counts off.
-        left_step, right_step: counts in the last cycle.
-        faults: steps that were dropped.
+        is_rate: Whether `heading` is a rate in rad/s instead of an angle.
+        is_relative: Whether the counters give the counts since the last cycle.
+        pose: Pose of the robot since the start, or since it was set; the heading is in [-pi, pi].
+        heading: Heading of a gyro or counter, in rad.
+        curvature: Curvature of the path, in 1/m.
+        velocity: Speed in m/s, like `left_velocity` and `right_velocity`.
+        distance: Driven distance in m; driving backward increases it too.
+        left_distance, right_distance: Travel of the wheels in m; driving backward decreases it.
+        left_step, right_step: Counts in the last cycle.
+        faults: Number of dropped steps.
     """
 
     def __init__(self, conf: RobotConf) -> None:
@@ -64,16 +64,16 @@ class Odometry:
         self._heading = 0.0
 
     def begin(self, left: int, right: int) -> None:
-        """The counters, and `heading`, before the first step."""
+        """Set the counters, and `heading`, before the first step."""
         self._left, self._right = left, right
         self._heading = self.heading
 
     def update(self, left: int, right: int, cycles: int = 1) -> None:
-        """One cycle, with the counters at its beginning.
+        """Perform one cycle, with the counters at its beginning.
 
         Args:
-            left, right: the counters.
-            cycles: periods since the last update; more than one where answers of the robot were missed.
+            left, right: Counters.
+            cycles: Number of periods since the last update; more than 1 if answers of the robot were missed.
         """
         most, seconds = self.max_tick * cycles, self.period * cycles
         self.right_step = steps_right = _step(right if self.is_relative else right - self._right)
@@ -117,7 +117,7 @@ class Odometry:
 
 
 def _step(difference: int) -> int:
-    """The difference of two counters of 32 bits, or of 30."""
+    """Difference of two counters of 32 or 30 bits."""
     difference = (difference + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
     if difference > _COUNTER // 2:
         return difference - _COUNTER
@@ -125,19 +125,19 @@ def _step(difference: int) -> int:
 
 
 class Covariance:
-    """How far the odometry may be off: the covariance of heading, x and y since the last reset.
+    """Uncertainty of the odometry: the covariance of heading, x and y since the last reset.
 
-    First-order propagation of three sources: the scale of each wheel, whose variance grows with its travel, and the
-    distance between the wheels, whose variance grows with the turn. Robots without two wheels get what follows from
-    their one counter, as in MRC: it means little.
+    The covariance is propagated to first order from three sources. Two are the scales of the wheels; their variance
+    grows with the travel. The third is the distance between the wheels; its variance grows with the turn. For robots
+    without two wheels, the covariance follows from their one counter, as in MRC, and has little meaning.
 
     Args:
-        conf: of the robot; what a script changes of it later does not count here.
+        conf: Configuration of the robot. Later changes by a script have no effect here.
 
     Attributes:
-        wheel: variance of a wheel's travel after 1 m, m2.
-        base: relative variance of the distance between the wheels after a full turn.
-        th_th, th_x, th_y, x_x, x_y, y_y: of the covariance matrix, rad2, rad m, m2.
+        wheel: Variance of a wheel's travel after 1 m, in m2.
+        base: Relative variance of the distance between the wheels after a full turn.
+        th_th, th_x, th_y, x_x, x_y, y_y: Elements of the covariance matrix, in rad2, rad m and m2.
     """
 
     def __init__(self, conf: RobotConf) -> None:
@@ -147,12 +147,12 @@ class Covariance:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is uncertain, and the heading is that of the x axis."""
+        """Set the covariance to zero, and the heading to the x axis."""
         self._th = 0.0
         self.th_th = self.th_x = self.th_y = self.x_x = self.x_y = self.y_y = 0.0
 
     def update(self, left_step: int, right_step: int) -> None:
-        """One cycle, with the counts of both wheels in it."""
+        """Perform one cycle, with the counts of both wheels in it."""
         if not (left_step or right_step):
             return
         left, right = left_step * self._conf.left_scale, right_step * self._conf.right_scale
@@ -161,15 +161,15 @@ class Covariance:
         middle = self._th + turn / 2
         self._th += turn
         along_x, along_y = cosine(middle), sine(middle)
-        # How the pose before moves the pose after: its heading turns the way.
+        # Effect of the previous pose on the new one: a heading error turns the driven distance.
         to_x, to_y = -way * along_y, way * along_x
         self.y_y += 2 * to_y * self.th_y + to_y * to_y * self.th_th
         self.x_y += to_y * self.th_x + to_x * self.th_y + to_x * to_y * self.th_th
         self.x_x += 2 * to_x * self.th_x + to_x * to_x * self.th_th
         self.th_y += to_y * self.th_th
         self.th_x += to_x * self.th_th
-        # What is added: each source with its derivatives of heading, x and y. MRC counts the turn of the way by one
-        # wheel twice; so it is here, or $odocov* would be others.
+        # Add each source with its derivatives for heading, x and y. MRC counts the turn of the distance by one wheel
+        # twice. This code does the same, because otherwise $odocov* would differ from MRC.
         base = divide(self.base * width * width, math.tau * abs(turn)) if turn else 0.0
         by_x, by_y = divide(to_x, width), divide(to_y, width)
         self._add(self.wheel * abs(right), curvature, along_x / 2 + by_x, along_y / 2 + by_y)

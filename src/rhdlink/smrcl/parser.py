@@ -1,4 +1,6 @@
-"""One line of SMR-CL to its syntax tree, by recursive descent with precedence climbing.
+"""Parser of one line of SMR-CL to its syntax tree.
+
+It uses recursive descent with precedence climbing.
 
 ::
 
@@ -9,13 +11,13 @@
     wait       = ":" conditions
     conditions = "(" expression ")" { "|" "(" expression ")" }
     eval       = "eval" expression { ";" expression }
-    if         = "if" "(" expression ")" STRING            ; what follows is not looked at
-    switch     = "switch" "(" expression ")"               ; likewise
-    case       = "case" NUMBER                             ; likewise
-    endswitch  = "endswitch"                               ; likewise
+    if         = "if" "(" expression ")" STRING            ; the rest of the line is ignored
+    switch     = "switch" "(" expression ")"               ; the rest of the line is ignored
+    case       = "case" NUMBER                             ; the rest of the line is ignored
+    endswitch  = "endswitch"                               ; the rest of the line is ignored
 
-MRC executes a line while it reads it, so what stands before an error has had its effect. Here a line with an error is
-the tree up to there and the error (`ScriptLine`), and executing it does the same.
+MRC executes a line while it reads it, so the text before an error has already had its effect. This parser returns a
+line with an error as the tree before the error, and the error (`ScriptLine`). Executing it has the same effect.
 """
 
 from __future__ import annotations
@@ -51,10 +53,10 @@ from .syntax import (
     WaitFor,
 )
 
-#: Words that are statements rather than names.
+#: Words that begin statements and cannot be names.
 KEYWORDS = frozenset(("if", "eval", "switch", "case", "endswitch"))
 
-#: Arguments of each function of the language.
+#: Number of arguments of each function of the language.
 FUNCTIONS: Mapping[str, int] = {
     **dict.fromkeys(UNARY_FUNCTIONS, 1),
     **dict.fromkeys(BINARY_FUNCTIONS, 2),
@@ -62,12 +64,12 @@ FUNCTIONS: Mapping[str, int] = {
     "ntrue": 2,
 }
 
-#: Brackets within brackets. A line of 255 characters has room for 125; scripts use a few.
+#: Maximum depth of nested brackets. A line of 255 characters has room for 125; scripts use only a few.
 DEEPEST = 60
 
 
 class _Unexpected(Exception):
-    """The line goes on otherwise than it may. Never leaves this module."""
+    """The next token is not allowed here. Never leaves this module."""
 
     def __init__(self, token: Token, message: str) -> None:
         super().__init__(message)
@@ -75,11 +77,11 @@ class _Unexpected(Exception):
 
 
 class Parser:
-    """Reads lines.
+    """Parses lines.
 
     Args:
-        commands: names of the commands; a variable cannot have them.
-        functions: names of functions beside those of the language; they take any number of arguments.
+        commands: Names of the commands, which variables cannot have.
+        functions: Names of additional functions; they accept any number of arguments.
     """
 
     def __init__(self, commands: Collection[str], functions: Iterable[str] = ()) -> None:
@@ -90,10 +92,10 @@ class Parser:
         self._statements: list[Statement] = []
 
     def parse(self, text: str) -> ScriptLine:
-        """The tree of a line. Never raises: what is wrong stands in it."""
+        """Parse a line into a tree. Never raises: an error is stored in the tree."""
         length = len(text.rstrip("\r\n"))
         if length > LONGEST_LINE:
-            # Nothing of it is executed: the depth of a tree is bounded by the length of its line.
+            # Execute nothing of it, because the length of a line limits the depth of its tree.
             return ScriptLine(
                 (), Problem(LONGEST_LINE + 1, f"the line has {length} characters; {LONGEST_LINE} are allowed")
             )
@@ -161,13 +163,15 @@ class Parser:
     def _variable(self) -> VariableName:
         token = self._next()
         if len(token.text) > LONGEST_NAME:
-            raise _Unexpected(token, f"a name has at most {LONGEST_NAME} characters, this one {len(token.text)}")
+            raise _Unexpected(
+                token, f"a name can have at most {LONGEST_NAME} characters; this one has {len(token.text)}"
+            )
         return VariableName(token.text, token.type is TokenType.SYSTEM, token.column)
 
     # -- statements ----------------------------------------------------------------------------
 
     def _statement(self) -> Statement | None:
-        """The statement that begins here; None at the end of the line."""
+        """Parse the statement that begins here; None at the end of the line."""
         token = self._token
         if token.type is TokenType.END:
             return None
@@ -211,7 +215,7 @@ class Parser:
         target = self._variable_or_element()
         if not self._take("="):
             if isinstance(target, VariableName) and not target.is_system:
-                raise self._unexpected(f"'=' after {target.name}, which is no command")
+                raise self._unexpected(f"'=' after {target.name}, which is not a command")
             raise self._unexpected("'='")
         value = self._expression()
         following = self._token
@@ -219,7 +223,10 @@ class Parser:
         return Assign(target, value, following.text if is_name else None)
 
     def _command(self, name: Token) -> CommandStatement:
-        """A command. One that breaks off is a statement of the line, too."""
+        """Parse a command.
+
+        If it contains an error, its first part becomes a statement of the line too.
+        """
         parameters: list[Operand] = []
         speeds: list[SpeedSetting] = []
         conditions: tuple[Expression, ...] = ()
@@ -281,10 +288,10 @@ class Parser:
     # -- expressions ---------------------------------------------------------------------------
 
     def _expression(self, loosest: int = 0) -> Expression:
-        """An expression whose operators bind at least as tightly as `loosest`."""
+        """Parse an expression whose operators bind at least as tightly as `loosest`."""
         self._depth += 1
         if self._depth > DEEPEST:
-            raise _Unexpected(self._token, f"more than {DEEPEST} brackets and signs within each other")
+            raise _Unexpected(self._token, f"more than {DEEPEST} nested brackets and signs")
         left = self._primary()
         while self._token.type is TokenType.SYMBOL:
             operator = self._token.text

@@ -1,4 +1,4 @@
-"""A script as the interpreter sees it: its lines and labels, and an execution of it."""
+"""A script as the interpreter needs it: its lines and labels, and one execution of it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-#: Characters of a line. MRC cuts longer ones, and takes the rest for the next line.
+#: Maximum number of characters of a line. MRC cuts longer lines, and takes the rest as the next line.
 LONGEST_LINE = 255
 
-#: Where MRC finds labels: in lines that begin with the word, the letters and digits behind the first quotation mark.
+#: Pattern of MRC's labels: in a line that begins with `label`, the letters and digits after the first quotation mark.
 _LABEL = re.compile(r'label[^"]*"([A-Za-z0-9]*)')
 
 
@@ -20,10 +20,10 @@ class PlanLine:
     """One line.
 
     Attributes:
-        text: without leading blanks; of a file with the line feed at its end.
-        number: of the file, from 1.
-        indent: blanks that were before it there.
-        steps: what it says, once it has been read; compiled by the interpreter that executes it, see `compile_line`.
+        text: Text without leading blanks. In a file it includes the line feed.
+        number: Line number in the file, counted from 1.
+        indent: Number of blanks before the text in the file.
+        steps: Compiled steps of the line, made by the interpreter at the first execution; see `compile_line`.
     """
 
     text: str
@@ -33,16 +33,16 @@ class PlanLine:
 
 
 class MissionPlan:
-    """Lines, and the one that comes next.
+    """Lines of a script, and the position of the next one.
 
     Args:
-        lines: texts with their numbers.
-        name: of the script.
+        lines: Lines with their numbers.
+        name: Name of the script.
 
     Attributes:
-        lines: all of them.
-        next: index of the one that comes next.
-        labels: index of the line of each label; of several lines with the same one the first counts.
+        lines: All lines.
+        next: Index of the next line.
+        labels: Index of the line of each label. If several lines have the same label, the first one counts.
     """
 
     def __init__(self, lines: Iterable[PlanLine], name: str = "") -> None:
@@ -54,7 +54,7 @@ class MissionPlan:
             self.append(line)
 
     def append(self, line: PlanLine) -> None:
-        """Add a line at the end."""
+        """Append a line."""
         found = _LABEL.match(line.text)
         if found is not None:
             self.labels.setdefault(found.group(1), len(self.lines))
@@ -62,11 +62,11 @@ class MissionPlan:
 
 
 def split_lines(source: str, *, cuts: bool) -> Iterator[PlanLine]:
-    """The lines of a file.
+    """Split a file into lines.
 
     Args:
-        source: its text.
-        cuts: cut lines after 255 characters, as MRC does; without it they are left as they are.
+        source: Text of the file.
+        cuts: Whether to cut lines after 255 characters, as MRC does; otherwise lines have any length.
     """
     *lines, last = source.split("\n")
     texts = [f"{text}\n" for text in lines] + [last] * bool(last)
@@ -79,9 +79,9 @@ def split_lines(source: str, *, cuts: bool) -> Iterator[PlanLine]:
 
 
 class Outcome(enum.Enum):
-    """How a line goes on."""
+    """Next step after a line: wait, or continue with the next line."""
 
-    #: The line takes time: it is over when its end or a condition is true.
+    #: The line takes time: it ends when its default end or a stop condition is true.
     WAIT = 0
     #: The next line follows in the same cycle.
     NEXT = 1
@@ -89,14 +89,14 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a plan has failed.
+    """Failure of a plan.
 
     Attributes:
-        reason: in words.
-        line: of the file, from 1; 0 where no line is at fault.
-        column: from 1; 0 where no line is at fault.
-        text: of the line.
-        is_limit: a bound was reached.
+        reason: Description of the error.
+        line: Line in the file, counted from 1; 0 if no line caused the error.
+        column: Column in the line, counted from 1; 0 if no line caused the error.
+        text: Text of the line.
+        is_limit: Whether a limit was reached.
     """
 
     reason: str
@@ -107,16 +107,16 @@ class Failure:
 
 
 class Stage(enum.Enum):
-    """The step of a run in its next cycle."""
+    """Step of a run in its next cycle."""
 
     FETCH = "reads lines"
     WAIT = "tests the end of a line"
-    ROUTINE = "goes through a routine of a command"
-    HOLD = "stands at a breakpoint"
-    DONE = "is over"
+    ROUTINE = "executes a routine of a command"
+    HOLD = "is held at a breakpoint"
+    DONE = "has ended"
 
 
-#: What a run leaves as its result; otherwise 0 for a default end, or the number of the condition that was true.
+#: Special results of a run. Otherwise the result is 0 for a default end, or the number of the condition that was true.
 FREE_LINE, ERROR = -2.0, -1.0
 
 
@@ -124,15 +124,15 @@ class Run:
     """One execution of a plan.
 
     Args:
-        plan: what is executed.
-        result: what is left there until a line has a result.
+        plan: Plan to execute.
+        result: Initial result, until a line has a result.
 
     Attributes:
-        plan: what is executed; `goto` moves in it.
-        line: the line that is executed.
-        column: in it, from 1: of the statement that is executed.
-        result: of the last line: 0 for its default end, the number of a condition, `FREE_LINE` or `ERROR`.
-        failure: why it ended early; None if it did not.
+        plan: Plan that is executed; `goto` changes its next line.
+        line: Current line.
+        column: Column of the current statement in the line, counted from 1.
+        result: Result of the last line: 0 for its default end, the number of a condition, `FREE_LINE` or `ERROR`.
+        failure: Failure that ended the run early; None if there was none.
     """
 
     def __init__(self, plan: MissionPlan, result: float = 0.0) -> None:
@@ -149,17 +149,23 @@ class Run:
         self._routine: Callable[[int], bool] | None = None
 
     def start_routine(self, routine: Callable[[int], bool]) -> None:
-        """Go through a routine from the next cycle on; it is given the number of the cycle and says when it is over."""
+        """Start a routine in the next cycle.
+
+        The routine is called with the number of the cycle, and returns whether it has ended.
+        """
         self._routine = routine
         self.stage = Stage.ROUTINE
 
     def continue_routine(self) -> None:
-        """One cycle of the routine."""
+        """Perform one cycle of the routine."""
         if self._routine is None or self._routine(self.cycles):
             self.stage = Stage.FETCH
 
     def enter(self, distance: float, cycles: int) -> None:
-        """Begin a cycle, `cycles` periods after the one before; distance and time count from the first of a stage."""
+        """Begin a cycle, `cycles` periods after the last one.
+
+        Distance and time count from the first cycle of a stage.
+        """
         if self.stage is not self._entered:
             self._entered = self.stage
             self.cycles = 0

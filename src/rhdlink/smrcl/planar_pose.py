@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 @dataclass
 class PlanarPose:
-    """A place and a heading: m, m, rad."""
+    """Position and heading: x in m, y in m, th in rad."""
 
     x: float = 0.0
     y: float = 0.0
     th: float = 0.0
 
     def set(self, x: float, y: float, th: float) -> None:
-        """Go there."""
+        """Set all three values."""
         self.x, self.y, self.th = x, y, th
 
     def copy(self) -> PlanarPose:
-        """Another one at the same place."""
+        """Return a copy of the pose."""
         return PlanarPose(self.x, self.y, self.th)

@@ -1,4 +1,7 @@
-"""The output of a mission, and who receives it: the session of a client, or where there is none an outbox."""
+"""The output of a mission, and its receivers.
+
+A receiver is the session of a client, or an outbox if there is no client.
+"""
 
 from __future__ import annotations
 
@@ -11,32 +14,32 @@ from typing import Protocol
 from .arithmetic import format_number
 from .plan import LONGEST_LINE, MissionPlan, PlanLine
 
-#: Messages of one cycle that are kept; a script can print 20000.
+#: Maximum number of messages kept for one cycle; a script can print 20000.
 _MOST = 50_000
-#: Events of a client, and variables in its stream: as in MRC.
+#: Maximum number of events of a client, and of variables in its stream, as in MRC.
 MOST_EVENTS, MOST_STREAMED = 100, 20
-#: Bytes that wait to be sent to a client before it is given up.
+#: Maximum number of bytes buffered for a client before its session is closed.
 _MOST_WAITING = 1 << 20
-#: Lines that may wait to be taken before nothing more should be read from the client.
+#: Number of buffered lines above which no more bytes should be read from the client.
 MOST_BACKLOG = 1000
 
 
 class SaidKind(enum.Enum):
-    """The kind of an output."""
+    """Kind of an output."""
 
     #: A line is about to be executed.
     LINE = "line"
-    #: The values of `eval`.
+    #: Values of `eval`.
     VALUES = "values"
-    #: What a command or an error has to say, for whoever reads along.
+    #: Message of a command or an error, for a person who watches the mission.
     MESSAGE = "message"
-    #: `print` and `read`, without a client.
+    #: Text of `print` and `read`, without a client.
     TEXT = "text"
-    #: `putevent`, `syncevent`, a watch, or the status of motion control, without a client.
+    #: Event of `putevent`, `syncevent`, a watch, or the status of motion control, without a client.
     EVENT = "event"
-    #: `stream`, without a client.
+    #: Values of `stream`, without a client.
     STREAM = "stream"
-    #: `control "savelog"`: the name, and the text behind a line feed.
+    #: Log of `control "savelog"`: the name, a line feed, and the text.
     LOG = "log"
 
 
@@ -45,10 +48,10 @@ class Said:
     """One output of a mission.
 
     Attributes:
-        kind: what it is.
-        text: in words. A line and values end with a line feed, a message as MRC prints it.
-        number: of a line: how many have been executed; else 0.
-        line: of a line: where it stands in the file; else 0.
+        kind: Kind of the output.
+        text: Text of the output. A line and values end with a line feed; a message is as MRC prints it.
+        number: For a line, the number of executed lines; otherwise 0.
+        line: For a line, its number in the file; otherwise 0.
     """
 
     kind: SaidKind
@@ -58,46 +61,49 @@ class Said:
 
     @property
     def printed(self) -> str:
-        """As MRC prints it; "" for what it does not print."""
+        """The text as MRC prints it; "" for output that MRC does not print."""
         if self.kind is SaidKind.LINE:
             return f"Line no {self.number:3d}:   {self.text} \n"
         return self.text if self.kind in (SaidKind.VALUES, SaidKind.MESSAGE) else ""
 
 
 class Recipient(Protocol):
-    """Receives what a script says to its client: the session of the client that sent the command, or an `Outbox`.
+    """Receiver of a script's output to its client.
+
+    It is the session of the client that sent the command, or an `Outbox`.
 
     Attributes:
-        uses_xml: the form of events, for ``set "xmlon"``.
+        uses_xml: Whether events are sent as XML, set by ``set "xmlon"``.
     """
 
     uses_xml: bool
 
     @property
     def can_answer(self) -> bool:
-        """It can send a line for `read`."""
+        """Whether the client can send a line for `read`."""
 
     def text(self, text: str) -> None:
-        """`print`, `read`."""
+        """Receive a text of `print` or `read`."""
 
     def user_event(self, name: str) -> None:
-        """`putevent`."""
+        """Receive an event of `putevent`."""
 
     def sync_event(self, name: str) -> None:
-        """`syncevent`."""
+        """Receive an event of `syncevent`."""
 
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
-        """`stream`: names, and places in the pool."""
+        """Receive the variables of `stream`: names, and indices in the pool."""
 
     def save_log(self, name: str, text: str) -> None:
-        """`control "savelog"`."""
+        """Receive a log of `control "savelog"`."""
 
 
 class Outbox:
-    """Collects the output of the interpreter; it takes the place of a client where there is none.
+    """Collects the output of the interpreter. It replaces a client if there is none.
 
     Attributes:
-        can_answer, uses_xml: see `Recipient`; there is no client to answer, or to send XML to.
+        can_answer, uses_xml: See `Recipient`. They are False, because there is no client that could answer or receive
+            XML.
     """
 
     can_answer = False
@@ -108,7 +114,7 @@ class Outbox:
         self._streamed = 0
 
     def take(self) -> list[Said]:
-        """The output since the last call."""
+        """Remove and return the output since the last call."""
         said, self._said = self._said, []
         return said
 
@@ -116,59 +122,59 @@ class Outbox:
         if len(self._said) < _MOST:
             self._said.append(Said(kind, text, number, line))
 
-    # -- of the interpreter ---------------------------------------------------------------------------------
+    # -- output of the interpreter --------------------------------------------------------------------------
 
     def line(self, number: int, line: PlanLine) -> None:
-        """A line is about to be executed."""
+        """Add a line that is about to be executed."""
         self._add(SaidKind.LINE, line.text, number, line.number)
 
     def values(self, text: str) -> None:
-        """The values of `eval`."""
+        """Add the values of `eval`."""
         self._add(SaidKind.VALUES, text)
 
     def message(self, text: str) -> None:
-        """What a command, or an error, has to say."""
+        """Add a message of a command or of an error."""
         self._add(SaidKind.MESSAGE, text)
 
     # -- Recipient ------------------------------------------------------------------------------------
 
     def text(self, text: str) -> None:
-        """`print`, `read`."""
+        """Add a text of `print` or `read`."""
         self._add(SaidKind.TEXT, text)
 
     def user_event(self, name: str) -> None:
-        """`putevent`."""
+        """Add an event of `putevent`."""
         self._add(SaidKind.EVENT, f"userevent {name}")
 
     def sync_event(self, name: str) -> None:
-        """`syncevent`."""
+        """Add an event of `syncevent`."""
         self._add(SaidKind.EVENT, f"syncevent {name}")
 
     def event(self, text: str) -> None:
-        """A watch, or the status of motion control."""
+        """Add an event of a watch, or of the status of motion control."""
         self._add(SaidKind.EVENT, text)
 
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
-        """Not sent, since there is no client; MRC prints each variable that was asked for."""
+        """Print each requested variable, as MRC does. Nothing is sent, because there is no client."""
         for each in variables:
             self._streamed += 1
             self.message(f"streamvar {each[0]} {self._streamed} \n")
 
     def save_log(self, name: str, text: str) -> None:
-        """`control "savelog"`."""
+        """Add a log of `control "savelog"`."""
         self._add(SaidKind.LOG, f"{name}\n{text}")
 
 
 class Session:
-    """One client.
+    """Session of one client.
 
     Args:
-        outbox: gets the output that MRC prints.
-        pool: the values of the variables.
+        outbox: Receiver of the output that MRC prints.
+        pool: Values of the variables.
 
     Attributes:
-        is_closed: it has left, or was given up; nothing more is taken from it.
-        uses_xml: the form of its events. Those that wait keep theirs.
+        is_closed: Whether the client has left or was disconnected. Nothing more is received from it.
+        uses_xml: Whether its events are sent as XML. Queued events keep their form.
     """
 
     def __init__(self, outbox: Outbox, pool: Sequence[float]) -> None:
@@ -191,13 +197,13 @@ class Session:
     # -- bytes --------------------------------------------------------------------------------------
 
     def receive(self, data: bytes) -> None:
-        """Take what has come. Lines end with CR, LF, or both in either order."""
+        """Receive bytes. Lines end with CR, LF, or both in either order."""
         if self.is_closed:
             return
         for byte in data:
             if byte in (10, 13):
                 if self._after and byte != self._after:
-                    # The second half of the end of a line.
+                    # The second half of a line end.
                     self._after = 0
                     continue
                 self._after = byte
@@ -212,19 +218,19 @@ class Session:
                     return
 
     def take(self) -> bytes:
-        """The bytes to be sent, which are then removed here."""
+        """Remove and return the bytes to send."""
         answers, self._answers = bytes(self._answers), bytearray()
         return answers
 
     def send(self, text: str) -> None:
-        """Send a text, unless the client takes nothing any more."""
+        """Send a text. If the client does not read for too long, close the session."""
         self._answers += text.encode("latin-1", "replace")
         if len(self._answers) > _MOST_WAITING:
             self.is_closed = True
 
     @property
     def backlog(self) -> int:
-        """Lines that wait to be taken."""
+        """Number of buffered lines."""
         return len(self._lines)
 
     @property
@@ -233,15 +239,15 @@ class Session:
         return self._waiting is not None
 
     def next_line(self) -> str | None:
-        """The next line, or None."""
+        """Remove and return the next line; None if there is none."""
         return self._lines.popleft() if self._lines else None
 
-    # -- what the client is sent ----------------------------------------------------------------------
+    # -- data for the client --------------------------------------------------------------------------
 
     def event(self, plain: str, xml: str) -> None:
-        """Send an event in the xml form, or keep it until it is requested.
+        """Send an event as XML, or keep it until it is requested.
 
-        Of more than `MOST_EVENTS` the newest are lost, as in MRC.
+        If there are more than `MOST_EVENTS`, the newest events are lost, as in MRC.
         """
         if self.uses_xml:
             self.send(xml)
@@ -249,7 +255,7 @@ class Session:
             self._events.append(plain)
 
     def command_event(self, number: int, status: str, condition: float | None = None) -> None:
-        """The outcome of a command."""
+        """Send the outcome of a command as an event."""
         plain, xml = f"ID{number} {status}", f'<cmd id="{number}" status="{status}"'
         if condition is not None:
             found = format_number(condition)
@@ -257,18 +263,24 @@ class Session:
         self.event(f"{plain}\n", f"{xml} />\n")
 
     def answer_command(self, number: int, status: str) -> None:
-        """The immediate answer to a command."""
+        """Send the immediate answer to a command."""
         self.send(f'<cmd id="{number}" status="{status}" />\n' if self.uses_xml else f"ID{number} {status}\n")
 
     def ask_event(self, seconds: float) -> None:
-        """Send the oldest event, or the next one within some seconds. Asking again replaces the question."""
+        """Send the oldest event, or the next one within `seconds`.
+
+        A new request replaces the pending one.
+        """
         if self._events:
             self.send(self._events.popleft())
         else:
             self._waiting = int(max(-(2.0**31), min(2.0**31, seconds * 100)))
 
     def end_cycle(self) -> None:
-        """Answer a `getevent` that waits: with the oldest event, or when its time is up with `eventtimeout`."""
+        """Answer a pending `getevent` with the oldest event, or with `eventtimeout`.
+
+        A client receives `eventtimeout` when the time of its request is up.
+        """
         if self._waiting is None:
             return
         if self._events:
@@ -281,7 +293,10 @@ class Session:
             self._waiting -= 1
 
     def begin_cycle(self, cycle: int, time: float) -> None:
-        """Send the streamed variables in each cycle in which they are due; `time` is ``$time`` of this one."""
+        """Send the streamed variables in each cycle in which they are due.
+
+        `time` is ``$time`` of this cycle.
+        """
         self._time = time
         if self._streamed and cycle % self._stream_period == 0:
             self._send_streamed(self._streamed)
@@ -299,23 +314,26 @@ class Session:
 
     @property
     def can_answer(self) -> bool:
-        """It can send a line."""
+        """Whether the client can send a line."""
         return not self.is_closed
 
     def text(self, text: str) -> None:
-        """`print`, `read`."""
+        """Send a text of `print` or `read`."""
         self.send(text)
 
     def user_event(self, name: str) -> None:
-        """`putevent`."""
+        """Send or keep an event of `putevent`."""
         self.event(f"userevent {name}\n", f'<userevent name="{name}" />\n')
 
     def sync_event(self, name: str) -> None:
-        """`syncevent`: not queued in either form."""
+        """Send an event of `syncevent`. It is not queued in either form."""
         self.send(f"syncevent {name}\n")
 
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
-        """`stream`: add variables, and send all of them in each `period`-th cycle; with 0 send these once."""
+        """Add variables of `stream`, and send all of them in each `period`-th cycle.
+
+        With 0, send only these, once.
+        """
         if period == 0:
             self._send_streamed(variables)
             return
@@ -325,5 +343,5 @@ class Session:
             self._outbox.message(f"streamvar {each[0]} {len(self._streamed)} \n")
 
     def save_log(self, name: str, text: str) -> None:
-        """`control "savelog"`."""
+        """Save a log of `control "savelog"`."""
         self._outbox.save_log(name, text)

@@ -1,7 +1,7 @@
-"""The configuration of a robot for MRC: its kind, its scales and its gains, as `robot.conf` has them.
+"""The configuration of a robot for MRC, as in `robot.conf`: kind, scales and gains.
 
-Defaults are MRC's own without a file, except where it has none. The elements of the file are found wherever they stand
-in it; those for hardware that missions here do not have (``<filter>``, ``<gpsmouse>``, ...) are passed over.
+The defaults are MRC's own defaults without a file, if MRC has any. Elements are found anywhere in the file. Elements
+for hardware that missions here do not support (``<filter>``, ``<gpsmouse>``, ...) are ignored.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Scale:
-    """Offset and gain of a variable of the robot (``<varscale>``): its value is ``(raw + offset) * gain``.
+    """Offset and gain of a variable of the robot (``<varscale>``).
+
+    Its value is ``(raw + offset) * gain``.
 
     Attributes:
-        variable: its name, with an index where it is not the first value: ``"adc[2]"``.
+        variable: Name of the variable, with an index if it is not the first value: ``"adc[2]"``.
     """
 
     variable: str
@@ -36,7 +38,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class InputRoute:
-    """An input of a control function that comes from a system variable (``<routeinput>``)."""
+    """An input of a control function that is routed from a system variable (``<routeinput>``)."""
 
     module: str
     function: str
@@ -59,26 +61,27 @@ class RobotConf:
     """The configuration of a robot for MRC.
 
     Attributes:
-        drive: how it is driven.
-        name: only "smr" is special: its infrared sensors slow it down before obstacles.
-        left_scale, right_scale: m per count of the counters. A velocity-omega robot has one counter, the left one, and
-            twice its metres.
-        width: between the wheels, m, for the odometry.
-        period: of a cycle, s; the robot's tick has to be the same.
-        max_tick: counts in a cycle from which on a step is taken for a fault.
+        drive: Kind of drive.
+        name: Name of the robot. Only "smr" has an effect: its infrared sensors slow it down before obstacles.
+        left_scale, right_scale: m per count of the counters. A velocity-omega robot has only the left counter; its
+            value is twice the m per count.
+        width: Distance between the wheels for the odometry, in m.
+        period: Duration of a cycle, in s. The robot's tick must have the same duration.
+        max_tick: Number of counts in a cycle that makes a step a fault.
         heading_source: 0 for the wheels, 1 for the heading counter, 2 for a curvature.
-        is_rate: the heading is a rate.
-        is_relative: the counters are relative.
+        is_rate: Whether the heading is a rate.
+        is_relative: Whether the counters are relative.
         heading_gain: rad per count of the heading counter.
-        motion: gains and limits of motion control.
-        speed, acceleration: m/s and m/s2, until ``@v`` and ``@a``.
-        left_speed_scale, right_speed_scale: counts per m/s of the written speeds; the right one of a velocity-omega
-            robot is per rad/s.
-        line_size: line sensors.
-        line_smoothing: part of their value before that is kept in each cycle.
-        line_white, line_black: their raw values on white and on black; None for uncalibrated ones, which read 0.
-        ir_k1, ir_k2: of the infrared sensors.
-        scales, routes, settings: as the file has them.
+        motion: Gains and limits of motion control.
+        speed, acceleration: Initial values in m/s and m/s2, until ``@v`` and ``@a``.
+        left_speed_scale, right_speed_scale: Counts per m/s of the written speeds. For a velocity-omega robot, the right
+            scale is per rad/s.
+        line_size: Number of line sensors.
+        line_smoothing: Part of the previous value of a line sensor that is kept in each cycle.
+        line_white, line_black: Raw values of the line sensors on white and on black; None for uncalibrated sensors,
+            which read 0.
+        ir_k1, ir_k2: Calibration of the infrared sensors.
+        scales, routes, settings: Entries of the file.
     """
 
     drive: DriveKind = DriveKind.DIFFERENTIAL
@@ -109,17 +112,17 @@ class RobotConf:
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """The read variables without which such a robot does not know where it is."""
+        """Names of the read variables that the odometry of such a robot needs."""
         return ("transpos", "rotpos") if self.drive is DriveKind.VELOMEGA else ("encl", "encr")
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """The write variables by which such a robot is driven."""
+        """Names of the write variables that set the speeds of such a robot."""
         return ("cmdtransvel", "cmdrotvel") if self.drive is DriveKind.VELOMEGA else ("speedl", "speedr")
 
 
 def _usual_motion() -> MotionParameters:
-    """The gains that DTU's robots are shipped with."""
+    """Gains of DTU's robots as shipped."""
     return MotionParameters(drive_kdist=4.8, drive_kangle=2.25, line_tau=10.0, wall_tau=0.7)
 
 
@@ -127,7 +130,7 @@ def _usual_motion() -> MotionParameters:
 SMR = RobotConf(
     left_scale=0.00010245, right_scale=0.00010245, max_tick=1000.0, acceleration=0.3, motion=_usual_motion()
 )
-#: A velocity-omega robot whose counters tell 10 um and rad / 40000, as the turtle.
+#: A velocity-omega robot whose counters are in 10 um and rad / 40000, such as the turtle.
 VELOMEGA = RobotConf(
     drive=DriveKind.VELOMEGA,
     name="turtle",
@@ -143,21 +146,22 @@ VELOMEGA = RobotConf(
 
 
 def read_robot_conf(path: str | os.PathLike[str], *, calibration: str | None = None, robot: str = "") -> RobotConf:
-    """The configuration in a `robot.conf`, with the calibrations beside it.
+    """Read the configuration in a `robot.conf`, and the calibrations next to it.
 
-    MRC names calibrations after the computer that it runs on, which is the robot:
-    ``<name>_demo_odo_calib.dat``, ``<name>_demo_ls_calib.dat``, ``<name>_demo_ir_calib.dat``. What is not calibrated is
-    logged as a warning, with the names of the calibrations that are there.
+    MRC names calibrations after the computer that it runs on, which is the robot: ``<name>_demo_odo_calib.dat``,
+    ``<name>_demo_ls_calib.dat``, ``<name>_demo_ir_calib.dat``. Missing calibrations are logged as a warning, with the
+    names of the calibrations that were found.
 
     Args:
-        path: the file; or the folder that it is in, `calib/` as a rule, where calibrations and `wdssparam.dat` are
-            looked for as well.
-        calibration: the name in the names of the files; then at least one has to be there, also where `path` is the
-            file. By default that of `robot`, else that of this computer.
-        robot: host name of the robot, with or without its domain.
+        path: Path of the file, or of its folder, usually `calib/`. In a folder, calibrations and `wdssparam.dat` are
+            read too.
+        calibration: Name in the file names of the calibrations. If given, at least one of the files must exist, even if
+            `path` is the file. The default is the name of `robot`, or otherwise of this computer.
+        robot: Host name of the robot, with or without its domain.
 
     Raises:
-        BadConfiguration: it cannot be read, or says what cannot be; or there is no calibration of that name.
+        BadConfiguration: If the file cannot be read or contains an invalid value, or there is no calibration with the
+            given name.
     """
     place = Path(path)
     if not place.is_dir():
@@ -175,12 +179,12 @@ def read_robot_conf(path: str | os.PathLike[str], *, calibration: str | None = N
     return _calibrated(conf, place, name, is_needed=False)
 
 
-#: Kinds of calibrations by the names of their files, and what they calibrate.
+#: Kinds of calibrations, by the part of the file name, and the calibrated sensors.
 _KINDS = {"odo": "odometry", "ls": "line sensors", "ir": "infrared sensors"}
 
 
 def _calibrations(folder: Path, name: str) -> list[str]:
-    """The kinds of calibrations that are there under a name."""
+    """Kinds of calibrations that exist for a name."""
     return [kind for kind in _KINDS if (folder / f"{name}_demo_{kind}_calib.dat").is_file()]
 
 
@@ -192,7 +196,7 @@ def _calibrated(conf: RobotConf, folder: Path, name: str, *, is_needed: bool = T
         text = f"{folder}: {', '.join(_KINDS[kind] for kind in lacking)} not calibrated: there is no {files}"
         others = {each.name.partition("_demo_")[0] for each in folder.glob("*_demo_*_calib.dat")} - {name}
         if others:
-            text += f"; there are calibrations of {', '.join(sorted(others))}, which `calibration` takes"
+            text += f"; there are calibrations of {', '.join(sorted(others))}, which you can select with `calibration`"
         if is_needed and not there:
             raise BadConfiguration(text)
         _log.warning("%s", text)
@@ -212,10 +216,10 @@ def _calibrated(conf: RobotConf, folder: Path, name: str, *, is_needed: bool = T
 
 
 def parse_robot_conf(data: bytes | str, source: str = "robot.conf") -> RobotConf:
-    """The configuration in the text of a `robot.conf`.
+    """Parse the text of a `robot.conf`.
 
     Raises:
-        BadConfiguration: it is not a `robot.conf`, or has values that cannot be.
+        BadConfiguration: If the text is not a `robot.conf`, or contains an invalid value.
     """
     conf = RobotConf()
     changes: dict[str, Any] = {}
@@ -274,7 +278,7 @@ _MOTION = {
     "wall_tau": "wall_tau",
     "wall_alfa": "wall_alfa",
 }
-#: What has to be above zero, or nothing can be computed.
+#: Names of values that must be above zero, because they are divisors.
 _POSITIVE = frozenset(("w", "ts"))
 
 
@@ -299,7 +303,7 @@ def _robot(element: Element) -> dict[str, Any]:
         try:
             found["drive"] = DriveKind(kind)
         except ValueError:
-            element.reject(f"type={kind!r}: missions drive differential and velomega robots only")
+            element.reject(f"type={kind!r} is not supported; missions drive only differential and velomega robots")
     if "name" in element.attributes:
         found["name"] = element.attributes["name"]
     return found
@@ -308,7 +312,7 @@ def _robot(element: Element) -> dict[str, Any]:
 def _text(element: Element, name: str) -> str:
     text = element.attributes.get(name)
     if not text:
-        element.reject(f'it needs {name}="..."')
+        element.reject(f'missing {name}="..."')
     return text
 
 
@@ -321,10 +325,10 @@ def _read(path: Path) -> bytes:
 
 
 def _numbers(path: Path, count: int | None) -> tuple[float, ...]:
-    """The numbers that a file holds, those behind a semicolon left out.
+    """Numbers in a file; text after a semicolon is ignored.
 
     Raises:
-        BadConfiguration: they are not so many, or no numbers.
+        BadConfiguration: If the file contains fewer than `count` numbers, or other words.
     """
     try:
         text = _read(path).decode("latin-1")
@@ -332,7 +336,7 @@ def _numbers(path: Path, count: int | None) -> tuple[float, ...]:
     except ValueError as error:
         raise BadConfiguration(f"{path.name}: {error}") from error
     if not all(map(math.isfinite, found)):
-        raise BadConfiguration(f"{path.name} holds a number that is not finite")
+        raise BadConfiguration(f"{path.name} contains a number that is not finite")
     if count is not None and len(found) < count:
-        raise BadConfiguration(f"{path.name} has {len(found)} numbers; expected {count}")
+        raise BadConfiguration(f"{path.name} contains {len(found)} numbers; expected {count}")
     return found if count is None else found[:count]

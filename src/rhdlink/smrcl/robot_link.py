@@ -1,6 +1,7 @@
-"""The link of a mission to its robot, over the network or in this process, and the configuration of that robot.
+"""The link of a mission to its robot, over the network or in this process.
 
-A link exchanges values once per tick. What a mission does with them is the same for all links.
+A link exchanges values once per tick. A mission uses all kinds of links in the same way. The module also finds the
+configuration of the robot.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ Words = Mapping[str, Sequence[int]]
 
 
 class RobotLink(Protocol):
-    """A robot, as the loop of a mission needs it."""
+    """Interface of a robot for the loop of a mission."""
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """Name of the robot, used in error messages and thread names."""
 
     @property
     def read(self) -> Mapping[str, int]:
@@ -41,38 +42,38 @@ class RobotLink(Protocol):
 
     @property
     def write(self) -> Words:
-        """Words of each write variable, by name, as they were at first."""
+        """Initial words of each write variable, by name."""
 
     @property
     def is_lockstep(self) -> bool:
-        """The robot's time stands still between two exchanges."""
+        """Whether the robot's time stops between two exchanges."""
 
     def exchange(self, written: Words, timeout: float | None = None) -> Words:
-        """Write, and wait for the answer of the robot's next tick.
+        """Write values, and wait for the answer of the robot's next tick.
 
         Raises:
-            LinkTimeout, ConnectionLost: there was none.
+            LinkTimeout, ConnectionLost: If there is no answer.
         """
 
     def close(self) -> None:
-        """Give the robot up; it is left as it is. Idempotent."""
+        """Release the robot in its current state. Idempotent."""
 
 
 class ClientLink:
-    """A robot on the network, held by a client of it. For the attributes see `RobotLink`.
+    """A robot on the network, connected by a client. For the attributes, see `RobotLink`.
 
     Args:
-        robot: connected, with write access.
-        is_lockstep: the host waits for each request; nothing tells so.
-        owns: `close` closes it.
+        robot: Robot that is connected with write access.
+        is_lockstep: Whether the host waits for each request. The protocol does not show this.
+        owns: Whether `close` closes the robot.
 
     Raises:
-        AccessDenied: it may not write.
+        AccessDenied: If the robot was connected without write access.
     """
 
     def __init__(self, robot: Variables, *, is_lockstep: bool = False, owns: bool = False) -> None:
         if robot.access != "w":
-            raise AccessDenied(f"{robot.address}: a mission has to write; connect with access='w'")
+            raise AccessDenied(f"{robot.address}: a mission needs write access; connect with access='w'")
         self.name = robot.address
         self.is_lockstep = is_lockstep
         self._robot = robot
@@ -86,7 +87,7 @@ class ClientLink:
                 self.write[variable.name] = _listed(robot[variable.name])
 
     def exchange(self, written: Words, timeout: float | None = None) -> Words:
-        """Write, and wait for the answer of the robot's next tick."""
+        """Write values, and wait for the answer of the robot's next tick."""
         robot = self._robot
         for name, words in written.items():
             robot[name] = words[0] if len(words) == 1 else words
@@ -94,13 +95,16 @@ class ClientLink:
         return _Fetched(lambda name: _listed(robot[name]))
 
     def close(self) -> None:
-        """Close the connection, if it is this link's own."""
+        """Close the connection, if it belongs to this link."""
         if self._owns:
             self._robot.close()
 
 
 class _Fetched(dict[str, Sequence[int]]):
-    """The read variables of a tick. A robot may have thousands, of which a mission looks at a few."""
+    """Read variables of a tick, fetched on demand.
+
+    A robot can have thousands, but a mission needs only a few.
+    """
 
     def __init__(self, fetch: Callable[[str], Sequence[int]]) -> None:
         super().__init__()
@@ -116,20 +120,22 @@ def _listed(words: Any) -> list[int]:
 
 
 class PluginLink:
-    """A robot in this process: its plugins, without a host, a port or a thread. For the attributes see `RobotLink`.
+    """A robot in this process: its plugins, without a host, a port or a thread.
 
-    The plugins are called as a host calls them; this is their `plugin.host`.
+    The link calls the plugins in the same way as a host, and is their `plugin.host`. For the attributes, see
+    `RobotLink`.
 
     Args:
-        plugins: in the order in which they are initialised; they run in the reverse order.
-        period: of a tick, s.
-        is_realtime: a tick takes that time; otherwise it takes none, and the robot waits in between.
+        plugins: Plugins, in the order of their initialisation. They run in the reverse order.
+        period: Duration of a tick, in s.
+        is_realtime: Whether a tick takes this duration. Otherwise a tick takes no time, and the robot waits between
+            ticks.
 
     Attributes:
-        period: of a tick, s.
-        writers: how many clients may write, for plugins: 1 until the link is closed.
-        database: the variables.
-        tick: exchanges so far.
+        period: Duration of a tick, in s.
+        writers: Number of clients that may write, for plugins: 1 until the link is closed, then 0.
+        database: Variables of the robot.
+        tick: Number of exchanges so far.
     """
 
     def __init__(self, plugins: Iterable[Plugin], *, period: float = 0.01, is_realtime: bool = False) -> None:
@@ -143,7 +149,8 @@ class PluginLink:
         self.name = ", ".join(type(plugin).__name__ for plugin in self._plugins)
         self.database = Database()
         self.database.read.add("tick")
-        # Values carry the time of the ticks, and reading a clock for each of them would take longer than the plugins.
+        # Values carry the time of the ticks. Reading a clock for each value would take longer than the plugins
+        # themselves.
         self._now = TimeStamp(0, 0)
         self.database.read.clock = self.database.write.clock = lambda: self._now
         for plugin in self._plugins:
@@ -165,11 +172,13 @@ class PluginLink:
         self._call_plugins()
 
     def exchange(self, written: Words, timeout: float | None = None) -> Words:
-        """Write, and let a tick go by. The answer is what was known before the writing had its effect, as of a host.
+        """Write values, and execute one tick.
+
+        As with a host, the answer does not yet show their effect.
 
         Raises:
-            BadValue: the link was closed.
-            Closed: a plugin has stopped the robot.
+            BadValue: If the link was closed.
+            Closed: If a plugin has stopped the robot.
         """
         if self._is_closed:
             raise BadValue(f"{self.name}: the link was closed")
@@ -195,11 +204,11 @@ class PluginLink:
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """The plugins, in the order in which they were given."""
+        """Plugins, in the given order."""
         return tuple(self._plugins)
 
     def stop(self) -> None:
-        """End after the tick that is running, for plugins: the next `exchange` raises `Closed`."""
+        """End after the current tick; called by plugins. The next `exchange` raises `Closed`."""
         self._is_stopped = True
 
     def _call_plugins(self) -> None:
@@ -207,7 +216,7 @@ class PluginLink:
             plugin.periodic(self.tick)
 
     def close(self) -> None:
-        """Call the plugins once more with no writer left, so that they stop the robot, and terminate them."""
+        """Call the plugins with no writer, so that they stop the robot, and terminate them."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -218,21 +227,22 @@ class PluginLink:
             plugin.terminate()
 
 
-#: The robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
+#: Robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
 AnyRobot = Variables | Plugin | RobotLink | str
 
 
 def open_link(robot: AnyRobot) -> RobotLink:
-    """A link to a robot; whoever asked for it closes it, unless it is `robot` itself.
+    """Open a link to a robot. The caller closes it, unless it is `robot` itself.
 
     Args:
-        robot: one that is connected; a plugin such as `Turtle()`, which is run here, in lockstep; an address, which is
-            connected to; or a link.
+        robot: Connected robot; or a plugin such as `Turtle()`, which runs in this process in lockstep; or an address to
+            connect to; or a link.
 
     Raises:
-        AccessDenied: it may not be written.
-        BadValue: it is nothing of that.
-        BadAddress, ConnectFailed, ...: as `rhdlink.connect`.
+        AccessDenied: If write access is refused.
+        BadValue: If `robot` is none of these.
+        BadAddress, ConnectFailed: If `robot` is an address and connecting fails. Other errors are possible; see
+            `rhdlink.connect`.
     """
     if isinstance(robot, Variables):
         return ClientLink(robot)
@@ -246,11 +256,11 @@ def open_link(robot: AnyRobot) -> RobotLink:
 
 
 def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLink) -> RobotConf:
-    """The configuration of a robot: as given, or the usual one for the variables that it has.
+    """Return the given configuration, or a typical one for the variables of the robot.
 
     Raises:
-        BadConfiguration: the file cannot be read.
-        WrongVariables: the robot lacks what the configuration needs; all of it is listed.
+        BadConfiguration: If the file cannot be read.
+        WrongVariables: If the robot lacks variables that the configuration needs. The error lists all of them.
     """
     if conf is None:
         conf = VELOMEGA if "cmdtransvel" in link.write else SMR
@@ -261,5 +271,5 @@ def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLi
     lacking = [f"there is no read variable {name}" for name in conf.reads if name not in link.read]
     lacking += [f"there is no write variable {name}" for name in conf.writes if name not in link.write]
     if lacking:
-        raise WrongVariables([f"a {conf.drive.value} robot is driven by others", *lacking])
+        raise WrongVariables([f"a {conf.drive.value} robot needs other variables", *lacking])
     return conf

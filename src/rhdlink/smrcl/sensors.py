@@ -1,11 +1,12 @@
-"""Infrared distances, and the line on the floor: MRC's conditioning of the raw values.
+"""Infrared distances, and the line on the floor: MRC's processing of the raw values.
 
-Infrared: raw values are bytes; a distance is ``k1 / (raw - k2)`` m, at most 1 m. The five used are left, front left,
-front middle, front right and right; the sixth is unused.
+Infrared: raw values are bytes. A distance is ``k1 / (raw - k2)`` m, at most 1 m. Five sensors are used: left, front
+left, front middle, front right and right. The sixth is unused.
 
-Line: 8 sensors across the robot, as a rule, the leftmost one last, so that a position counts to the left. The raw
-values become 0 on black and 1 on white by the calibration, and are smoothed. Uncalibrated sensors read 0: black
-everywhere. MRC keeps the sums in floats of 32 bits, whose rounding shows in the commands, so they are rounded here too.
+Line: a robot usually has 8 sensors from side to side. The leftmost sensor is the last one, so positions increase to the
+left. The calibration converts the raw values to 0 on black and 1 on white, and then they are smoothed. Uncalibrated
+sensors read 0: black everywhere. MRC keeps the sums in floats of 32 bits. Their rounding affects the commands, so this
+module rounds in the same way.
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ from struct import Struct
 
 from .arithmetic import divide, truncate
 
-#: m beyond which an infrared sensor sees nothing.
+#: Maximum range of an infrared sensor, in m.
 _FARTHEST = 1.0
 
-#: Brightness of the darkest sensor between line and no line.
+#: Brightness of the darkest sensor that separates a line from no line.
 _THRESHOLD = 0.43
 
 _FLOAT = Struct("f")
 
 
 class LineKind(enum.Enum):
-    """Which line `followline` follows, as the language names it."""
+    """Kind of line that `followline` follows, with its name in the language."""
 
     BLACK_MIDDLE = "bm"
     BLACK_LEFT = "bl"
@@ -39,7 +40,7 @@ class LineKind(enum.Enum):
 
 
 def _single(value: float) -> float:
-    """`value` rounded to a float of 32 bits."""
+    """Round `value` to a float of 32 bits."""
     try:
         found: float = _FLOAT.unpack(_FLOAT.pack(value))[0]
     except OverflowError:
@@ -48,15 +49,15 @@ def _single(value: float) -> float:
 
 
 class InfraredSensors:
-    """Distances from raw values.
+    """Distances from raw values of infrared sensors.
 
     Args:
-        k1: of each sensor, m.
-        k2: of each sensor: the raw value at an infinite distance.
+        k1: Factor of each sensor, in m.
+        k2: Raw value of each sensor at an infinite distance.
 
     Attributes:
-        distances: of each sensor, m; 0 before the first update.
-        raw: the raw values of the last update; empty before the first.
+        distances: Distance of each sensor, in m; 0 before the first update.
+        raw: Raw values of the last update; empty before the first update.
     """
 
     def __init__(self, k1: Sequence[float], k2: Sequence[float]) -> None:
@@ -65,7 +66,7 @@ class InfraredSensors:
         self.raw: Sequence[int] = ()
 
     def update(self, raw: Sequence[int]) -> None:
-        """One cycle."""
+        """Perform one cycle."""
         if raw == self.raw:
             return
         self.raw = raw
@@ -77,7 +78,7 @@ class InfraredSensors:
 
     @property
     def front(self) -> float:
-        """The least of the three front distances, m."""
+        """Smallest of the three front distances, in m."""
         return min(self.distances[1:4])
 
 
@@ -85,16 +86,16 @@ class LineSensor:
     """The line under the robot.
 
     Args:
-        size: how many sensors there are, 5 to 30.
-        smoothing: part of the value before that is kept in each cycle, 0..1.
-        white, black: raw value of each sensor on white and on black; with None every sensor reads black.
+        size: Number of sensors, 5 to 30.
+        smoothing: Part of the previous value that is kept in each cycle, 0..1.
+        white, black: Raw values of each sensor on white and on black. If None, every sensor reads black.
 
     Attributes:
-        size: how many sensors there are.
-        values: of each sensor: 0 black, 1 white; not smoothed.
-        smoothed: likewise, smoothed.
-        raw: the raw values of the last update; empty before the first.
-        is_missing: no black line has been seen for 6 cycles.
+        size: Number of sensors.
+        values: Value of each sensor: 0 is black, 1 is white; not smoothed.
+        smoothed: Smoothed value of each sensor.
+        raw: Raw values of the last update; empty before the first update.
+        is_missing: Whether no black line has been detected for 6 cycles.
     """
 
     def __init__(
@@ -117,13 +118,13 @@ class LineSensor:
         self._darkest = self._brightest = 0.0
         self._brightest_place = 0
         self._halves = (True, True, False, False)
-        # Computed when asked for, and kept until the next cycle. Without a sensor they stay 0.
+        # Computed on demand, and kept until the next cycle. Without a sensor, the positions stay 0.
         self._positions: dict[LineKind, float] = dict.fromkeys(LineKind, 0.0)
         self._black_crossing = _Crossing()
         self._white_crossing = _Crossing()
 
     def update(self, raw: Sequence[int]) -> None:
-        """One cycle."""
+        """Perform one cycle with raw values."""
         if raw == self.raw and self._is_settled:
             self._miss()
             return
@@ -132,7 +133,7 @@ class LineSensor:
         self.see([gain[each] * (raw[each] - offset[each]) for each in range(self.size)])
 
     def see(self, values: Sequence[float]) -> None:
-        """One cycle, with calibrated values."""
+        """Perform one cycle with calibrated values."""
         keep = self._smoothing
         smoothed = [old * keep + new * (1 - keep) for old, new in zip(self.smoothed, values, strict=True)]
         self._is_settled = smoothed == self.smoothed
@@ -155,7 +156,7 @@ class LineSensor:
         self._positions.clear()
 
     def position(self, kind: LineKind) -> float:
-        """The position of a line, cm to the left of the middle."""
+        """Position of a line, in cm to the left of the middle."""
         if kind not in self._positions:
             self._locate()
         return self._positions[kind]
@@ -167,11 +168,11 @@ class LineSensor:
         for number, value in enumerate(smoothed):
             mass = _single(mass + (brightest - value))
             weighted = _single(weighted + (brightest - value) * number)
-        # nan where all sensors read the same.
+        # The centre is nan if all sensors read the same value.
         centre = _single(divide(weighted, mass))
         black = _edges(smoothed, _single((darkest + brightest) / 2.0))
         white = _edges([-value for value in smoothed], -(darkest + brightest) / 2.0)
-        # An edge is seen about one sensor before it.
+        # An edge is detected about one sensor before its position.
         self._positions = {
             LineKind.BLACK_MIDDLE: (centre - middle) * 2,
             LineKind.BLACK_RIGHT: (black[0] + 1.1 - middle) * 2,
@@ -182,7 +183,7 @@ class LineSensor:
         }
 
     def _miss(self) -> None:
-        """A line is found, or lost, when the darkest sensor has measured that for 6 cycles."""
+        """Set `is_missing` after the darkest sensor has measured a line, or no line, for 6 cycles."""
         if (self._darkest < _THRESHOLD) if self.is_missing else (self._darkest > _THRESHOLD):
             self._count += 1
             if self._count > 5:
@@ -191,20 +192,23 @@ class LineSensor:
 
     @property
     def is_found(self) -> bool:
-        """The two sensors in the middle (numbers 3 and 4) are on black."""
+        """Whether the two sensors in the middle (numbers 3 and 4) are on black."""
         return self.smoothed[3] < 0.3 and self.smoothed[4] < 0.3
 
     def crosses_black(self, distance: float) -> bool:
-        """Both halves have been on black within 3 cm; `distance` is that driven so far, m."""
+        """Whether both halves have been on black within 3 cm.
+
+        `distance` is the driven distance in m.
+        """
         return self._black_crossing.update(self._halves[0], self._halves[1], distance)
 
     def crosses_white(self, distance: float) -> bool:
-        """Both halves have been on white within 3 cm."""
+        """Whether both halves have been on white within 3 cm."""
         return self._white_crossing.update(self._halves[2], self._halves[3], distance)
 
 
 def _edges(smoothed: Sequence[float], cross: float) -> tuple[float, float]:
-    """Where the brightness falls below `cross` first, from the one end and from the other, in sensors."""
+    """First positions from each end where the brightness falls below `cross`, in sensors."""
     last = len(smoothed) - 1
     inner, outer = 0, -1
     for number in range(1, last + 1):
@@ -236,7 +240,10 @@ def _edges(smoothed: Sequence[float], cross: float) -> tuple[float, float]:
 
 
 class _Crossing:
-    """Remembers where each half of the sensor was on the line last. Both begin at 0 m, as in MRC."""
+    """Position at which each half of the sensor was last on the line.
+
+    Both begin at 0 m, as in MRC.
+    """
 
     def __init__(self) -> None:
         self._first = self._second = 0.0

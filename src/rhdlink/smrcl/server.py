@@ -1,7 +1,8 @@
-"""The server of a mission: a port for programs that were written for MRC.
+"""The server of a mission: a TCP port for programs that were written for MRC.
 
-MRC listens on port 31001, or with its option `-t N` on 31000 + N. What clients say is for `dialogue`; here are the
-sockets, served between the answer of the robot and the script of the same cycle, by the one thread that drives.
+MRC listens on port 31001, or with its option `-t N` on 31000 + N. `dialogue` handles the commands of clients. This
+module handles the sockets. The one driving thread serves them between the robot's answer and the script of the same
+cycle.
 """
 
 from __future__ import annotations
@@ -30,42 +31,50 @@ from .robot_link import AnyRobot, PluginLink, RobotLink, open_link, suitable_con
 
 _log = logging.getLogger(__name__)
 
-#: The port that MRC listens on unless an option names another.
+#: Default port of MRC.
 PORT = 31001
 
-#: Seconds that a client gets to take the last answers, and that other threads wait for the one that drives.
+#: Time that a client gets to read the last answers, and time that other threads wait for the driving thread, in s.
 _FINISH, _CLOSE_TIMEOUT = 0.5, 5.0
 
 
 class MissionServer(StrictAttributes, Runnable, WithCallbacks):
-    """Executes what clients send, on one robot. A context manager that starts and closes itself.
+    """Executes commands from clients on one robot.
 
-    ``run()`` does it here until `stop`; ``start()``, or a ``with`` block, in a thread of its own. It runs once.
+    A context manager that starts and closes itself.
 
-    The robot is sent the speed 0 when the server ends, and under the sound profile when the client goes whose command
-    is executed. There is no password: whoever can connect can drive the robot, so by default only this machine can.
+    ``run()`` serves in this thread until `stop`. ``start()``, or a ``with`` block, serves in a dedicated thread. A
+    server runs once.
+
+    The robot is sent the speed 0 when the server ends. In the sound profile this also happens when the client
+    disconnects whose command is executed. There is no password: anyone who can connect can drive the robot. By default,
+    only programs on this computer can connect.
 
     Args:
-        robot: see `Mission`; a plugin such as `Turtle()` is run in this process, at its own pace.
-        port: TCP port, 0 for a free one.
-        address: to listen on.
-        compat: "sound", or "mrc", under which a client's `exit` ends the server as it ends MRC.
-        conf: what the robot is, see `Mission`.
-        clients: how many may be connected.
+        robot: Robot; see `Mission`. A plugin such as `Turtle()` runs in this process, in real time.
+        port: TCP port; 0 for a free port.
+        address: Address to listen on.
+        compat: "sound", or "mrc". With "mrc", a client's `exit` ends the server, as it ends MRC.
+        conf: Description of the robot; see `Mission`.
+        clients: Maximum number of connected clients.
         inactivity_timeout: Seconds without a byte after which a client may lose its slot, if all slots are taken and
             another client connects. A client keeps its slot while one of its commands is queued or executed, and while
             it waits for an event.
-        waits: whether to connect to the robot only when the first client has come, as MRC does; by default under its
-            profile.
-        log_folder: where the logs go that clients save; by default nowhere.
+        waits: Whether to connect to the robot only after the first client has connected, as MRC does. The default is
+            True in MRC's profile.
+        log_folder: Folder for the logs that clients save. By default, logs are not saved.
 
     Attributes:
-        failure: what ended it, if it was no `stop`; None while it goes on.
+        failure: Error that ended the server; None while it runs, and after `stop`.
 
     Raises:
-        BadValue: fewer than one client. When it is run: BadAddress, the port cannot be listened on; BadConfiguration,
-            `conf` cannot be read, or says what cannot be; AccessDenied, WrongVariables and their kin, the robot cannot
-            be driven; ConnectionLost, LinkTimeout, it went away; MissionFailed, a provider or a watch failed.
+        BadValue: If `clients` is less than one.
+        BadAddress: When it runs, if the port is not available.
+        BadConfiguration: When it runs, if `conf` cannot be read or contains an invalid setting.
+        AccessDenied, WrongVariables: When it runs, if the robot cannot be driven. Connecting can raise other errors;
+            see `rhdlink.connect`.
+        ConnectionLost, LinkTimeout: When it runs, if the robot disconnects or does not answer.
+        MissionFailed: When it runs, if a provider or a watch fails.
     """
 
     def __init__(
@@ -101,22 +110,25 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
 
     @property
     def port(self) -> int:
-        """The port that it listens on.
+        """Port that the server listens on.
 
         Raises:
-            Closed: it does not run.
+            Closed: If the server is not running.
         """
         if self._loop is None:
-            raise Closed("the server does not run")
+            raise Closed("the server is not running; start() it first")
         return self._port
 
     @property
     def failures(self) -> tuple[Failure, ...]:
-        """Why commands have failed, the newest last."""
+        """Failures of commands, the newest last."""
         return () if self._dialogue is None else tuple(self._dialogue.failures)
 
     def _saver(self, folder: str | os.PathLike[str] | None) -> Callable[[str, str], object] | None:
-        """Saves the logs that clients name. One that cannot be saved is a failure of its command, not of the server."""
+        """Return a function that saves clients' logs.
+
+        If it fails, only the command fails, not the server.
+        """
         save = log_saver(folder)
         if save is None:
             return None
@@ -151,7 +163,7 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
         self._execution = None if self._waits else self._connect()
 
     def _give_up(self) -> None:
-        """It has not begun to serve, and does not."""
+        """Clean up after a failed start."""
         if self._loop is not None:
             self._loop.close()
         self._close_link()
@@ -161,7 +173,7 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
             self._link.close()
 
     def _connect(self) -> MissionExecution:
-        """Connect to the robot, and hand over to its dialogue the clients that came before it was connected."""
+        """Connect to the robot, and pass the clients that connected earlier to its dialogue."""
         if isinstance(self._robot, Plugin):
             link: RobotLink = PluginLink([self._robot], is_realtime=True)
         else:
@@ -198,7 +210,7 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
             if error is not None:
                 raise error
         except Exception as error:
-            _log.info("the mission server has ended: %s", error)
+            _log.info("mission server %s:%s ended: %s", self._place[0], self._port, error)
             self.failure = error
         finally:
             if execution is not None and not execution.controller.is_finished:
@@ -217,7 +229,7 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
         return handler
 
     def _listen(self) -> None:
-        """Take what has come from all clients."""
+        """Receive bytes from all clients."""
         assert self._loop is not None
         self._loop.serve_once(self._loop.time())
 
@@ -233,10 +245,10 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
 
 
 class _ClientHandler(Handler):
-    """One client.
+    """Handler of one client's connection.
 
     Attributes:
-        session: its part of the dialogue; None while there is none.
+        session: Session of the client in the dialogue; None until the dialogue has begun.
     """
 
     def __init__(self, server: MissionServer, connection: Connection) -> None:
@@ -252,13 +264,13 @@ class _ClientHandler(Handler):
         return dialogue is not None and session is not None and dialogue.is_busy(session)
 
     def begin(self, session: Session) -> None:
-        """The dialogue has begun."""
+        """Take the client's session when the dialogue begins."""
         self.session = session
         session.receive(bytes(self._waiting))
         self._waiting.clear()
 
     def data_received(self, data: bytes) -> None:
-        """Hand over what has come, or keep it until there is a dialogue."""
+        """Pass received bytes to the session, or keep them until there is one."""
         if self.session is not None:
             self.session.receive(data)
             if self.session.backlog > MOST_BACKLOG:
@@ -266,10 +278,10 @@ class _ClientHandler(Handler):
         else:
             self._waiting += data
             if len(self._waiting) > self._connection.port.output_limit:
-                self._connection.close(reset=True, reason="sent too much before the robot was there")
+                self._connection.close(reset=True, reason="sent too much before the robot was connected")
 
     def answer(self) -> None:
-        """Send the answers, and end the connection of one that has left."""
+        """Send the answers, and end the connection of a client that has left."""
         session = self.session
         if session is None:
             return
@@ -282,5 +294,5 @@ class _ClientHandler(Handler):
             self._connection.resume_reading()
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
-        """Its commands are no longer wanted."""
+        """Drop the client's commands."""
         self._server._lost(self)

@@ -1,5 +1,6 @@
-"""The commands that set variables of the mission and of the robot, and parameters, inputs and outputs of its control
-functions; `commands` has the table of all.
+"""Commands for settings: variables, and parameters, inputs and outputs of control functions.
+
+`commands` has the table of all commands.
 """
 
 from __future__ import annotations
@@ -15,22 +16,22 @@ from .odometry import Odometry
 from .plan import Outcome
 from .symbols import split_index
 
-#: The largest number that a setting takes, under the sound profile.
+#: Largest number that a setting accepts in the sound profile.
 _LARGEST = 1e6
 
-#: What `set` accepts for hardware that no robot of today has, and that MRC only stores.
+#: Names that `set` accepts for hardware that no current robot has. MRC only stores their values.
 _STORED_ONLY = frozenset(
     (
         *("linedetect", "rollpitchon", "rolloffset", "pitchoffset", "paintServoStatus", "kalmanon"),
         *("hakoliftinggearstateref", "hakopowertakeoffstateref"),
     )
 )
-#: Names of `set` that stand for a write variable of the robot.
+#: Names of `set` that write a variable of the robot.
 _WRITTEN = {"hakomanual": "hakomanual", "hakoenginespeed": "enginespeedref"}
 
 
 def make_array(effects: MissionEffects, name: str, size: float) -> Outcome:
-    """`array`: of zeros."""
+    """`array`: make an array of zeros."""
     count = truncate(size)
     if count < 0 or effects.symbols.make_array(name, count) is None:
         raise LineFault(
@@ -41,13 +42,19 @@ def make_array(effects: MissionEffects, name: str, size: float) -> Outcome:
 
 
 def transform(effects: MissionEffects, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
-    """`trans`: a pose in the frame of another one, into `$res0` to `$res2`; m and rad."""
+    """`trans`: transform a pose from the frame of another pose.
+
+    The result is in `$res0` to `$res2`, in m and rad.
+    """
     c, s = cosine(th0), sine(th0)
     return _set_results(effects, c * x - s * y + x0, s * x + c * y + y0, th + th0)
 
 
 def transform_back(effects: MissionEffects, x0: float, y0: float, th0: float, x: float, y: float, th: float) -> Outcome:
-    """`invtrans`: likewise, from the outer frame into that of the pose."""
+    """`invtrans`: transform a pose into the frame of another pose.
+
+    The result is in `$res0` to `$res2`, in m and rad.
+    """
     c, s = cosine(th0), sine(th0)
     return _set_results(effects, c * (x - x0) + s * (y - y0), -s * (x - x0) + c * (y - y0), th - th0)
 
@@ -59,18 +66,18 @@ def _set_results(effects: MissionEffects, *values: float) -> Outcome:
 
 
 def set_value(effects: MissionEffects, name: str, value: float) -> Outcome:
-    """`set`: a variable of the script, a system variable or a setting."""
+    """`set`: set a variable of the script, a system variable or a setting."""
     special = _SETTINGS.get(name)
     if special is not None:
         _check(effects, f'set "{name}"', value, is_positive=name == "odowidth")
         special(effects, value)
     elif name in _STORED_ONLY:
         if effects.profile.needs_are_checked:
-            raise LineFault(f'set "{name}" is for hardware that this robot has not')
+            raise LineFault(f'set "{name}" is for hardware that this robot does not have')
     elif name in _WRITTEN:
         variable = _WRITTEN[name]
         if not effects.vehicle.outputs.set_word(variable, value) and effects.profile.needs_are_checked:
-            raise LineFault(f'set "{name}" needs a write variable {variable}, which this robot has not')
+            raise LineFault(f'set "{name}" needs the write variable {variable}, which this robot does not have')
     else:
         _set_variable(effects, name, value)
     return effects.at_once()
@@ -101,7 +108,7 @@ def _set_variable(effects: MissionEffects, text: str, value: float) -> None:
 
 def _set_counter(effects: MissionEffects, value: float) -> None:
     if not effects.interpreter.compiler.reset_counter(truncate(value)):
-        effects.reject_name(f"there is no condition counter {format_number(value)}, only 0 to 9")
+        effects.reject_name(f"there is no condition counter {format_number(value)}; expected 0 to 9")
 
 
 def _set_odometry_ratio(effects: MissionEffects, ratio: float) -> None:
@@ -128,7 +135,7 @@ def _set_kalman(effects: MissionEffects, value: float) -> None:
 
 
 def set_output(effects: MissionEffects, text: str, value: float) -> Outcome:
-    """`setoutput`: a write variable of the robot."""
+    """`setoutput`: set a write variable of the robot."""
     name, index = split_index(text)
     if not effects.vehicle.outputs.set(name, index, value):
         effects.reject_name(f"the robot has no write variable {text}")
@@ -136,12 +143,12 @@ def set_output(effects: MissionEffects, text: str, value: float) -> Outcome:
 
 
 def set_offset(effects: MissionEffects, text: str, value: float) -> Outcome:
-    """`setoffset`: of a variable of the robot."""
+    """`setoffset`: set the offset of a variable of the robot."""
     return _scaled(effects, text, "offset", value, effects.symbols.set_scale(*split_index(text), offset=value))
 
 
 def set_gain(effects: MissionEffects, text: str, value: float) -> Outcome:
-    """`setgain`: likewise."""
+    """`setgain`: set the gain of a variable of the robot."""
     return _scaled(effects, text, "gain", value, effects.symbols.set_scale(*split_index(text), gain=value))
 
 
@@ -154,18 +161,18 @@ def _scaled(effects: MissionEffects, text: str, what: str, value: float, is_ther
 
 
 def set_parameter(effects: MissionEffects, module: str, function: str, name: str, value: float) -> Outcome:
-    """`setpar`: a parameter of a control function."""
+    """`setpar`: set a parameter of a control function."""
     _check(effects, f"setpar of {name}", value)
     if not effects.vehicle.functions.set_parameter(module, function, name, value):
-        _reject_path(effects, module, function, f"{name} of {module} {function} is no parameter")
+        _reject_path(effects, module, function, f"{name} of {module} {function} is not a parameter")
     return effects.at_once()
 
 
 def route_input(effects: MissionEffects, module: str, function: str, name: str, text: str) -> Outcome:
-    """`routeinput`: an input of a control function comes from a system variable."""
+    """`routeinput`: take an input of a control function from a system variable."""
     variable, index = split_index(text)
     if not effects.vehicle.functions.has_input(module, function, name):
-        _reject_path(effects, module, function, f"{name} of {module} {function} is no input")
+        _reject_path(effects, module, function, f"{name} of {module} {function} is not an input")
         return effects.at_once()
     symbol = effects.symbols.find_system(variable)
     if symbol is None:
@@ -176,12 +183,12 @@ def route_input(effects: MissionEffects, module: str, function: str, name: str, 
 
 
 def route_output(effects: MissionEffects, source: str, text: str) -> Outcome:
-    """`routeoutput`: the output of `funcgen` goes to a write variable of the robot."""
+    """`routeoutput`: send the output of `funcgen` to a write variable of the robot."""
     name, index = split_index(text)
     if name not in effects.symbols.outputs:
         effects.reject_name(f"the robot has no write variable {name}", "output not found\n")
     elif source != "funcgen":
-        effects.reject_name(f'there is no generator "{source}", only funcgen', "input not found\n")
+        effects.reject_name(f'there is no generator "{source}"; expected funcgen', "input not found\n")
     else:
         effects.vehicle.generator_output = name, index
     return effects.at_once()
@@ -196,7 +203,7 @@ def _reject_path(effects: MissionEffects, module: str, function: str, reason: st
 
 
 def _setter(path: str) -> Callable[[MissionEffects, float], None]:
-    """What sets an attribute of the vehicle: ``odometry.pose.x``."""
+    """Return a function that sets an attribute of the vehicle, such as ``odometry.pose.x``."""
     owner, _, attribute = path.rpartition(".")
 
     def set_value(effects: MissionEffects, value: float) -> None:

@@ -1,4 +1,4 @@
-"""The statements of a line, compiled: what the interpreter does when it executes them."""
+"""Compiled statements of a line, which the interpreter executes."""
 
 from __future__ import annotations
 
@@ -28,12 +28,15 @@ from .syntax import (
 if TYPE_CHECKING:
     from .interpreter import ScriptInterpreter
 
-#: One statement of a line; None where the next one of the line follows.
+#: One statement of a line. It returns None if the next statement of the line follows.
 Step = Callable[[Run], Outcome | None]
 
 
 def compile_line(line: ScriptLine, interpreter: ScriptInterpreter) -> list[tuple[int, Step]]:
-    """The steps of a line, each with its column. What is wrong with one is raised by the step, a `LineFault`."""
+    """Compile a line to its steps, each with its column.
+
+    A step raises `LineFault` if it cannot be executed.
+    """
     steps = [(_column(statement), _compile(statement, interpreter)) for statement in line.statements]
     if line.problem is not None:
         steps.append((line.problem.column, _fail(line.problem)))
@@ -60,12 +63,12 @@ def _compile(statement: Statement, interpreter: ScriptInterpreter) -> Step:
         return _wait_for(statement, interpreter)
     if isinstance(statement, Switch):
         return _switch(statement, interpreter)
-    # `case`, or `endswitch`: the lines before a `case` that was executed have been those of another one.
+    # `case`, or `endswitch`: the lines before an executed `case` belonged to another case.
     return _skip(interpreter, not isinstance(statement, EndSwitch))
 
 
 def _column(statement: Statement) -> int:
-    """Where a statement begins, or where the part of it is that can be wrong; 1 for what is wrong in its parts only."""
+    """Column of the statement or of the part that can fail; 1 if only its parts can fail."""
     if isinstance(statement, (CommandStatement, WaitFor, If)):
         return statement.column
     if isinstance(statement, Assign):
@@ -111,8 +114,8 @@ def _speed(setting: SpeedSetting, interpreter: ScriptInterpreter) -> Callable[[]
     def set_speed() -> None:
         found = value()
         if is_checked and not (abs(found) < 1e6 and (setting.letter == "v" or found > 0.0)):
-            kind = "speed" if setting.letter == "v" else "acceleration; it has to be above 0"
-            raise LineFault(f"@{setting.letter} {format_number(found)} is no {kind}")
+            kind = "a speed" if setting.letter == "v" else "an acceleration; it has to be above 0"
+            raise LineFault(f"@{setting.letter} {format_number(found)} is not {kind}")
         if setting.letter == "v":
             control.speed = found
         else:
@@ -126,7 +129,7 @@ def _wait_for(statement: WaitFor, interpreter: ScriptInterpreter) -> Step:
 
     def step(run: Run) -> Outcome:
         if not conditions and interpreter.profile.ascii_only:
-            raise LineFault("a character that is not ASCII can stand in texts and comments only", statement.column)
+            raise LineFault("a character that is not ASCII is allowed only in texts and comments", statement.column)
         interpreter.set_conditions(conditions)
         return Outcome.WAIT
 
@@ -186,11 +189,11 @@ def _assign(statement: Assign, interpreter: ScriptInterpreter) -> Step:
             pool[symbol.place] = new
             return None
         reads_on = profile.new_variables_read_on
-        # MRC has only one place for a new name, and the name behind the value is there by now.
+        # MRC has only one place for a new name, and by now it contains the name after the value.
         overwritten = not reads_on and following is not None and following not in user
         made = symbols.make(following if overwritten and following is not None else name)
         if made is None:
-            raise LineFault("there is no room for further variables", is_limit=True)
+            raise LineFault("there is no room for more variables", is_limit=True)
         pool[made.place] = new
         return None if reads_on else Outcome.NEXT
 
@@ -202,7 +205,7 @@ def _switch(statement: Switch, interpreter: ScriptInterpreter) -> Step:
 
     def step(run: Run) -> Outcome:
         case = truncate(value())
-        # Below 1 the lines up to the first case are executed, and no case matches.
+        # Below 1, the lines up to the first case are executed, and no case matches.
         interpreter.case = case if case >= 1 else 0
         interpreter.skips = case >= 1
         return Outcome.NEXT

@@ -1,12 +1,14 @@
-"""The variables of a mission: those of the script, the system variables (``$name``) of the robot, and their log.
+"""The variables of a mission, and their log.
 
-As in MRC all values stand in one pool of doubles, in the order in which they are made: first ``$condition`` and the
-results, then the built-in system variables, then the read and the write variables of the robot, then the script's. The
-order is kept because it shows: MRC checks the index of ``a[i]`` but not the one in ``set "a[9]" 1`` or ``log "a[9]"``,
-which reach whatever stands behind the array.
+There are variables of the script, and system variables (``$name``) of the robot.
 
-A system variable has three slots for each of its values: the value, its offset and its gain (`setoffset`, `setgain`),
-as three blocks one after the other.
+As in MRC, all values are in one pool of doubles, in the order in which they are made. First come ``$condition`` and the
+results, then the built-in system variables, then the read and write variables of the robot, and then the variables of
+the script. This order has a visible effect: MRC checks the index of ``a[i]``, but not the index in ``set "a[9]" 1`` or
+``log "a[9]"``, which reach the value after the array.
+
+A system variable has three slots for each of its values: the value, its offset and its gain (`setoffset`, `setgain`).
+They form three blocks, one after the other.
 """
 
 from __future__ import annotations
@@ -17,10 +19,10 @@ from dataclasses import dataclass
 
 from .arithmetic import format_number
 
-#: Doubles in the pool, as in MRC, which writes beyond it.
+#: Number of doubles in the pool, as in MRC, which writes beyond it.
 POOL_SIZE = 10_000
 
-#: Before the first cycle. A mapping that is filled when it is asked may be empty too.
+#: State before the first cycle. Compare it by identity, because a lazily filled mapping can be empty too.
 _NONE_YET: Mapping[str, Sequence[int]] = {}
 
 _INDEX = re.compile(r"[ \t\n\v\f\r]*([+-]?[0-9]{1,9})")
@@ -31,9 +33,9 @@ class Symbol:
     """A variable.
 
     Attributes:
-        name: without the ``$``.
-        place: of its first value in the pool.
-        size: how many values it has.
+        name: Name without the ``$``.
+        place: Index of the first value in the pool.
+        size: Number of values.
     """
 
     name: str
@@ -45,17 +47,17 @@ class Symbols:
     """The variables of a mission.
 
     Args:
-        built_in: names of the built-in system variables, in order.
-        read: length of each read variable of the robot, by name, in order.
-        write: likewise of the write variables.
+        built_in: Names of the built-in system variables, in order.
+        read: Length of each read variable of the robot, by name, in order.
+        write: Length of each write variable of the robot, by name, in order.
 
     Attributes:
-        pool: every value.
-        user: the variables of the script by name.
-        system: the system variables by name. Of two with the same name the first counts: MRC finds its own ``$tick``
+        pool: All values.
+        user: Variables of the script, by name.
+        system: System variables, by name. If two have the same name, the first one counts: MRC finds its own ``$tick``
             before the robot's.
-        inputs, outputs: the robot's read and write variables among them.
-        raw: the robot's read variables of this cycle; empty before the first.
+        inputs, outputs: Read and write variables of the robot, by name.
+        raw: Words of the robot's read variables in this cycle; empty before the first cycle.
     """
 
     def __init__(self, built_in: Iterable[str], read: Mapping[str, int], write: Mapping[str, int]) -> None:
@@ -78,10 +80,13 @@ class Symbols:
                 self.system.setdefault(name, symbol)
 
     def find_system(self, name: str) -> Symbol | None:
-        """The system variable of a name, from now on kept up to date; None if there is none."""
+        """Find a system variable, and keep it up to date from now on.
+
+        None if there is no such variable.
+        """
         symbol = self.system.get(name)
         if symbol is not None and name not in self._live and self.inputs.get(name) is symbol:
-            # A robot may have thousands of variables. Only those that a script uses are converted in each cycle.
+            # A robot can have thousands of variables. Convert only the variables that a script uses in each cycle.
             self._live[name] = symbol
             self._refresh(symbol)
         return symbol
@@ -102,7 +107,10 @@ class Symbols:
             pool[here] = (words[index] + pool[here + size]) * pool[here + 2 * size]
 
     def set_scale(self, name: str, index: int, *, offset: float | None = None, gain: float | None = None) -> bool:
-        """Set offset or gain of a system variable. False if there is none of that name and index."""
+        """Set the offset or gain of a system variable.
+
+        Return False if the name or index does not exist.
+        """
         symbol = self.find_system(name)
         if symbol is None or not 0 <= index < symbol.size:
             return False
@@ -114,16 +122,19 @@ class Symbols:
 
     @property
     def free(self) -> int:
-        """Values that can still be made."""
+        """Number of values that are still free."""
         return POOL_SIZE - self._used
 
     def make(self, name: str) -> Symbol | None:
-        """A new variable of the script, of value 0; None where there is no room."""
+        """Make a variable of the script with the value 0. None if there is no room."""
         return self._make(name, 1, 0)
 
     def make_array(self, name: str, size: int) -> Symbol | None:
-        """A new array of zeros; None where there is no room. A variable of that name stays what it is."""
-        # MRC makes a plain variable first and leaves its value unused.
+        """Make an array of zeros.
+
+        None if there is no room. An existing variable of that name is kept.
+        """
+        # MRC first makes a plain variable, whose value stays unused.
         return self._make(name, size, 1)
 
     def _make(self, name: str, size: int, unused: int) -> Symbol | None:
@@ -142,17 +153,17 @@ class Symbols:
 
 
 class DataLog:
-    """The log (`log`, `control`): values of the pool, a row for each cycle.
+    """The log (`log`, `control`): values of the pool, with one row per cycle.
 
-    A column belongs to a variable by its number only: when variables are removed and others added, the rows before keep
-    the numbers of the old ones, as in MRC. `reset` before that.
+    A column belongs to a variable only by its number. If variables are removed and others are added, earlier rows keep
+    the numbers of the old variables, as in MRC. Call `reset` first to avoid this.
 
     Attributes:
-        places: of the values that are logged, in the pool: a column for each.
-        is_on: whether rows are added.
+        places: Indices of the logged values in the pool, one per column.
+        is_on: Whether rows are added.
     """
 
-    #: Rows and columns, as in MRC.
+    #: Maximum number of rows and columns, as in MRC.
     MOST_ROWS, MOST_COLUMNS = 100_000, 50
 
     def __init__(self, pool: Sequence[float]) -> None:
@@ -166,7 +177,7 @@ class DataLog:
         return self._count
 
     def reset(self) -> None:
-        """Forget the rows."""
+        """Drop all rows."""
         self._count = 0
 
     def update(self) -> None:
@@ -183,16 +194,21 @@ class DataLog:
 
     @property
     def text(self) -> str:
-        """The rows as MRC writes them to a file, each as long as there are columns now; a blank follows each number."""
+        """Rows as MRC writes them to a file.
+
+        Each row has the current number of columns, and a blank follows each number.
+        """
         columns = len(self.places)
         rows = [(row + [0.0] * (columns - len(row)))[:columns] for row in self._rows[: self._count]]
         return "".join("".join(f"{format_number(value)} " for value in row) + "\n" for row in rows)
 
 
 def split_index(text: str) -> tuple[str, int]:
-    """``"servo[2]"`` to ``("servo", 2)``; the index is 0 where there is none, and for what is not a number.
+    """Split ``"servo[2]"`` into ``("servo", 2)``.
 
-    As in MRC an index of -1 counts as none.
+    The index is 0 if it is missing, or not a number.
+
+    As in MRC, an index of -1 counts as missing.
     """
     name, bracket, rest = text.partition("[")
     found = _INDEX.match(rest) if bracket else None

@@ -1,15 +1,15 @@
 """The syntax tree of SMR-CL.
 
-A tree says what is written and nothing of what it means to a robot: whether a variable exists is found out when the
-line is executed, as in MRC. Columns do not count when trees are compared.
+A tree represents the text, but not its meaning for a robot. Whether a variable exists is checked when the line is
+executed, as in MRC. Columns are ignored when trees are compared.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-#: How tightly a binary operator binds; a level for almost each of them, as in MRC's grammar. Equal ones group to the
-#: left, ``^`` to the right.
+#: Precedence of the binary operators. As in MRC's grammar, almost every operator has its own level. Operators of the
+#: same level group to the left, and ``^`` groups to the right.
 PRECEDENCE = {
     "|": 1,
     "&": 2,
@@ -25,27 +25,27 @@ PRECEDENCE = {
     "/": 10,
     "^": 12,
 }
-#: Of the unary minus: ``-2^2`` is -4 and ``-2*3`` is ``(-2)*3``.
+#: Precedence of the unary minus: ``-2^2`` is -4 and ``-2*3`` is ``(-2)*3``.
 UNARY_PRECEDENCE = 11
 
 
 @dataclass(frozen=True)
 class NumberLiteral:
-    """A number, without a sign except as a parameter of a command."""
+    """A number. It has a sign only if it is a parameter of a command."""
 
     value: float
 
 
 @dataclass(frozen=True)
 class TextLiteral:
-    """A string, as a parameter of a command."""
+    """A string that is a parameter of a command."""
 
     value: str
 
 
 @dataclass(frozen=True)
 class VariableName:
-    """A variable of the script, or with `is_system` one of the robot (``$name``)."""
+    """A variable of the script, or a variable of the robot (``$name``) if `is_system`."""
 
     name: str
     is_system: bool = False
@@ -94,7 +94,7 @@ class SpeedSetting:
     """``@v`` or ``@a`` with its value.
 
     Attributes:
-        letter: "v" for the speed, m/s, or "a" for the acceleration, m/s2.
+        letter: "v" for the speed in m/s, or "a" for the acceleration in m/s2.
     """
 
     letter: str
@@ -106,7 +106,7 @@ class CommandStatement:
     """A command with its parameters, speeds and stop conditions.
 
     Attributes:
-        is_broken: what follows on the line is an error. The speeds are set, and then the line fails.
+        is_broken: Whether an error follows on the line. The speeds are set, and then the line fails.
     """
 
     name: str
@@ -121,7 +121,8 @@ class CommandStatement:
 class WaitFor:
     """``: (condition) | (condition)``.
 
-    Without conditions: how MRC reads a line that begins with a character beyond ASCII. Its column is `column`.
+    Without conditions, it represents a line that begins with a character beyond ASCII, as MRC reads it. `column` is the
+    column of the character.
     """
 
     conditions: tuple[Expression, ...]
@@ -140,7 +141,7 @@ class If:
     """Jump to a label if the condition is not 0.
 
     Attributes:
-        column: of the label.
+        column: Column of the label.
     """
 
     condition: Expression
@@ -153,8 +154,8 @@ class Assign:
     """An assignment.
 
     Attributes:
-        following: the name of a variable of the script that comes right behind it, where one does. MRC reads it before
-            it makes a new variable, and then makes the wrong one; `MRC`'s profile does likewise.
+        following: Name of a script variable that follows immediately on the line, if there is one. MRC reads this name
+            before it makes a new variable, and then makes the wrong variable. `MRC`'s profile does the same.
     """
 
     target: VariableName | ArrayElement
@@ -171,7 +172,10 @@ class Switch:
 
 @dataclass(frozen=True)
 class Case:
-    """``case``, where it is not skipped: the lines up to the next matching case or `EndSwitch` are skipped."""
+    """``case`` that is not skipped.
+
+    The lines up to the next matching case or `EndSwitch` are skipped.
+    """
 
     value: NumberLiteral
 
@@ -186,11 +190,11 @@ Statement = CommandStatement | WaitFor | Evaluate | If | Assign | Switch | Case 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with a line.
+    """An error in a line.
 
     Attributes:
-        column: where, from 1.
-        message: what was found, and what was expected.
+        column: Column of the error, counted from 1.
+        message: Description of the text that was found, and of the text that was expected.
     """
 
     column: int
@@ -199,11 +203,11 @@ class Problem:
 
 @dataclass(frozen=True)
 class ScriptLine:
-    """A line: what it says up to the first problem, and that problem.
+    """A line: its statements up to the first problem, and that problem.
 
     Attributes:
-        statements: in order. Only assignments can be followed by others.
-        problem: None if all of the line is understood.
+        statements: Statements, in order. Only assignments can be followed by other statements.
+        problem: First problem; None if the whole line is valid.
     """
 
     statements: tuple[Statement, ...]

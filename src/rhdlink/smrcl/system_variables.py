@@ -1,4 +1,7 @@
-"""The built-in system variables of a mission (``$odox``, ``$time``): their names, and their values in each cycle."""
+"""The built-in system variables of a mission (``$odox``, ``$time``).
+
+The module has their names, and computes their values in each cycle.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,8 @@ _VISION = tuple(f"vis{number}" for number in range(10))
 _LASER = tuple(f"l{number}" for number in range(10))
 _GUIDE_MARK = ("guidemarkok", "gmkcrc", "gmkx", "gmky", "gmkz", "gmkomega", "gmkphi", "gmkkappa")
 
-#: The built-in system variables behind the results, in MRC's order. Those that MRC computes from hardware that no robot
-#: of today has (hako, imu, gps, kalman filter, camera) have the value of `SystemVariables.external`, or 0.
+#: The built-in system variables after the results, in MRC's order. MRC computes some of them from hardware that no
+#: current robot has (hako, imu, gps, kalman filter, camera). These have the value in `SystemVariables.external`, or 0.
 BUILT_IN = (
     *("drivendist", "cmdtime", "irdistleft", "irdistfrontleft", "irdistfrontmiddle", "irdistfrontright", "irdistright"),
     *("irl", "irfl", "irfm", "irfr", "irr", "odox", "odoy", "odoth", "ododist", "ododistleft", "ododistright"),
@@ -39,13 +42,13 @@ BUILT_IN = (
     *("motcon_lvel", "motcon_rvel", "motcon_omega", "motcon_steeringangle", "kalmanmode"),
     *("odocovth", "odocovthx", "odocovthy", "odocovx", "odocovxy", "odocovy"),
 )
-#: Every system variable but ``$condition`` and those of the robot, in MRC's order.
+#: Every system variable except ``$condition`` and the robot's variables, in MRC's order.
 SYSTEM_NAMES = (*_RESULTS, *BUILT_IN, "xyzout1")
 _PLACES = {name: number for number, name in enumerate(BUILT_IN)}
 
 
 def _span(first: str, last: str) -> slice:
-    """The places from one of them to another one."""
+    """Slice of the positions from the first to the last variable."""
     return slice(_PLACES[first], _PLACES[last] + 1)
 
 
@@ -56,11 +59,11 @@ _FIRST_LINE, _FIRST_RAW_LINE, _LINE_POSITION = _PLACES["line0"], _PLACES["linera
 _LOGGED, _MOTION = _span("log0", "log3"), _span("motorcmdl", "time")
 _SPEED_REFERENCE, _MOTCON, _TICK = _PLACES["hakospeedref"], _span("motcon_lvel", "motcon_omega"), _PLACES["tick"]
 
-#: Values that stand in MRC's structures before anything has measured them.
+#: Initial values in MRC's structures before any measurement.
 _INITIAL = {"batteryvoltage": 14.0, "nolinecamr": 1.0, "nolinecaml": 1.0}
 
-#: Read variables of the robot that MRC shows under a name of its own: variable, and whether the second value counts
-#: its millionths.
+#: Read variables of the robot that MRC shows under another name: the variable, and whether its second value counts
+#: millionths.
 _GPS = {
     "gpseasting": ("GPSeasting", True),
     "gpsnorthing": ("GPSnorthing", True),
@@ -71,7 +74,7 @@ _GPS = {
 
 
 class SensedState(Protocol):
-    """What the system variables are computed from: the state of a `Vehicle`."""
+    """State of a `Vehicle` from which the system variables are computed."""
 
     odometry: Odometry
     covariance: Covariance
@@ -81,15 +84,15 @@ class SensedState(Protocol):
 
 
 class SystemVariables:
-    """The values of the built-in system variables.
+    """Values of the built-in system variables.
 
     Args:
-        symbols: where they stand.
-        read: names of the robot's read variables.
-        profile: as MRC does it, or sound.
+        symbols: Variables of the mission, which contain these values.
+        read: Names of the robot's read variables.
+        profile: Profile of the mission, like MRC or sound.
 
     Attributes:
-        external: those that a user's program provides, by name.
+        external: Values that a user's program provides, by name.
     """
 
     def __init__(self, symbols: Symbols, read: Collection[str], profile: Profile) -> None:
@@ -102,25 +105,25 @@ class SystemVariables:
         self._block = slice(first, first + 3 * len(BUILT_IN), 3)
 
     def provide(self, values: Mapping[str, float]) -> None:
-        """Set some that nothing here computes, from a user's program.
+        """Set values that are not computed here, from a user's program.
 
         Raises:
-            BadValue: a name that is not one of them.
+            BadValue: If a name is not a built-in system variable.
         """
         for name, value in values.items():
             name = name.removeprefix("$")
             if name not in _PLACES:
-                raise BadValue(f"${name} is no built-in system variable")
+                raise BadValue(f"${name} is not a built-in system variable")
             self.external[name] = float(value)
 
     def update(self, vehicle: SensedState, driven: float, cycles: int, time: float) -> None:
-        """Bring them up to date, as MRC does before each line and each test of conditions.
+        """Update the values, as MRC does before each line and each test of conditions.
 
         Args:
-            vehicle: what they are computed from.
-            driven: m since the line began.
-            cycles: since then.
-            time: ``$time``.
+            vehicle: State from which the values are computed.
+            driven: Distance in m since the line began.
+            cycles: Number of cycles since the line began.
+            time: Value of ``$time``.
         """
         values, odometry, control, infrared = self._values, vehicle.odometry, vehicle.control, vehicle.infrared
         pose, target, sensor, covariance = odometry.pose, control.target, vehicle.line_sensor, vehicle.covariance

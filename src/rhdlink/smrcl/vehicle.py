@@ -1,12 +1,14 @@
-"""The robot as a mission sees it: from its variables to a pose and distances, and from speeds to its variables.
+"""The robot of a mission.
+
+It converts its variables to a pose and distances, and speeds to its variables.
 
 One cycle of MRC's main loop (mrc.c) in two halves, with the script between them::
 
     sense   read variables -> infrared, line -> odometry -> inputs of motion control
     act     motion control -> written variables
 
-Nothing here opens a connection or reads a clock: the variables of a cycle come in as a mapping, and what is to be
-written goes out as one.
+This module opens no connection and reads no clock. The variables of a cycle are passed in as a mapping, and the
+variables to write are returned as a mapping.
 """
 
 from __future__ import annotations
@@ -28,37 +30,37 @@ from .sensors import InfraredSensors, LineKind, LineSensor
 from .symbols import Symbols, split_index
 from .system_variables import SYSTEM_NAMES, SystemVariables
 
-#: m to an obstacle where nothing measures it: ahead, and behind.
+#: Assumed distances in m to an obstacle ahead and behind, if no sensor measures them.
 _FREE_AHEAD, _FREE_BEHIND = 50.0, 1.0
-#: Ticks that can have been missed; more are a host that was started again.
+#: Maximum number of ticks that can have been missed. A larger jump means that the host was restarted.
 _MOST_MISSED = 1000
 _INT_MIN, _INT_MAX = -(2**31), 2**31 - 1
 
 
 class Vehicle:
-    """The state of a robot under a mission.
+    """The state of a robot in a mission.
 
     Args:
-        conf: what it is.
-        read: length of each of its read variables, by name.
-        write: the values of its write variables, by name.
-        profile: as MRC does it, or sound.
+        conf: Description of the robot.
+        read: Length of each of the robot's read variables, by name.
+        write: Values of the robot's write variables, by name.
+        profile: Profile of the mission, like MRC or sound.
 
     Attributes:
-        symbols: the variables of the mission.
-        odometry, covariance, infrared, line_sensor: of the robot.
-        control: its motion control.
-        functions: the control functions, with parameters and inputs.
-        variables: the built-in system variables.
-        outputs: the write variables of the robot.
-        line_kind: which line `followline` follows.
-        heading_offset, heading_gain: of `functions.heading`; rad per count.
-        uses_kalman: motions go by the pose of a filter outside.
-        cycles: periods since the cycle before; more than 1 where answers of the robot were missed.
-        generator_output: the output that `routeoutput` sends `funcgen` to: variable and index.
+        symbols: Variables of the mission.
+        odometry, covariance, infrared, line_sensor: Odometry, its uncertainty, and the sensors.
+        control: Motion control.
+        functions: Control functions, with parameters and inputs.
+        variables: Built-in system variables.
+        outputs: Write variables of the robot.
+        line_kind: Kind of line that `followline` follows.
+        heading_offset, heading_gain: Offset and gain of `functions.heading`; the gain is in rad per count.
+        uses_kalman: Whether motions use the pose of an external filter.
+        cycles: Number of periods since the last cycle; more than 1 if answers of the robot were missed.
+        generator_output: Output of `funcgen`, set by `routeoutput`: variable and index.
 
     Raises:
-        BadConfiguration: an input comes from a place where there is no variable.
+        BadConfiguration: If an input is routed from a variable index that does not exist.
     """
 
     def __init__(
@@ -109,13 +111,13 @@ class Vehicle:
             name, index = split_index(route.variable)
             symbol = self.symbols.find_system(name)
             if symbol is not None:
-                # An index beyond the variable leads to what stands behind it, as in MRC; here not beyond the pool.
+                # An index beyond the variable reads the following values, as in MRC; but here it cannot leave the pool.
                 if not 0 <= symbol.place + index < len(self.symbols.pool):
                     raise BadConfiguration(f"routeinput from {route.variable}: there is no such value")
                 self.functions.route_input(route.module, route.function, route.parameter, symbol.place + index)
 
     def _counter(self, raw: Mapping[str, Sequence[int]], name: str) -> int:
-        """The first word of a read variable; 0 if the robot has none of that name, as in MRC."""
+        """First word of a read variable; 0 if the robot has no such variable, as in MRC."""
         return raw[name][0] if name in self._read else 0
 
     # -- a cycle ---------------------------------------------------------------------------------
@@ -124,16 +126,16 @@ class Vehicle:
         """Take the first values: the counters before the first step."""
         self.symbols.refresh(raw)
         if self.conf.drive is DriveKind.VELOMEGA:
-            # Without offset and gain of the variable, which count from the first step on.
+            # Without the offset and gain of the variable, which apply from the first step.
             self.odometry.heading = self._counter(raw, "rotpos") * self.heading_gain
         self.odometry.begin(*(self._counter(raw, name) for name in self._counters))
 
     def sense(self, raw: Mapping[str, Sequence[int]]) -> None:
-        """Take the values of a cycle, as far as the script needs them."""
+        """Process the values of a cycle that the script needs."""
         symbols, odometry, control = self.symbols, self.odometry, self.control
         symbols.refresh(raw)
         if external := self.variables.external:
-            # Unless something else is routed there, the laser server reports where the world lies.
+            # Unless another input is routed there, the laser server reports the pose of the world.
             control.world.set(external.get("l0", 0.0), external.get("l1", 0.0), external.get("l2", 0.0))
         self.functions.sense(symbols.pool)
         odometry.heading = (self.functions.heading + self.heading_offset) * self.heading_gain
@@ -155,13 +157,13 @@ class Vehicle:
         control.pose = odometry.pose.copy()
         if self.uses_kalman and "xkalman" in external:
             control.pose = self.kalman_pose()
-        # The kind that was asked for by the cycle before: the script of this one comes later.
+        # Use the kind that the previous cycle requested, because this cycle's script comes later.
         self._followed = self.line_kind
         is_white = self.line_kind.value[:1] == "w"
         control.line_is_missing = self.line_sensor.is_missing and not is_white and self.line_kind is not LineKind.CAMERA
 
     def line_position(self) -> float:
-        """The position of the line that is followed, cm to the left."""
+        """Position of the followed line, in cm to the left."""
         kind = self._followed
         if kind is LineKind.CAMERA:
             return self.variables.external.get("linepos", 0.0)
@@ -170,7 +172,7 @@ class Vehicle:
         return self.line_sensor.position(kind)
 
     def act(self) -> dict[str, list[int]]:
-        """Motion control for this cycle; what is to be written, by name."""
+        """Perform motion control for this cycle. Return the variables to write, by name."""
         odometry, control, distances = self.odometry, self.control, self.infrared.distances
         control.velocity = odometry.velocity
         control.left_velocity, control.right_velocity = odometry.left_velocity, odometry.right_velocity
@@ -187,7 +189,7 @@ class Vehicle:
         return self.outputs.take_changed()
 
     def stand(self) -> dict[str, list[int]]:
-        """What is to be written for the robot to stand, by name."""
+        """Stop the robot. Return the variables to write, by name."""
         self.outputs.set_speeds(0.0, 0.0, 0.0)
         return self.outputs.take_changed()
 
@@ -197,47 +199,51 @@ class Vehicle:
             return False
         return self._has_ir or not self.profile.sees_without_ir
 
-    # -- from a user's program, or from outside ------------------------------------------------------
+    # -- values from a user's program, or from outside -----------------------------------------------
 
     def see_line(self, values: Sequence[float]) -> None:
-        """Take the line from a user's program instead of the robot: of each sensor 0 for black, 1 for white.
+        """Use line values from a user's program instead of the robot's.
+
+        The value of each sensor is 0 for black and 1 for white.
 
         Raises:
-            BadValue: they are not as many as there are sensors.
+            BadValue: If the number of values is not the number of sensors.
         """
         if len(values) != self.line_sensor.size:
-            raise BadValue(f"{len(values)} values for {self.line_sensor.size} line sensors")
+            raise BadValue(f"got {len(values)} values for {self.line_sensor.size} line sensors")
         self._has_raw_line = False
         self.line_sensor.see([float(value) for value in values])
 
     def see_distances(self, distances: Sequence[float]) -> None:
-        """Take infrared distances from a user's program, m: left, front left, front middle, front right, right.
+        """Use infrared distances from a user's program, in m.
+
+        The order is left, front left, front middle, front right, right.
 
         Raises:
-            BadValue: they are not five.
+            BadValue: If there are not five distances.
         """
         if len(distances) != 5:
-            raise BadValue(f"{len(distances)} distances; expected 5, from the left to the right")
+            raise BadValue(f"got {len(distances)} distances; expected 5, from left to right")
         self._has_raw_ir, self._has_ir = False, True
         self.infrared.distances[:5] = [float(distance) for distance in distances]
 
     def kalman_pose(self) -> PlanarPose:
-        """The pose of a filter outside, where there is one."""
+        """Pose of an external filter; zeros if there is none."""
         return PlanarPose(*(self.variables.external.get(name, 0.0) for name in ("xkalman", "ykalman", "thkalman")))
 
     def estimated_pose(self) -> PlanarPose:
-        """The pose that motions go by: of the odometry, or of a filter."""
+        """Pose that motions use, from the odometry or from an external filter."""
         return self.kalman_pose() if self.uses_kalman else self.odometry.pose.copy()
 
 
 class VehicleOutputs:
-    """The write variables of a robot: speeds and outputs, as their words.
+    """Write variables of a robot: speeds and outputs, as words.
 
     Args:
-        conf: what the robot is.
-        symbols: the variables of the mission.
-        write: the values of the write variables, by name.
-        profile: as MRC does it, or sound.
+        conf: Description of the robot.
+        symbols: Variables of the mission.
+        write: Values of the write variables, by name.
+        profile: Profile of the mission, like MRC or sound.
     """
 
     def __init__(self, conf: RobotConf, symbols: Symbols, write: Mapping[str, Sequence[int]], profile: Profile) -> None:
@@ -255,17 +261,23 @@ class VehicleOutputs:
 
     @property
     def has_speed(self) -> bool:
-        """Whether the speeds that are written are not all 0."""
+        """Whether any of the written speeds is not 0."""
         return any(self._words[name][0] for name in self._speeds)
 
     def set_speeds(self, left: float, right: float, omega: float) -> None:
-        """Write the speeds of the wheels, m/s, or of a velocity-omega robot `left` and the turn rate, rad/s."""
+        """Write the wheel speeds in m/s.
+
+        For a velocity-omega robot, write `left` and the turn rate in rad/s.
+        """
         speeds = left, omega if self._is_velomega else right
         for name, scale, speed in zip(self._speeds, self._scales, speeds, strict=True):
             self._put(name, self._count_speed(speed * scale))
 
     def set(self, name: str, index: int, value: float) -> bool:
-        """Write ``(value + offset) * gain`` to a variable, rounded. False if the robot has no such one."""
+        """Write ``(value + offset) * gain`` to a variable, rounded.
+
+        Return False if the robot has no such variable.
+        """
         symbol = self._symbols.outputs.get(name)
         if symbol is None or not 0 <= index < symbol.size:
             return False
@@ -276,14 +288,17 @@ class VehicleOutputs:
         return True
 
     def set_word(self, name: str, value: float) -> bool:
-        """Write the first word of a variable, without offset and gain. False if the robot has no such one."""
+        """Write the first word of a variable, without offset and gain.
+
+        Return False if there is no such variable.
+        """
         if name not in self._words:
             return False
         self._put(name, _truncated(value))
         return True
 
     def reset_motors(self) -> None:
-        """Write the variables that reset the motors, where the robot has them."""
+        """Write the variables that reset the motors, if the robot has them."""
         for name in ("resetmotorr", "resetmotorl"):
             if name in self._words:
                 self._changed[name] = self._words[name]
@@ -294,12 +309,16 @@ class VehicleOutputs:
         self._changed[name] = words
 
     def take_changed(self) -> dict[str, list[int]]:
-        """What was set since the last call, by name; whole variables."""
+        """Remove and return the variables that were set since the last call, by name.
+
+        Each has all its words.
+        """
         changed, self._changed = self._changed, {}
         return {name: list(words) for name, words in changed.items()}
 
 
-# How numbers become words. nan is 0 and what does not fit the nearest word; MRC would send -2147483648 for both.
+# Conversion of numbers to words. A nan becomes 0, and a number that is too large becomes the nearest word. MRC would
+# send -2147483648 for both.
 
 
 def _truncated(value: float) -> int:
@@ -312,10 +331,10 @@ def _nearest(value: float) -> int:
 
 
 def _half_up_to_zero(value: float) -> int:
-    """C's conversion of ``value + 0.5``, as MRC's `setoutput` does it: -3 becomes -2."""
+    """Convert ``value + 0.5`` as C does, for MRC's `setoutput`: -3 becomes -2."""
     return _truncated(value + 0.5)
 
 
 def _half_up(value: float) -> int:
-    """``floor(value + 0.5)``, as MRC rounds the speeds of wheels."""
+    """Compute ``floor(value + 0.5)``, as MRC rounds wheel speeds."""
     return 0 if value != value else int(max(_INT_MIN, min(_INT_MAX, value + 0.5)) // 1)

@@ -1,4 +1,4 @@
-"""The variable database: tables of words, what the words mean, and how classes declare them."""
+"""The variable database: tables of words, types of values, and declarations in classes."""
 
 from __future__ import annotations
 

@@ -1,26 +1,28 @@
-"""The variable database: what a robot reports and what it is sent, by name.
+"""The variable database: the values that a robot reports and receives, by name.
 
-Two tables. Read variables go from the robot to programs, write variables from programs to the robot; the words are
-those of the programs, as in the original. A `Database` belongs to one thread; who shares it among several puts a lock
-around it.
+There are two tables. Read variables go from the robot to programs, and write variables go from programs to the robot.
+The words "read" and "write" take the view of the programs, as in the original. A `Database` belongs to one thread. If
+several threads share it, they must hold a lock around each access.
 
-What `updated` and `changed` mean depends on the side and the direction (docs/protocols/rhd.md, Updated and changed):
+The meaning of `updated` and `changed` depends on the side and the direction (docs/protocols/rhd.md, Updated and
+changed):
 
 =========  =========  =============================================  =====================================
 side       direction  updated                                        changed
 =========  =========  =============================================  =====================================
 host       read       set when the robot sets it, never cleared      not used
-host       write      it was received (be it the same value) in the  a word differed when it was received
-                      round that began last                          last
-client     read       it was in the last batch                       a word differed when it was received
-                                                                     last
-client     write      the program set it and it has not been sent    a word differed when it was received
-                                                                     last, from another client
+host       write      received in the round that began last, even    a word differed when it was last
+                      with the same value                            received
+client     read       it was in the last batch                       a word differed when it was last
+                                                                     received
+client     write      the program set it, and it has not been sent   a word differed when it was last
+                                                                     received from another client
 =========  =========  =============================================  =====================================
 
-Here `changed` is what the ordinary sources do; the original's ``_64`` sources leave it undefined. Neither tells whether
-a read variable is *new*, since the original sends what was set once in every batch for ever: hence `fresh`, which the
-original has not. It is set when a variable came in the last batch with another time stamp or another value than it had.
+Here `changed` follows the ordinary sources; the original's ``_64`` sources leave it undefined. Neither flag shows
+whether a read variable is *new*, because the original sends a variable in every batch once it has been set. The flag
+`fresh`, which the original does not have, shows it. It is set when a variable arrived in the last batch with a
+different time stamp or value.
 """
 
 from __future__ import annotations
@@ -40,16 +42,18 @@ from ..wire.messages import END, LONGEST_NAME, Handshake, SymbolRow, encode_acce
 from ..wire.schema import WORD
 from .dirty_set import DirtySet
 
-#: A word, and a time stamp, as tables have them in memory.
+#: A word, and a time stamp, in the memory of a table.
 _WORD_FORM, _STAMP_FORM = struct.Struct("=i"), struct.Struct("=qq")
 
 
 class TimeStamp(NamedTuple):
-    """When a variable was set, by the clock of who set it: the robot, or the writing program.
+    """Time at which a variable was set, on the clock of the side that set it.
+
+    The side is the robot or the writing program.
 
     Attributes:
-        seconds: since 1970 UTC; 0 for a variable that was never set, with most servers.
-        microseconds: not checked; whoever wrote the variable could send anything.
+        seconds: Seconds since 1970 UTC. With most servers, it is 0 for a variable that was never set.
+        microseconds: Microseconds. They are not checked, and the writer could send any number.
     """
 
     seconds: int
@@ -57,53 +61,57 @@ class TimeStamp(NamedTuple):
 
     @property
     def time(self) -> float:
-        """Seconds since 1970 as one number, as `time.time`."""
+        """Seconds since 1970 as one number, like `time.time`."""
         return self.seconds + 1e-6 * self.microseconds
 
 
 def now() -> TimeStamp:
-    """The present, by this machine's clock."""
-    # From whole nanoseconds: a float of seconds has steps of 0.2 us, and rounding could carry into the second.
+    """Current time on this computer's clock."""
+    # Use whole nanoseconds: a float of seconds has steps of 0.2 us, and rounding could carry into the second.
     nanoseconds = time.time_ns()
     return TimeStamp(nanoseconds // 1_000_000_000, nanoseconds // 1000 % 1_000_000)
 
 
 def _fitting(words: ArrayLike | int, size: int) -> ArrayLike:
-    """Words that can be stored in so many, or one for all."""
+    """Check that the words fit a variable of `size` words.
+
+    One word can be given for all of them.
+    """
     if isinstance(words, int):
         if not -(2**31) <= words < 2**31:
             raise BadValue(f"{words} does not fit 32 bits")
         return words
     array = np.asarray(words)
-    # A scalar is for all words, as the original's setVariable in a loop; anything else has to have one for each.
+    # A scalar sets all words, like the original's setVariable in a loop. Any other value needs one number per word.
     if array.shape not in ((), (size,)):
         raise BadValue(f"expected {size} words, got the shape {array.shape}")
-    # numpy would cut a float and wrap a number of 64 bits without a word, and set a robot moving at another speed.
+    # numpy would silently truncate a float and wrap a number of 64 bits, and the robot would move at another speed.
     if array.dtype != np.int32 and size:
         if array.dtype.kind not in "iub":
-            raise BadValue(f"{words!r} are not whole numbers of 32 bits")
+            raise BadValue(f"{words!r} are not integers of 32 bits")
         if not -(2**31) <= int(array.min()) <= int(array.max()) < 2**31:
             raise BadValue(f"{array.min()} to {array.max()} do not fit 32 bits")
     return array
 
 
 class VariableTable:
-    """The variables of one direction. A variable's id is its place.
+    """The variables of one direction. The id of a variable is its position in the table.
 
     Attributes:
         direction: "r" or "w".
-        rows: name and length of each variable.
-        layout: where each lies in `values`.
-        values: the words of all variables, one after another.
-        memory: the same words as bytes, in the order of this machine.
-        stamps: seconds and microseconds of each variable, shape (n, 2).
-        updated: a flag for each variable; see the module.
-        changed: likewise.
-        fresh: likewise.
-        dirty: the variables set here since this was last taken.
-        clock: gives the present, for what is set here without a time stamp.
+        rows: Name and length of each variable.
+        layout: Position of each variable in `values`.
+        values: Words of all variables, one after another.
+        memory: The same words as bytes, in the byte order of this machine.
+        stamps: Seconds and microseconds of each variable, shape (n, 2).
+        updated: Flag of each variable; see the module.
+        changed: Flag of each variable; see the module.
+        fresh: Flag of each variable; see the module.
+        dirty: Variables that were set here since this set was last taken.
+        clock: Function that returns the current time. It stamps values that are set here without a time stamp.
 
-    The arrays and the memory are replaced when a variable is added: do not keep them before the table is frozen.
+    The arrays and the memory are replaced when a variable is added. Do not keep references to them before the table is
+    frozen.
     """
 
     def __init__(self, direction: str, rows: Sequence[SymbolRow] = ()) -> None:
@@ -122,14 +130,14 @@ class VariableTable:
 
     def _extend(self, rows: Sequence[SymbolRow]) -> None:
         for row in rows:
-            self._ids.setdefault(row.name, len(self.rows))  # of several, the first is found
+            self._ids.setdefault(row.name, len(self.rows))  # of several variables with one name, the first is found
             self.rows.append(row)
-        # All of it anew, which makes each `add` as costly as there are variables. Plugins add theirs once, before the
-        # first tick.
+        # Everything is rebuilt, so the cost of `add` grows with the number of variables. Plugins add their variables
+        # once, before the first tick.
         self.layout = TableLayout([row.length for row in self.rows])
         self._sizes, self._starts = self.layout.sizes, self.layout.offsets.tolist()
         count, before = self.layout.count, len(self.updated)
-        # Whatever was set before stays: the original zeroes its pool here (docs/protocols/rhd.md, Defects, 16).
+        # Earlier values are kept. The original zeroes its pool here (docs/protocols/rhd.md, Defects, 16).
         self.memory = bytearray(self.memory).ljust(WORD * self.layout.words, b"\0")
         self.values = np.frombuffer(self.memory, np.int32)
         self._stamp_memory = bytearray(self._stamp_memory).ljust(_STAMP_FORM.size * count, b"\0")
@@ -139,7 +147,7 @@ class VariableTable:
         self.fresh: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self._received: list[slice | Ids] = []
         self._selections: dict[tuple[int, int], Selection] = {}  # by width and number of variables
-        # What a plugin set before the next one added variables is still to be sent.
+        # Variables that one plugin set before the next plugin added variables must still be sent.
         kept = self.dirty.take()
         self.dirty = DirtySet(count)
         self.dirty.add_many(kept, ordered=True)
@@ -154,69 +162,72 @@ class VariableTable:
         return name in self._ids
 
     def find(self, name: str) -> int | None:
-        """Id of the variable of this name; the first, where there are several. None if there is none."""
+        """Find the id of the variable with this name, the first one if there are several.
+
+        None if there is none.
+        """
         return self._ids.get(name)
 
     def add(self, name: str, length: int = 1) -> int:
-        """Make a variable; its id.
+        """Add a variable and return its id.
 
         Raises:
-            BadValue: the name is not of 1 to 32 characters of Latin-1, or is there already; or no such
-                length.
-            LocalError: the table is frozen: clients have been sent it.
+            BadValue: If the name does not have 1 to 32 characters of Latin-1 or already exists, or if the length is not
+                valid.
+            LocalError: If the table is frozen, because it has been sent to clients.
         """
         if self.is_frozen:
-            raise LocalError(f"{name!r} cannot be made: the variables are fixed once the server runs")
-        # Two of a name are legal on the wire, but nobody could ever reach the second.
+            raise LocalError(f"{name!r} cannot be added: the variables are fixed once the server runs")
+        # Two variables with one name are legal on the wire, but the second could never be reached.
         if name in self._ids:
-            raise BadValue(f"there is a {'read' if self.direction == 'r' else 'write'} variable {name!r} already")
+            raise BadValue(f"there is already a {'read' if self.direction == 'r' else 'write'} variable {name!r}")
         if not name:
-            raise BadValue(f"a variable has to have a name of 1 to {LONGEST_NAME} characters")
+            raise BadValue(f"the name of a variable is empty; expected 1 to {LONGEST_NAME} characters")
         row = SymbolRow(name, length)
-        encode_table(self.direction, [row])  # raises for a name or a length that the wire cannot carry
+        encode_table(self.direction, [row])  # raises an error for a name or a length that the wire cannot carry
         self._extend([row])
         return len(self.rows) - 1
 
     # -- one variable --------------------------------------------------------------------------
 
     def value(self, identity: int) -> Words:
-        """The words of a variable, as a view that is read only and changes with it.
+        """Words of a variable, as a read-only view that changes with the variable.
 
         Raises:
-            BadValue: no variable has such an id.
+            BadValue: If there is no variable with this id.
         """
         start = self.start(identity)
-        # Read only: writing here would set no stamp and no flag, so nobody would be sent it.
+        # Read-only: writing here would set no stamp and no flag, so the value would never be sent.
         return read_only(self.values[start : start + self._sizes[identity]])
 
     def words(self, identity: int) -> int | Words:
-        """The words of a variable as users get them: an int if it is one, else a read-only copy.
+        """Words of a variable for users: an int if there is one word, otherwise a read-only copy.
 
         Raises:
-            BadValue: no variable has such an id.
+            BadValue: If there is no variable with this id.
         """
         words = self.value(identity)
         return int(words[0]) if len(words) == 1 else read_only(words.copy())
 
     def stamp(self, identity: int) -> TimeStamp:
-        """When a variable was set last."""
+        """Time at which a variable was last set."""
         return TimeStamp(*self.stamps[identity].tolist())
 
     def set(self, identity: int, words: ArrayLike, stamp: TimeStamp | None = None) -> None:
-        """Set a whole variable, here; marks it updated and dirty.
+        """Set a whole variable on this side. Marks it as updated and dirty.
 
         Args:
-            identity: its id.
-            words: as many numbers of 32 bits as it is long, or one for all.
-            stamp: by default what `clock` says.
+            identity: Id of the variable.
+            words: Integers of 32 bits, as many as the variable has words, or one integer for all words.
+            stamp: Time stamp. The default is the current time of `clock`.
 
         Raises:
-            BadValue: no variable has such an id, or it cannot hold that.
+            BadValue: If there is no variable with this id, or it cannot hold the words.
         """
         start, size = self.start(identity), self._sizes[identity]
         words = _fitting(words, size)
         if size == 1 and type(words) is int:
-            # The usual case, in which numpy would take five times as long.
+            # The usual case, for which numpy would take five times as long.
             _WORD_FORM.pack_into(self.memory, WORD * start, words)
         else:
             self.values[start : start + size] = words
@@ -225,23 +236,27 @@ class VariableTable:
         self.dirty.add(identity)
 
     def start(self, identity: int) -> int:
-        """The first word of a variable in `values`; stays the same when variables are added.
+        """Index of the first word of a variable in `values`.
+
+        It does not change when variables are added.
 
         Raises:
-            BadValue: no variable has such an id.
+            BadValue: If there is no variable with this id.
         """
         if not 0 <= identity < len(self._starts):
-            raise BadValue(f"id {identity} is not among 0 to {len(self._starts) - 1}")
+            raise BadValue(f"id {identity} is not valid; expected 0 to {len(self._starts) - 1}")
         start: int = self._starts[identity]
         return start
 
     # -- many at once --------------------------------------------------------------------------
 
     def select(self, ids: Sequence[int] | Ids, width: int = 2) -> Selection:
-        """These variables, prepared for `set_many` and for sending; quick where they are those of last time.
+        """Prepare variables for `set_many` and for sending.
+
+        This is fast if they are the same as last time.
 
         Raises:
-            BadValue: no variable has such an id.
+            BadValue: If there is no variable with one of the ids.
         """
         wanted = np.asarray(ids, np.int64)
         key = (width, len(wanted))
@@ -249,23 +264,23 @@ class VariableTable:
         if known is not None and known.selects(wanted):
             return known
         if len(wanted) and not 0 <= int(wanted.min()) <= int(wanted.max()) < len(self.rows):
-            raise BadValue(f"ids {wanted} are not all among 0 to {len(self.rows) - 1}")
+            raise BadValue(f"ids {wanted} are not all valid; expected 0 to {len(self.rows) - 1}")
         if wanted.flags.writeable:
-            wanted = read_only(wanted.copy())  # whoever has it may change it
+            wanted = read_only(wanted.copy())  # the owner of the array might change it
         selection = Selection(self.layout, wanted, width)
         remember(self._selections, key, selection)
         return selection
 
     def set_many(self, selection: Selection, words: ArrayLike, stamp: TimeStamp | None = None) -> None:
-        """Set many variables, here; marks them updated and dirty.
+        """Set many variables on this side. Marks them as updated and dirty.
 
         Args:
-            selection: of `select`.
-            words: the words of all of them, one after another, or one for all.
-            stamp: by default what `clock` says.
+            selection: Variables, made by `select`.
+            words: Words of all of them, one after another, or one word for all.
+            stamp: Time stamp. The default is the current time of `clock`.
 
         Raises:
-            BadValue: not as many, or not of 32 bits.
+            BadValue: If the number of words is wrong, or a word is not an integer of 32 bits.
         """
         self.values[selection.cells] = _fitting(words, selection.size - (1 + selection.width) * len(selection.ids))
         self.stamps[selection.rows] = stamp or self.clock()
@@ -273,9 +288,11 @@ class VariableTable:
         self.dirty.add_many(selection.ids, ordered=selection.is_ordered)
 
     def receive(self, data: DataPackage, *, updates: bool = True) -> None:
-        """Take what came over the wire; marks it changed and fresh, and updated if `updates`.
+        """Store values that came over the wire.
 
-        Where a variable is in it twice, the last counts.
+        Marks them as changed and fresh, and as updated if `updates`.
+
+        If a variable is contained twice, its last value counts.
         """
         selection = data.selection
         if not len(data):
@@ -283,7 +300,7 @@ class VariableTable:
         rows, cells = selection.rows, selection.cells
         values, stamps, before = data.values, data.stamps, self.stamps[rows]
         differs = self.values[cells] != values
-        # One flag for each variable out of one for each word; with one word each they are the same.
+        # Reduce one flag per word to one flag per variable. If each variable has one word, they are the same.
         changed = differs if len(differs) == len(data) else np.logical_or.reduceat(differs, selection.starts)
         self.changed[rows] = changed
         self.fresh[rows] = changed | (before[:, 0] != stamps[:, 0]) | (before[:, 1] != stamps[:, 1])
@@ -291,12 +308,12 @@ class VariableTable:
         self.stamps[rows] = stamps
         if updates:
             self.updated[rows] = True
-        # Remembered so that `begin_round` clears these flags and no others: to clear all would cost more the more
-        # variables there are, at each sync.
+        # Remember these variables, so that `begin_round` clears only their flags. Clearing all flags at each sync would
+        # be slower the more variables there are.
         self._received.append(rows)
 
     def begin_round(self, *, updates: bool = True) -> None:
-        """Clear `fresh` of what was received since the last call, and `updated` if `updates`."""
+        """Clear `fresh` of the variables received since the last call, and `updated` if `updates`."""
         for rows in self._received:
             self.fresh[rows] = False
             if updates:
@@ -304,20 +321,20 @@ class VariableTable:
         self._received.clear()
 
     def encode(self, ids: Ids, width: int = 2) -> bytes:
-        """A data package with these variables."""
+        """Encode a data package with these variables."""
         return encode_data(self.direction, self.select(ids, width), self.values, self.stamps)
 
 
 class Database:
-    """Both tables.
+    """Both tables of variables.
 
     Attributes:
-        read: from the robot to programs.
-        write: from programs to the robot.
+        read: Table of the variables from the robot to programs.
+        write: Table of the variables from programs to the robot.
 
     Args:
-        read: the variables that there are to begin with.
-        write: likewise.
+        read: Initial read variables.
+        write: Initial write variables.
     """
 
     def __init__(self, read: Sequence[SymbolRow] = (), write: Sequence[SymbolRow] = ()) -> None:
@@ -326,27 +343,29 @@ class Database:
         self._tables: bytes | None = None
 
     def table(self, direction: str) -> VariableTable:
-        """The table of "r" or "w".
+        """Return the table of "r" or "w".
 
         Raises:
-            BadValue: neither.
+            BadValue: If `direction` is neither.
         """
         if direction not in ("r", "w"):
             raise BadValue(f"{direction!r} is neither 'r' nor 'w'")
         return self.read if direction == "r" else self.write
 
     def freeze(self) -> None:
-        """Allow no more variables."""
+        """Allow no more variables to be added."""
         self.read.is_frozen = self.write.is_frozen = True
 
     def encode_handshake(self, granted: str | None, width: int = 2) -> bytes:
-        """What a server says first: access, both tables, a value for each variable; freezes them.
+        """Encode the handshake of a server: access, both tables, and a value of each variable.
+
+        Freezes the tables.
 
         Args:
-            granted: "r" or "w"; None for none, as the original refuses.
-            width: words of a time stamp.
+            granted: "r" or "w"; None for no access, which is the original's refusal.
+            width: Number of 32-bit words of a time stamp.
         """
-        # A client that has been sent the tables is never sent another variable.
+        # A client that has received the tables is never sent another variable.
         self.freeze()
         if self._tables is None:
             self._tables = encode_table("w", self.write.rows) + encode_table("r", self.read.rows)
@@ -355,7 +374,10 @@ class Database:
 
 
 def database_of(handshake: Handshake) -> Database:
-    """The tables and the values of a handshake; what was ever set is fresh."""
+    """Create the tables with the values of a handshake.
+
+    Every variable that was ever set is fresh.
+    """
     database = Database(handshake.read, handshake.write)
     for data in handshake.data:
         database.table(data.direction).receive(data, updates=False)

@@ -1,7 +1,7 @@
-"""Variables as typed properties: declared in a class, bound by name to a database.
+"""Variables as typed properties: declared in a class, and bound by name to a database.
 
-The declarations say nothing of who is reading them: on the robot's side `Read` variables are set and `Write` variables
-read, on a program's side it is the reverse.
+A declaration does not depend on the side that uses it. The robot's side sets `Read` variables and reads `Write`
+variables. A client program does the reverse.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ class Declaration(Generic[V, S]):
     """A variable as a property; see `Read` and `Write`.
 
     Attributes:
-        direction: "r" from robot to program, "w" from program to robot.
-        type: of its values.
-        count: values in it.
-        unit: of its values; "" for none.
-        doc: what it is, in words.
-        name: in the robot's database; that of the attribute, unless it was given.
-        attribute: name of the attribute.
-        order: in which a value of several words, or of bytes, stands; None leaves it to the class.
-        is_optional: a robot may lack it.
+        direction: "r" for values from robot to program, "w" for values from program to robot.
+        type: Type of the values.
+        count: Number of values.
+        unit: Unit of the values; "" for none.
+        doc: Description of the variable.
+        name: Name in the robot's database. The default is the name of the attribute.
+        attribute: Name of the attribute.
+        order: Byte and word order of a value of several words or of bytes; None for the order of the class.
+        is_optional: Whether a robot may lack the variable.
     """
 
     direction: ClassVar[str]
@@ -59,9 +59,9 @@ class Declaration(Generic[V, S]):
         optional: bool = False,
     ) -> None:
         if not isinstance(type, ValueType):
-            raise BadValue(f"{type!r} is no type of variable; expected Int32, Float64, Scaled(...) or another")
+            raise BadValue(f"{type!r} is not a variable type; expected Int32, Float64, Scaled(...) or another type")
         if not isinstance(n, int) or n < 1:
-            raise BadValue(f"n is {n!r}; expected the number of values, at least 1")
+            raise BadValue(f"n is {n!r}; expected the number of values, 1 or more")
         if order not in (None, "little", "big"):
             raise BadValue(f"order is {order!r}; expected 'little' or 'big'")
         self.type = type
@@ -75,7 +75,7 @@ class Declaration(Generic[V, S]):
 
     @property
     def length(self) -> int:
-        """32-bit words."""
+        """Length of the variable in 32-bit words."""
         return self.type.length(self.count)
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -95,7 +95,7 @@ class Declaration(Generic[V, S]):
     def __get__(self, instance: Declarations | None, owner: type | None = None) -> Any:
         if instance is None:
             return self
-        # The common case first and without a branch: control loops read variables at each tick.
+        # The common case comes first and without a branch, because control loops read variables at each tick.
         try:
             read = instance._bound_readers[self.attribute]
         except KeyError:
@@ -113,35 +113,35 @@ class Declaration(Generic[V, S]):
         except BadValue as error:
             raise BadValue(f"{self.name}: {error}") from None
         with instance._bound_lock:
-            # Found under the lock: another thread may just have bound the instance to the tables of a new connection.
+            # Look it up under the lock: another thread might just have bound the instance to a new connection's tables.
             table, identity = instance._place(self)
             table.set(identity, words)
 
     def _missing(self, instance: Declarations) -> NoReturn:
-        instance._place(self)  # says what is wrong
-        raise AssertionError(f"{self.name} has a place and nothing that reads and packs it")
+        instance._place(self)  # raises the error that fits
+        raise AssertionError(f"{self.name} has a place in the database, but no reader or packer")
 
     def unpack(self, words: Any, order: Order) -> V:
-        """The value in the words of the variable."""
+        """Convert the words of the variable to its value."""
         many = self.count > 1
         value: V = self.type.unpack_many(words, self.count, order) if many else self.type.unpack(words, order)
         return value
 
 
 class Read(Declaration[V, S]):
-    """A variable from the robot to programs.
+    """A variable that the robot sets and programs read.
 
     Args:
-        type: of its values, such as `Int32` or `Scaled`.
-        n: values in it; with more than one the property is an array.
-        unit: of its values; by default the type's.
-        doc: what it is.
-        name: in the robot's database; by default that of the attribute.
-        order: in which the robot's machine holds values of several words; by default the class's.
-        optional: a robot may lack it; using it then raises `NotThere`.
+        type: Type of the values, such as `Int32` or `Scaled`.
+        n: Number of values. With more than one, the property is an array.
+        unit: Unit of the values. The default is the unit of the type.
+        doc: Description of the variable.
+        name: Name in the robot's database. The default is the name of the attribute.
+        order: Order in which the robot's machine stores values of several words. The default is the order of the class.
+        optional: Whether a robot may lack the variable. If it does, using the variable raises `NotThere`.
 
     Raises:
-        BadValue: an argument that cannot be.
+        BadValue: If an argument is not valid.
     """
 
     direction = "r"
@@ -177,7 +177,7 @@ class Read(Declaration[V, S]):
 
 
 class Write(Declaration[V, S]):
-    """A variable from programs to the robot; for its arguments see `Read`."""
+    """A variable that programs set and the robot reads. For its arguments, see `Read`."""
 
     direction = "w"
 
@@ -212,11 +212,11 @@ class Write(Declaration[V, S]):
 
 
 class Declarations:
-    """Has variables declared in its class, and a database that they are bound to.
+    """Base class of classes that declare variables, which are bound to a database.
 
     Class arguments:
-        order: in which the robot's machine holds values of several words, "little" or "big", for
-            declarations that do not say.
+        order: Order in which the robot's machine stores values of several words, "little" or "big". It applies to
+            declarations without an `order`.
     """
 
     _word_order: ClassVar[Order] = "little"
@@ -234,7 +234,8 @@ class Declarations:
                 raise BadValue(f"order is {order!r}; expected 'little' or 'big'")
             cls._word_order = order
         declared: dict[str, Declaration[Any, Any]] = {}
-        # From the oldest base on, so that a class replaces what its bases declare, and removes it with `name = None`.
+        # Begin with the oldest base, so that a class can replace declarations of its bases, or remove one with
+        # `name = None`.
         for base in reversed(cls.__mro__):
             for attribute, value in vars(base).items():
                 declared.pop(attribute, None)
@@ -244,48 +245,53 @@ class Declarations:
 
     @classmethod
     def declared(cls) -> Mapping[str, Declaration[Any, Any]]:
-        """The declarations by attribute, inherited ones first."""
+        """Declarations by attribute name, inherited ones first."""
         return cls._declarations
 
     def _place(self, declaration: Declaration[Any, Any]) -> tuple[VariableTable, int]:
-        """Where a variable is.
+        """Find the table and id of a variable.
 
         Raises:
-            LocalError: the instance has not been bound.
-            NotThere: the database lacks it.
+            LocalError: If the instance is not bound.
+            NotThere: If the database lacks the variable.
         """
         places = self._bound_places
         if places is None:
-            raise LocalError(f"{declaration.name} belongs to no robot yet; its class is what connect() takes")
+            raise LocalError(f"{declaration.name} is not connected; use the object that rhdlink.connect() returns")
         place = places.get(declaration.attribute)
         if place is None:
             raise NotThere(f"this robot has no {_WHOSE[declaration.direction]} variable {declaration.name!r}")
         return place
 
     def _check_set(self, declaration: Declaration[Any, Any]) -> None:
-        """Raise if this side may not set the variable. The robot's own side may set all."""
+        """Raise an error if this side may not set the variable.
+
+        The robot's own side may set all variables.
+        """
 
 
 def refuse_hiding(declared: type[Declarations], base: type[Declarations]) -> None:
-    """Raise `BadValue` if a class declares a variable by a name that every instance of `base` uses otherwise."""
+    """Raise `BadValue` if a class declares a variable with the name of an attribute of `base`."""
     for attribute, declaration in declared.declared().items():
         if hasattr(base, attribute) or attribute in base.__annotations__:
             raise BadValue(
-                f"{declared.__name__}.{attribute} would hide what every {base.__name__} object has; "
-                f"call it otherwise, with name={declaration.name!r}"
+                f"{declared.__name__}.{attribute} would hide an attribute that every {base.__name__} object has; "
+                f"choose another attribute name, with name={declaration.name!r}"
             )
 
 
 def create_variables(declared: type[Declarations], database: Database) -> None:
-    """Make the variables that a class declares in a database; those that are there already are left as they are.
+    """Create the variables that a class declares in a database.
+
+    Existing variables are not changed.
 
     Raises:
-        BadValue: a name or a length that cannot be.
-        LocalError: the database is frozen and lacks one.
+        BadValue: If a name or a length is not valid.
+        LocalError: If the database is frozen and lacks a variable.
     """
     for declaration in declared.declared().values():
         table = database.table(declaration.direction)
-        # Plugins share variables by declaring the same one; whether it is the same, `bind` finds out.
+        # Plugins share a variable by declaring the same one. `bind` checks whether the declarations agree.
         if declaration.name not in table:
             table.add(declaration.name, declaration.length)
 
@@ -294,19 +300,20 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
     """Find the variables that an instance declares in a database, by name.
 
     Args:
-        instance: gets and sets them there from now on.
-        database: which.
-        lock: held around every access to it, where threads share it.
+        instance: Object that reads and sets its variables in the database from now on.
+        database: Database in which to find the variables.
+        lock: Lock that is held around every access to the database. The default is a new lock.
 
     Raises:
-        WrongVariables: says all that the database lacks, or has in another length or direction.
+        WrongVariables: If the database lacks variables, or has them with another length or direction. The error lists
+            all of them.
     """
     places: dict[str, tuple[VariableTable, int]] = {}
     readers: dict[str, Callable[[], Any]] = {}
     packers: dict[str, Packer] = {}
-    # All of them are collected: who connects to a robot of another kind sees at once how it differs.
+    # Collect all differences, so that one error shows how a robot of another kind differs.
     differences = []
-    # Re-entrant: a signal handler may read a variable while the main thread is reading one.
+    # Re-entrant: a signal handler might read a variable while the main thread is reading one.
     lock = lock or threading.RLock()
     for attribute, declaration in instance.declared().items():
         table = database.table(declaration.direction)
@@ -319,7 +326,7 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
             differences.append(difference)
     if differences:
         raise WrongVariables(differences)
-    # Last, so that an instance which cannot be bound keeps working on the tables that it had.
+    # Assign these last, so that an instance that cannot be bound keeps working on its previous tables.
     instance._bound_lock, instance._bound_places = lock, places
     instance._bound_readers, instance._bound_packers = readers, packers
 
@@ -327,13 +334,16 @@ def bind(instance: Declarations, database: Database, lock: threading.RLock | Non
 def _reader(
     declaration: Declaration[Any, Any], order: Order, table: VariableTable, identity: int, lock: threading.RLock
 ) -> Callable[[], Any]:
-    """What a property read calls. All that can be found out beforehand is, so that a read takes half a microsecond."""
+    """Return the function that a property read calls.
+
+    It is prepared, so that a read takes half a microsecond.
+    """
     read = declaration.type.reader(declaration.count, declaration.order or order)
     offset = WORD * table.start(identity)
 
     def read_now() -> Any:
-        # Without the lock, half of a value of two words could be that of the batch which is just coming in. The table's
-        # memory is looked up each time, since it is another one after a plugin has added a variable.
+        # Without the lock, half of a value of two words might come from the batch that is just arriving. Look up the
+        # table's memory at each read, because it is replaced when a plugin adds a variable.
         with lock:
             return read(table.memory, offset)[0]
 
@@ -341,7 +351,10 @@ def _reader(
 
 
 def _difference(declaration: Declaration[Any, Any], database: Database) -> str | None:
-    """How the database differs from what was declared; None if an optional variable is missing."""
+    """Describe how the database differs from the declaration.
+
+    None if only an optional variable is missing.
+    """
     name, whose = declaration.name, _WHOSE[declaration.direction]
     identity = database.table(declaration.direction).find(name)
     if identity is not None:

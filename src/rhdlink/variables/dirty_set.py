@@ -1,4 +1,4 @@
-"""Dirty sets: which variables have changed and are still to be sent, for each peer."""
+"""Dirty sets: for each peer, the variables that have changed and must still be sent."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ import numpy as np
 
 from ..wire.data import Ids, read_only
 
-#: So many ids are sorted in a list; beyond it, looking at the flag of every variable is quicker.
+#: Up to this number of ids, a list is sorted. Above it, checking the flag of every variable is faster.
 _FEW = 64
 
-#: Read only, as all that is taken from a set: several parties hold the same array.
+#: Read-only, like all arrays that are taken from a set, because several users share the same array.
 _NONE = read_only(np.empty(0, np.int64))
 
 
 class DirtySet:
-    """A set of ids, emptied as a whole. Its cost depends on how many are in it, not on how many there are.
+    """A set of ids that is emptied as a whole.
 
-    Where the sets of two clients are filled alike, they hand out the same array, so that the package that was encoded
-    for one serves the other.
+    Its cost depends on its size, not on the number of variables.
+
+    If the sets of two clients are filled in the same way, they return the same array. So a package that was encoded for
+    one client can be sent to the other.
     """
 
     __slots__ = ("_few", "_flags", "_has_flags", "_marks", "_whole")
@@ -25,12 +27,12 @@ class DirtySet:
     def __init__(self, count: int) -> None:
         self._marks = bytearray(count)
         self._flags = np.frombuffer(self._marks, np.uint8)  # the same memory, for numpy
-        self._few: list[int] = []  # added one by one
-        self._has_flags = False  # some were added together, and are only in the flags
-        self._whole: Ids | None = None  # an array that was added to the empty set, not yet in the flags
+        self._few: list[int] = []  # ids that were added one by one
+        self._has_flags = False  # whether some ids were added together, and are only in the flags
+        self._whole: Ids | None = None  # array that was added to the empty set, and is not yet in the flags
 
     def add(self, identity: int) -> None:
-        """Add one."""
+        """Add one id."""
         if self._whole is not None:
             self._spread()
         if not self._marks[identity]:
@@ -38,7 +40,7 @@ class DirtySet:
             self._few.append(identity)
 
     def add_many(self, ids: Ids, *, ordered: bool = False) -> None:
-        """Add many; `ordered` says that they ascend and none is there twice."""
+        """Add many ids. `ordered` means that they are ascending and unique."""
         if not len(ids):
             return
         if ordered and self._whole is None and not self:
@@ -56,7 +58,7 @@ class DirtySet:
         self._has_flags = True
 
     def take(self) -> Ids:
-        """All that are in it, ascending and read only; it is empty then."""
+        """Remove and return all ids, in ascending order, as a read-only array."""
         if self._whole is not None:
             whole, self._whole = self._whole, None
             return whole

@@ -1,4 +1,4 @@
-"""Variables as users see them: one variable at one moment, and what a sync has changed."""
+"""Variables for users: one variable at one moment, and the changes of a sync."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ class Variable:
     """A variable at one moment.
 
     Attributes:
-        name: in the robot's database.
+        name: Name in the robot's database.
         direction: "r" from robot to program, "w" from program to robot.
-        identity: its id, the place in its table.
-        length: 32-bit words.
-        value: typed as it was declared; where it was not, an int if it is one word, else a read-only int32 array.
-        stamp: when it was set, by the clock of who set it.
-        updated: see `rhdlink.Variables.updated`.
-        changed: see `rhdlink.Variables.changed`.
-        fresh: see `rhdlink.Variables.fresh`.
-        unit: as declared; "" for none.
-        doc: as declared.
+        identity: Id of the variable, which is its position in the table.
+        length: Number of 32-bit words.
+        value: Value in the declared type. If undeclared, an int for one word, otherwise a read-only int32 array.
+        stamp: Time at which it was set, on the clock of the side that set it.
+        updated: See `rhdlink.Variables.updated`.
+        changed: See `rhdlink.Variables.changed`.
+        fresh: See `rhdlink.Variables.fresh`.
+        unit: Declared unit; "" for none.
+        doc: Declared description.
     """
 
     name: str
@@ -45,12 +45,12 @@ class Variable:
 
 @dataclass(frozen=True)
 class Change:
-    """A variable that came with another time stamp or another value.
+    """A variable that arrived with a different time stamp or value.
 
     Attributes:
-        value: typed as it was declared; where it was not, an int if it is one word, else a read-only int32 array.
-        stamp: when it was set, by the clock of who set it.
-        changed: whether the value differs from the one before.
+        value: Value in the declared type. If undeclared, an int for one word, otherwise a read-only int32 array.
+        stamp: Time at which it was set, on the clock of the side that set it.
+        changed: Whether the value differs from the previous value.
     """
 
     value: Any
@@ -60,18 +60,18 @@ class Change:
 
 @dataclass(frozen=True)
 class Update:
-    """What changed with one sync.
+    """The changes of one sync.
 
     Attributes:
-        changes: by name; never empty.
-        received: when it came, by the clocks of this machine.
+        changes: Changes by name; never empty.
+        received: Time at which they arrived, on the clocks of this computer.
     """
 
     changes: Mapping[str, Change]
     received: Stamp
 
     def __getitem__(self, name: str) -> Any:
-        """The value of a variable that changed; KeyError if it did not."""
+        """Value of a variable that changed. Raises KeyError if it did not change."""
         return self.changes[name].value
 
     def __contains__(self, name: object) -> bool:
@@ -81,15 +81,15 @@ class Update:
 def changes_in(
     database: Database, names: frozenset[str] | None, value_of: Callable[[VariableTable, int], Any]
 ) -> dict[str, Change]:
-    """The variables whose time stamp or value has changed in the newest batch.
+    """Collect the variables whose time stamp or value changed in the newest batch.
 
     Args:
-        database: has taken that batch.
-        names: of these variables; None for all.
-        value_of: the value of a variable, by its table and its id.
+        database: Database that has received the batch.
+        names: Names of the wanted variables; None for all.
+        value_of: Function that returns the value of a variable, called with its table and its id.
     """
     changes: dict[str, Change] = {}
-    # Of a read and a write variable with the same name the read variable stands.
+    # If a read and a write variable have the same name, the read variable is kept.
     for table in (database.write, database.read):
         for identity in table.fresh.nonzero()[0].tolist():
             name = table.rows[identity].name
@@ -100,7 +100,7 @@ def changes_in(
 
 
 def to_html(title: str, variables: Iterable[Variable]) -> str:
-    """The variables as a table, for notebooks."""
+    """Render the variables as an HTML table, for notebooks."""
     return html_table(title, ("name", "", "value", "unit", "stamp", "", ""), map(_row, variables))
 
 

@@ -1,9 +1,11 @@
-"""What 32-bit words mean: numbers, text and structures, packed as a C++ program has them in memory.
+"""Types of 32-bit words: numbers, text and structures.
+
+Values are packed as in the memory of a C++ program.
 
 The wrappers around the original copy a value's memory into as many words as it needs, and each word crosses the network
-by itself (docs/protocols/rhd.md, Encoding). A double is thus two words in the order in which the robot's machine holds
-them: low word first on a little-endian one, as every known robot is, high word first on a big-endian one. The ``order``
-of a declaration says which. A value of one word is the same in both orders.
+on its own (docs/protocols/rhd.md, Encoding). So a double is two words, in the order of the robot's machine. The low
+word is first on a little-endian machine, which every known robot is, and the high word is first on a big-endian one.
+The ``order`` of a declaration selects the order. A value of one word is the same in both orders.
 """
 
 from __future__ import annotations
@@ -22,13 +24,14 @@ from linkcore.errors import BadValue
 
 from ..wire.data import Words, read_only
 
-#: Which byte of a number stands first in the memory of the robot's machine.
+#: Byte order of the robot's machine: whether the lowest or the highest byte of a number comes first.
 Order = Literal["little", "big"]
 
-#: Reads the value of a variable from the memory of a table, whose words are in the order of this machine, at an offset
-#: in bytes. The value is the only item of what it returns, so that `struct.Struct.unpack_from` is one as it is.
+#: Function that reads the value of a variable from the memory of a table, at an offset in bytes. The words are in the
+#: order of this machine. It returns a tuple with the value as its only item, so `struct.Struct.unpack_from` can be used
+#: directly.
 Reader = Callable[[bytearray, int], tuple[Any, ...]]
-#: Makes the words of a value; one word may be an int.
+#: Function that makes the words of a value; one word may be an int.
 Packer = Callable[[Any], "Words | int"]
 
 V = TypeVar("V")
@@ -36,57 +39,62 @@ A = TypeVar("A")
 S = TypeVar("S")
 
 _MARK: dict[str, Literal["<", ">"]] = {"little": "<", "big": ">"}
-#: struct's letters for numpy's names.
+#: Format letters of struct, by the names of numpy.
 _LETTERS = {"i4": "i", "u4": "I", "i8": "q", "f4": "f", "f8": "d"}
 _WORD_SIZE = 4
 #: One word, in the order of this machine.
 _read_word = struct.Struct("=i").unpack_from
 _read_two_words = struct.Struct("=ii").unpack_from
 _ZERO = (0,)
-#: What one word can hold.
+#: Range of one word.
 _LEAST, _MOST = -(2**31), 2**31 - 1
 
 
 def wrapped(count: float, bits: int = 32) -> int:
-    """The nearest value of a counter of so many bits, as robots have them: after 2147483647 comes -2147483648."""
+    """Round a counter and wrap it to `bits` bits, as robots do.
+
+    After 2147483647 comes -2147483648.
+    """
     half = 1 << (bits - 1)
     return (round(count) + half) % (2 * half) - half
 
 
 class ValueType(Generic[V, A, S]):
-    """The type of a variable's values: one value is a `V`, many are an `A`, and one can be set as an `S`.
+    """Type of a variable's values.
+
+    One value is a `V`, many values are an `A`, and an `S` can be set.
 
     Attributes:
-        unit: of its values; "" for none.
+        unit: Unit of the values; "" for none.
     """
 
     unit: str = ""
 
     def length(self, count: int) -> int:
-        """The 32-bit words that so many values need."""
+        """Number of 32-bit words that `count` values need."""
         raise NotImplementedError
 
     def unpack(self, words: Words, order: Order) -> V:
-        """The value in the words of a variable. Never fails."""
+        """Convert the words of a variable to its value. Never fails."""
         values: Any = self.unpack_many(words, 1, order)
         value: V = values[0]
         return value
 
     def unpack_many(self, words: Words, count: int, order: Order) -> A:
-        """The values in the words of a variable, not changing with it. Never fails."""
+        """Convert the words of a variable to its values, which do not change with it. Never fails."""
         raise NotImplementedError
 
     def pack(self, value: S, order: Order) -> Words:
-        """The words of a value; raises `BadValue`."""
+        """Convert a value to words. Raises `BadValue`."""
         values: Any = [value]
         return self.pack_many(values, 1, order)
 
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
-        """The words of so many values; raises `BadValue`."""
+        """Convert `count` values to words. Raises `BadValue`."""
         raise NotImplementedError
 
     def reader(self, count: int, order: Order) -> Reader:
-        """A function that reads so many values as `unpack` or `unpack_many` does; quicker where a type knows how."""
+        """Return a function that reads like `unpack` or `unpack_many`, but is faster for some types."""
         length = self.length(count)
 
         def read(memory: bytearray, offset: int) -> tuple[Any]:
@@ -96,19 +104,19 @@ class ValueType(Generic[V, A, S]):
         return read
 
     def packer(self, count: int, order: Order) -> Packer:
-        """A function that packs so many values as `pack` or `pack_many` does; quicker where a type knows how."""
+        """Return a function that packs like `pack` or `pack_many`, but is faster for some types."""
         if count == 1:
             return lambda value: self.pack(value, order)
         return lambda values: self.pack_many(values, count, order)
 
 
 def _memory(words: Words, order: Order) -> bytes:
-    """The bytes that the robot's machine has in memory for these words."""
+    """Bytes of these words in the memory of the robot's machine."""
     return words.tobytes() if order == sys.byteorder else words.byteswap().tobytes()
 
 
 def _words(memory: bytes, order: Order) -> Words:
-    """The inverse of `_memory`; what does not fill the last word is filled with zeros."""
+    """Inverse of `_memory`. Zeros fill the rest of the last word."""
     words = np.frombuffer(memory + bytes(-len(memory) % 4), np.int32)
     return words if order == sys.byteorder else words.byteswap()
 
@@ -161,7 +169,8 @@ class _Number(ValueType[V, A, S]):
             return lambda memory, offset: (read_only(np.frombuffer(memory, native, count, offset).copy()),)
         if not is_swapped:
             return struct.Struct("=" + self._letter).unpack_from
-        # Each word is in the order of this machine, so the words are put in that of the robot's before they are one.
+        # Each word is in the order of this machine, so arrange the words in the robot's order before they become one
+        # value.
         read_words, write_words = struct.Struct("=II").unpack_from, struct.Struct(_MARK[order] + "II").pack
         unpack = self._structs[order].unpack
         return lambda memory, offset: unpack(write_words(*read_words(memory, offset)))
@@ -174,7 +183,7 @@ class _Number(ValueType[V, A, S]):
         return _words(array.astype(self._types[order]).tobytes(), order)
 
     def _checked(self, value: S) -> float:
-        """The number, if this type can hold it."""
+        """Return the number if this type can hold it. Otherwise raise `BadValue`."""
         raise NotImplementedError
 
     def _checked_many(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -196,7 +205,8 @@ class _Integer(_Number[int, A, SupportsIndex]):
         pack = struct.Struct(f"={count}i").pack
 
         def pack_list(values: Any) -> Words:
-            # struct refuses what is not a whole number of 32 bits in a tenth of the time; numpy says what was wrong.
+            # struct rejects values that are not integers of 32 bits in a tenth of the time. numpy then finds the exact
+            # error.
             if type(values) is list:
                 with contextlib.suppress(struct.error):
                     return np.frombuffer(pack(*values), np.int32)
@@ -208,13 +218,13 @@ class _Integer(_Number[int, A, SupportsIndex]):
         try:
             number = operator.index(value)
         except TypeError:
-            raise BadValue(f"{value!r} is not a whole number; expected {self._range}") from None
+            raise BadValue(f"{value!r} is not an integer; expected {self._range}") from None
         if not self._least <= number <= self._most:
             raise BadValue(f"{number} does not fit; expected {self._range}")
         return number
 
     def _checked_many(self, values: NDArray[Any]) -> NDArray[Any]:
-        # Whole numbers beyond 64 bits come as objects: each is looked at by itself.
+        # Integers beyond 64 bits are objects, so each value is checked individually.
         if values.dtype.kind not in "iub" or (len(values) and not self._holds(values)):
             return np.array([self._checked(each) for each in values.tolist()], self._native)
         return values
@@ -244,12 +254,15 @@ class _Float(_Number[float, NDArray[Any], SupportsFloat]):
 
 
 def _numbers(values: Any, count: int, what: str) -> NDArray[np.float64]:
-    """Values as float64; raises `BadValue` for what is not a number, text that looks like one among it."""
+    """Convert values to float64.
+
+    Raises `BadValue` for values that are not numbers, even for numeric text.
+    """
     array = _shaped(values, count, what)
     if array.dtype.kind not in "fiubO":
         raise BadValue(f"{values!r} is not {what}: expected numbers")
     try:
-        if array.dtype.kind == "O":  # whole numbers beyond 64 bits, Decimal; numpy would make NaN of None
+        if array.dtype.kind == "O":  # integers beyond 64 bits, or Decimal; numpy would make NaN from None
             return np.array([float(each) for each in array], np.float64)
         return array.astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -257,7 +270,7 @@ def _numbers(values: Any, count: int, what: str) -> NDArray[np.float64]:
 
 
 class _Flag(ValueType[bool, NDArray[np.bool_], bool]):
-    """A word that is zero or not; written as 0 or 1."""
+    """A word that is zero or not zero. It is written as 0 or 1."""
 
     def __repr__(self) -> str:
         return "Bool"
@@ -284,14 +297,14 @@ class _Flag(ValueType[bool, NDArray[np.bool_], bool]):
 class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
     """A fixed-point number: a 32-bit integer that counts steps of `scale`.
 
-    Written values are rounded to the nearest step, where C programs drop the fraction.
+    Written values are rounded to the nearest step, whereas C programs drop the fraction.
 
     Args:
-        scale: what one step is worth, in `unit`.
-        unit: of the value.
+        scale: Value of one step, in `unit`.
+        unit: Unit of the value.
 
     Raises:
-        BadValue: a scale that is not a positive number.
+        BadValue: If `scale` is not a positive number.
     """
 
     def __init__(self, scale: float, *, unit: str = "") -> None:
@@ -317,7 +330,8 @@ class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
         scale = self.scale
 
         def pack_number(value: Any) -> Words | int:
-            # Both round halves to even. Beyond a word, and for what is not a plain number, `pack` says what is wrong.
+            # Both ways round halves to even. `pack` raises the error for a value that does not fit or is not a plain
+            # number.
             if type(value) is float or type(value) is int:
                 steps = value / scale
                 if _LEAST <= steps <= _MOST:
@@ -334,7 +348,7 @@ class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
 
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         numbers = _numbers(values, count, repr(self))
-        with np.errstate(over="ignore"):  # what becomes infinite is refused below
+        with np.errstate(over="ignore"):  # infinite values are rejected below
             steps = np.rint(numbers / self.scale)
         fits = (steps >= _LEAST) & (steps <= _MOST)
         if not fits.all():
@@ -373,9 +387,9 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         numbers = _numbers(values, count, "Millionths")
         whole = np.trunc(numbers)
-        with np.errstate(invalid="ignore"):  # what is not finite is refused below
+        with np.errstate(invalid="ignore"):  # values that are not finite are rejected below
             part = np.rint((numbers - whole) * 1e6)
-        # A fraction of almost one is rounded up to a whole.
+        # Rounding can turn a fraction into a whole, which is carried over.
         carried = np.abs(part) == 1e6
         whole[carried] += np.sign(part[carried])
         part[carried] = 0
@@ -386,12 +400,12 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
 
 
 class Text(ValueType[str, tuple[str, ...], str]):
-    """Text of at most `size` bytes of UTF-8, filled up with NUL.
+    """Text of at most `size` bytes of UTF-8, padded with NUL.
 
-    Reading ends at the first NUL and replaces what is not UTF-8.
+    Reading ends at the first NUL and replaces bytes that are not UTF-8.
 
     Raises:
-        BadValue: a size below 1.
+        BadValue: If `size` is below 1.
     """
 
     def __init__(self, size: int) -> None:
@@ -428,20 +442,22 @@ class Text(ValueType[str, tuple[str, ...], str]):
 
 
 class Structure(ValueType[np.void, NDArray[np.void], Any]):
-    """A C structure, as a structured numpy type; several stand one after another as in an array.
+    """A C structure, as a structured numpy type.
+
+    Several structures follow each other as in an array.
 
     Args:
-        dtype: what `numpy.dtype` takes; with ``align=True`` there it is padded as a C compiler does.
-            The byte order of its fields is that of the declaration.
+        dtype: Argument of `numpy.dtype`. A type with ``align=True`` is padded as by a C compiler. The byte order of its
+            fields is the order of the declaration.
 
     Raises:
-        BadValue: not a structured type, or one that holds Python objects.
+        BadValue: If the type is not structured, or contains Python objects.
     """
 
     def __init__(self, dtype: DTypeLike) -> None:
         self.dtype = np.dtype(dtype)
         if self.dtype.names is None or self.dtype.hasobject or not self.dtype.itemsize:
-            raise BadValue(f"{self.dtype} is no structured type of plain fields")
+            raise BadValue(f"{self.dtype} is not a structured type; expected named fields without Python objects")
 
     def __repr__(self) -> str:
         return f"Structure({self.dtype})"
@@ -466,7 +482,10 @@ class Structure(ValueType[np.void, NDArray[np.void], Any]):
 
 
 def _copy_fields(to: NDArray[Any], source: NDArray[Any]) -> None:
-    """Copy the fields, and not what padding holds: that is of this program's memory and nobody's business."""
+    """Copy only the fields.
+
+    The padding may contain memory of this program, which must not be sent.
+    """
     for name in to.dtype.names or ():
         if to[name].dtype.names is None:
             to[name] = source[name]
@@ -474,17 +493,17 @@ def _copy_fields(to: NDArray[Any], source: NDArray[Any]) -> None:
             _copy_fields(to[name], source[name])
 
 
-#: A signed 32-bit integer, what the original knows.
+#: A signed 32-bit integer, the original's only type.
 Int32: ValueType[int, NDArray[np.int32], SupportsIndex] = _Integer("Int32", "i4")
 #: An unsigned 32-bit integer.
 UInt32: ValueType[int, NDArray[np.uint32], SupportsIndex] = _Integer("UInt32", "u4")
 #: A signed 64-bit integer, two words.
 Int64: ValueType[int, NDArray[np.int64], SupportsIndex] = _Integer("Int64", "i8")
-#: A 32-bit float. What it cannot hold exactly is rounded.
+#: A 32-bit float. Values that it cannot hold exactly are rounded.
 Float32: ValueType[float, NDArray[np.float32], SupportsFloat] = _Float("Float32", "f4")
 #: A 64-bit float, two words.
 Float64: ValueType[float, NDArray[np.float64], SupportsFloat] = _Float("Float64", "f8")
-#: A word that is zero or not.
+#: A word that is zero or not zero.
 Bool: ValueType[bool, NDArray[np.bool_], bool] = _Flag()
 #: A number as the original's GPS plugin sends it: whole part and millionths, two words.
 Millionths: ValueType[float, NDArray[np.float64], SupportsFloat] = _Millionths()

@@ -1,1 +1,1 @@
-"""The RHD byte format, sans-IO: declared in `schema`, encoded and decoded beside it."""
+"""The RHD byte format, sans-IO: declarations in `schema`, encoders and decoders."""

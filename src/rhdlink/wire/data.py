@@ -1,9 +1,9 @@
-"""Data packages, in numpy: which words of a package belong to which words of a table.
+"""Data packages in numpy: which words of a package belong to which words of a table.
 
-A data package is a row of entries: id, time stamp, data. As long as the same variables come in the same order, the
-places of all their words are the same too. So the places are worked out once, as a `Selection`, and every further
-package is moved by a few numpy calls, whatever the lengths of its variables: 1000 variables take 20 us instead of the
-milliseconds of a loop.
+A data package is a sequence of entries: id, time stamp, data. If the same variables arrive in the same order, all their
+words have the same positions. So the positions are computed once, as a `Selection`, and every further package is copied
+with a few numpy calls, for any lengths of its variables. 1000 variables take 20 us instead of the milliseconds of
+a loop.
 """
 
 from __future__ import annotations
@@ -26,30 +26,31 @@ Stamps = NDArray[np.int64]
 #: A word on the wire.
 _WIRE = np.dtype(">i4")
 _LOW = 0xFFFFFFFF
-#: Selections that are remembered. Working one out takes ten times as long as using it, and a robot whose plugins set
-#: things at different rates has a few kinds of packages that come again and again: eight of them, and the empty package
-#: of either direction. Where one kind more comes round, each of them is worked out anew.
+#: Maximum number of selections that are remembered. Computing a selection takes ten times as long as using it. A robot
+#: whose plugins set variables at different rates has a few kinds of recurring packages: this number allows eight of
+#: them, and the empty package of either direction. With one more recurring kind, every selection would be computed
+#: again each time.
 _REMEMBERED = 10
 
 K = TypeVar("K")
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """The same array, read only from here on; other views of its memory are as they were."""
+    """Make this array read-only and return it. Other views of its memory are not affected."""
     array.flags.writeable = False
     return array
 
 
 class TableLayout:
-    """How the variables of one table lie in its flat storage, in the order of their ids.
+    """Positions of the variables of one table in its flat storage, in the order of their ids.
 
     Attributes:
-        count: variables.
-        lengths: words of each variable.
-        offsets: first word of each variable.
-        words: words of all variables.
+        count: Number of variables.
+        lengths: Words of each variable.
+        offsets: First word of each variable.
+        words: Words of all variables together.
         sizes: `lengths` as a list, for loops.
-        uniform: the length that all variables have, or None if they differ.
+        uniform: Common length of all variables; None if they differ.
     """
 
     def __init__(self, lengths: Sequence[int]) -> None:
@@ -62,17 +63,19 @@ class TableLayout:
 
 
 class Selection:
-    """Some variables of a table: the places of their words in a data package and in the table's flat storage.
+    """Some variables of a table, with the positions of their words.
+
+    The positions are given in a data package and in the table's flat storage.
 
     Attributes:
-        ids: the variables, in the order of the package.
-        width: words of a time stamp, 2 or 4.
-        at: word of the package at which each entry begins.
-        size: words of all entries.
-        is_ordered: the ids ascend, and none is there twice.
-        starts: first word of each variable among the values of the package.
-        rows: the variables, as an index of arrays with an element for each variable of the table.
-        cells: their words, as an index of the table's flat storage.
+        ids: Ids of the variables, in the order of the package.
+        width: Number of 32-bit words of a time stamp, 2 or 4.
+        at: Word of the package at which each entry begins.
+        size: Number of words of all entries.
+        is_ordered: Whether the ids are ascending and unique.
+        starts: First word of each variable in the values of the package.
+        rows: The variables, as an index of arrays with one element per variable of the table.
+        cells: The words of the variables, as an index of the table's flat storage.
     """
 
     def __init__(self, layout: TableLayout, ids: Ids, width: int) -> None:
@@ -90,19 +93,20 @@ class Selection:
         self.size = total + head * count
         self.is_ordered = bool((np.diff(ids) > 0).all())
         if count and self.is_ordered and ids[-1] - ids[0] == count - 1:
-            # A slice where that is possible: numpy copies it several times as fast as an array of indices.
+            # Use a slice if possible, because numpy copies a slice several times as fast as an array of indices.
             first, begin = int(ids[0]), int(layout.offsets[ids[0]])
             self.rows: slice | Ids = slice(first, first + count)
             self.cells: slice | Ids = slice(begin, begin + total)
         else:
             self.rows = ids
             self.cells = np.arange(total) + np.repeat(layout.offsets[ids] - self.starts, lengths)
-        # With all lengths equal a package is a table of so many columns; otherwise each word's place is listed.
+        # If all lengths are equal, a package is a table with a fixed number of columns. Otherwise list each word's
+        # position.
         self._stride = None if layout.uniform is None else head + layout.uniform
         self._valued: Ids | None = None
         self._stamped: Ids | None = None
         if self._stride is None:
-            # The data of entry k stands behind k + 1 heads and the data of the entries before it.
+            # The data of entry k comes after k + 1 heads and the data of the previous entries.
             self._valued = np.arange(total) + np.repeat(head * np.arange(1, count + 1), lengths)
             self._stamped = (self.at + 1)[:, None] + np.arange(width)
 
@@ -113,17 +117,20 @@ class Selection:
     # -- reading -------------------------------------------------------------------------------
 
     def fits(self, words: Words) -> bool:
-        """Whether the words of a package are of these variables: whether their ids stand where they should."""
+        """Whether the words of a package belong to these variables.
+
+        If so, their ids are at the expected positions.
+        """
         return words[self.at].tobytes() == self._expected
 
     def values(self, words: Words) -> Words:
-        """The values in the words of a package."""
+        """Extract the values from the words of a package."""
         if self._stride is not None:
             return words.reshape(-1, self._stride)[:, 1 + self.width :].reshape(-1)
         return words[self._valued]
 
     def stamps(self, words: Words) -> Stamps:
-        """The stamps in the words of a package."""
+        """Extract the time stamps from the words of a package."""
         if self._stride is not None:
             raw = words.reshape(-1, self._stride)[:, 1 : 1 + self.width].astype(np.int64)
         else:
@@ -137,7 +144,7 @@ class Selection:
     # -- writing -------------------------------------------------------------------------------
 
     def pack(self, values: Words, stamps: Stamps) -> bytes:
-        """The entries as bytes, from the flat storage and the stamps of the whole table."""
+        """Encode the entries as bytes, from the flat storage and the stamps of the whole table."""
         own = stamps[self.rows]
         if self.width == 4:
             wide = np.empty((len(self.ids), 4), np.int64)
@@ -157,20 +164,25 @@ class Selection:
 
 
 def remember(known: dict[K, Selection], key: K, selection: Selection) -> None:
-    """Keep a selection as the newest one; where there are `_REMEMBERED` already, the oldest one goes."""
-    known.pop(key, None)  # so that it becomes the newest: a dict keeps the order of insertion
+    """Store a selection as the newest one.
+
+    If there are already `_REMEMBERED`, drop the oldest one.
+    """
+    known.pop(key, None)  # so that it becomes the newest, because a dict keeps the order of insertion
     if len(known) >= _REMEMBERED:
         del known[next(iter(known))]
     known[key] = selection
 
 
 class DataPackage:
-    """One data package, checked: values for variables. Of a variable that is in it twice, the last value counts.
+    """One checked data package with values of variables.
+
+    If a variable is in it twice, the last value counts.
 
     Attributes:
         direction: "r" from robot to program, or "w" from program to robot.
-        selection: which variables.
-        words: the words of all entries, in the machine's own order.
+        selection: Variables of the package.
+        words: Words of all entries, in the machine's own order.
     """
 
     __slots__ = ("direction", "selection", "words")
@@ -182,7 +194,10 @@ class DataPackage:
 
     @classmethod
     def read(cls, direction: str, selection: Selection, buffer: bytes | bytearray, start: int) -> DataPackage:
-        """The package of these variables whose entries begin at `start`; does not look at their ids."""
+        """Read the package of these variables whose entries begin at `start`.
+
+        Their ids are not checked.
+        """
         return cls(direction, selection, np.frombuffer(buffer, _WIRE, selection.size, start).astype(np.int32))
 
     def __len__(self) -> int:
@@ -190,31 +205,33 @@ class DataPackage:
 
     @property
     def ids(self) -> Ids:
-        """The variables, in the order of the package."""
+        """Ids of the variables, in the order of the package."""
         return self.selection.ids
 
     @property
     def values(self) -> Words:
-        """Their values, one after another."""
+        """Values of the variables, one after another."""
         return self.selection.values(self.words)
 
     @property
     def stamps(self) -> Stamps:
-        """Their time stamps, shape (n, 2): seconds and microseconds."""
+        """Time stamps of the variables, shape (n, 2): seconds and microseconds."""
         return self.selection.stamps(self.words)
 
 
 class Cursor:
-    """A position in a data package of which some is still to come; moves from entry to entry, as far as they are there.
+    """A position in a partly received data package.
 
-    The entries are first compared with those of an earlier package of as many. From the first that differs they are
-    found one by one, since where an entry ends is only known from its id.
+    It moves from entry to entry, as far as they have arrived.
+
+    The entries are first compared with an earlier package of the same number of entries. From the first difference,
+    entries are found one by one, because only the id of an entry determines its end.
 
     Attributes:
-        layout: of the table.
-        width: words of a time stamp.
-        count: entries of the package.
-        at: bytes of the entries found, of which some may be still to come.
+        layout: Layout of the table.
+        width: Number of 32-bit words of a time stamp.
+        count: Number of entries of the package.
+        at: Number of bytes of the entries found so far. Some of these bytes may not have arrived yet.
     """
 
     __slots__ = ("_guess", "_ids", "at", "count", "layout", "width")
@@ -228,11 +245,13 @@ class Cursor:
         self._ids: list[int] = []
 
     def advance(self, buffer: bytes | bytearray, start: int) -> int | None:
-        """Find the entries that are there. Returns the offset of an id that no variable has, or None.
+        """Find the entries that have arrived.
+
+        Return the offset of an id that no variable has; otherwise None.
 
         Args:
-            buffer: what has come.
-            start: offset of the first entry in it.
+            buffer: Received bytes.
+            start: Offset of the first entry in the buffer.
         """
         if self._guess is not None:
             self._compare(self._guess, buffer, start)
@@ -248,7 +267,7 @@ class Cursor:
         return None
 
     def _compare(self, guess: Selection, buffer: bytes | bytearray, start: int) -> None:
-        """Take the entries that are as guessed; forget the guess if one is not."""
+        """Accept the entries that match the guess. Drop the guess if one does not match."""
         there = (len(buffer) - start) // WORD
         known, upto = len(self._ids), int(np.searchsorted(guess.at, there))
         if upto == known:
@@ -263,9 +282,9 @@ class Cursor:
             self.at = WORD * (int(guess.at[upto - 1]) + 1 + self.width + self.layout.sizes[self._ids[-1]])
 
     def is_done(self, buffer: bytes | bytearray, start: int) -> bool:
-        """Whether the whole package has come."""
+        """Whether the whole package has arrived."""
         return len(self._ids) == self.count and start + self.at <= len(buffer)
 
     def selection(self) -> Selection:
-        """The variables of the package, once it has come."""
+        """Variables of the package, after it has arrived."""
         return self._guess or Selection(self.layout, np.array(self._ids, np.int64), self.width)

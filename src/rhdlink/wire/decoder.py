@@ -1,9 +1,9 @@
-"""Bytes to checked batches, sans-IO, both directions.
+"""Decoders from bytes to checked batches, sans-IO, for both directions.
 
-`ServerDecoder` reads what a server sends, `ClientDecoder` what a client sends: feed them bytes as they come, cut
-anywhere, and take whole batches out. Nothing of a batch is handed out, and nothing allocated for it, before its counts,
-ids and lengths have been checked: the original has no such checks, and one hostile number ends it
-(docs/protocols/rhd.md, Defects).
+`ServerDecoder` reads the bytes of a server, and `ClientDecoder` reads the bytes of a client. Feed them bytes in chunks
+of any size, and take whole batches out. A decoder checks counts, ids and lengths before it returns a part of a batch or
+allocates memory for it. The original has no such checks, and one hostile number ends it (docs/protocols/rhd.md,
+Defects).
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ _ROW = TABLE.item_struct
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds on what comes over the wire.
+    """Limits on data that arrives over the wire.
 
-    The defaults are far above what any robot is known to use, which is some hundred variables of at most 127 words.
+    The defaults are far above any known robot, which has about 100 variables with at most 127 words.
 
     Attributes:
-        variables: variables in one table.
-        length: 32-bit words of one variable.
-        words: words of all variables of one table together.
-        batch: bytes of one batch, the handshake among them.
+        variables: Maximum number of variables in one table.
+        length: Maximum number of 32-bit words of one variable.
+        words: Maximum number of words of all variables of one table together.
+        batch: Maximum size of one batch in bytes. The handshake is a batch too.
 
     Raises:
-        BadValue: a limit below 1.
+        BadValue: If a limit is below 1.
     """
 
     variables: int = 8192
@@ -45,25 +45,25 @@ class Limits:
     def __post_init__(self) -> None:
         for field in fields(self):
             if getattr(self, field.name) < 1:
-                raise BadValue(f"Limits.{field.name} is {getattr(self, field.name)}; expected at least 1")
+                raise BadValue(f"Limits.{field.name} is {getattr(self, field.name)}; expected 1 or more")
 
 
 class _Decoder:
-    """Bytes of one connection in one direction, cut into batches.
+    """Splits the bytes of one direction of a connection into batches.
 
     Args:
-        limits: what the peer may ask for.
+        limits: Limits on the data of the peer.
 
     Attributes:
-        offset: bytes of the batches taken so far.
+        offset: Total number of bytes of the batches taken so far.
     """
 
     def __init__(self, limits: Limits | None) -> None:
         self.limits = limits or Limits()
         self.offset = 0
         self._buffer: bytes | bytearray = b""
-        self._start = 0  # of the batch in the buffer
-        self._at = 0  # of the package in the buffer
+        self._start = 0  # start of the batch in the buffer
+        self._at = 0  # start of the package in the buffer
         self._cursor: Cursor | None = None
         self._known: dict[tuple[str, int], Selection] = {}  # by direction and number of entries
         self._data: list[DataPackage] = []
@@ -71,18 +71,18 @@ class _Decoder:
 
     @property
     def waiting(self) -> int:
-        """Bytes that came and belong to no batch taken so far."""
+        """Number of received bytes that are not part of a taken batch."""
         return len(self._buffer) - self._start
 
     def feed(self, data: bytes) -> None:
-        """Take bytes as they came, cut anywhere."""
+        """Add received bytes, in a chunk of any size."""
         if self._failure is not None:
             return
         if self._start == len(self._buffer):
             self._buffer, self._start, self._at = data, 0, 0
             return
         if self._start:
-            # What was taken makes room, so that the buffer never holds more than a batch and a chunk.
+            # Drop the taken batches, so that the buffer never holds more than a batch and a chunk.
             self._buffer = self._buffer[self._start :]
             self._at -= self._start
             self._start = 0
@@ -91,30 +91,30 @@ class _Decoder:
         self._buffer += data
 
     def _refuse(self, reason: str, at: int | None = None) -> NoReturn:
-        """The peer cannot be understood from here on."""
+        """Reject the connection's data from here on."""
         offset = (self._at if at is None else at) - self._start
         packet = f"batch at byte {self.offset} of the connection"
         self._failure = PacketError(reason, packet=packet, offset=offset)
-        self._buffer = b""  # it is of no more use, and may be large
+        self._buffer = b""  # it is no longer needed, and might be large
         raise self._failure
 
     def _refuse_package(self, expected: str, at: int | None = None, *, letters: int = 2) -> NoReturn:
-        """What stands here, by its first two letters or by the first alone, begins no package that may stand here."""
+        """Reject the next bytes, because their first letters do not begin a package that is allowed here."""
         there = bytes(self._buffer[self._at : self._at + letters])
         self._refuse(f"{there!r} cannot begin a package here; expected {expected}", at)
 
     def _check(self) -> None:
-        """Raise again what was wrong."""
+        """Raise an earlier error again."""
         if self._failure is not None:
             raise self._failure
 
     def _bound(self, size: int) -> None:
-        """Refuse a batch that is, or is going to be, larger than it may be."""
+        """Reject a batch that is, or will be, larger than the limit."""
         if size > self.limits.batch:
             self._refuse(f"no end within {self.limits.batch} bytes")
 
     def _take_count(self, what: str, most: int) -> int | None:
-        """The count of the package at hand, None if it has not come."""
+        """Count of the current package; None if it has not arrived."""
         if len(self._buffer) - self._at < HEAD_SIZE:
             return None
         (count,) = INT.unpack_from(self._buffer, self._at + 2)
@@ -123,15 +123,15 @@ class _Decoder:
         return int(count)
 
     def _take_data(self, direction: str, layout: TableLayout, width: int) -> DataPackage | None:
-        """The data package at hand, None if it has not come whole."""
+        """The current data package; None if it has not arrived completely."""
         buffer, start = self._buffer, self._at + HEAD_SIZE
         cursor = self._cursor
         if cursor is None:
             count = self._take_count(f"data package 'd{direction}'", layout.count)
             if count is None:
                 return None
-            # The common case: the same variables as in the last package with as many. One comparison of all ids, and
-            # no look at the single entries.
+            # The common case: the same variables as in the last package with this count. Compare all ids at once, and
+            # do not check the entries one by one.
             guess = self._known.get((direction, count))
             if guess is not None and len(buffer) - start >= WORD * guess.size:
                 package = DataPackage.read(direction, guess, buffer, start)
@@ -153,7 +153,7 @@ class _Decoder:
         return DataPackage.read(direction, selection, buffer, start)
 
     def _end_batch(self, at: int) -> tuple[tuple[DataPackage, ...], int]:
-        """The batch ends before `at`: its data packages and its size."""
+        """End the batch before `at`. Return its data packages and its size."""
         size = at - self._start
         self._bound(size)
         data, self._data = tuple(self._data), []
@@ -163,17 +163,17 @@ class _Decoder:
 
 
 class ServerDecoder(_Decoder):
-    """What a server sends: one `Handshake`, then a `Batch` for each sync.
+    """Decodes the bytes of a server: one `Handshake`, then a `Batch` for each sync.
 
     Args:
-        width: words of a time stamp, 2 or 4; None finds it out from the handshake.
-        limits: what the server may ask for.
+        width: Number of 32-bit words of a time stamp, 2 or 4. If None, it is detected from the handshake.
+        limits: Limits on the data of the server.
 
     Attributes:
-        handshake: once it has been taken.
+        handshake: The handshake, once it has been taken.
 
     Raises:
-        BadValue: no such width.
+        BadValue: If `width` is not valid.
     """
 
     def __init__(self, *, width: int | None = None, limits: Limits | None = None) -> None:
@@ -188,22 +188,22 @@ class ServerDecoder(_Decoder):
         self._probes: list[_WidthProbe] = []
 
     def take_handshake(self) -> Handshake | None:
-        """The handshake, or None if it has not come whole.
+        """Return the handshake, or None if it has not arrived completely.
 
         Raises:
-            PacketError: what came is something else. Every further call raises it again.
+            PacketError: If the bytes are not a handshake. Every further call raises it again.
         """
         self._check()
         if self.handshake is not None:
             return self.handshake
         buffer = self._buffer
-        # The original sends a refused writer no access at all (docs/protocols/rhd.md, Access).
+        # If the original refuses a writer, it sends no access at all (docs/protocols/rhd.md, Access).
         if self._at == 0 and len(buffer) >= 2 and buffer[0] == _ACCESS:
             if buffer[1:2] not in (b"r", b"w"):
                 self._refuse(f"access {bytes(buffer[:2])!r} is granted; expected 'ar' or 'aw'", 1)
             self._granted = buffer[1:2].decode()
             self._at = 2
-        # Write before read, always (docs/protocols/rhd.md, Handshake).
+        # The write table always comes before the read table (docs/protocols/rhd.md, Handshake).
         for direction in "wr":
             if direction not in self._rows:
                 table = self._take_table(direction) if self._is_at(f"{TABLE.letter}{direction}") else None
@@ -219,28 +219,28 @@ class ServerDecoder(_Decoder):
         data = []
         for direction in "wr":
             package = self._take_data(direction, self._layouts[direction], width)
-            assert package is not None  # the probe has seen all of it
+            assert package is not None  # the probe has checked all of it
             data.append(package)
         self._end_batch(self._at + 2)
         self.handshake = Handshake(self._granted, width, self._rows["w"], self._rows["r"], (data[0], data[1]))
         return self.handshake
 
     def take_batch(self) -> Batch | None:
-        """The next batch after the handshake, or None if it has not come whole.
+        """Return the next batch after the handshake, or None if it has not arrived completely.
 
-        A symbol table in it is tolerated if it equals that of the handshake: the original's threads mix their output
-        up (docs/protocols/rhd.md, Defects, 5).
+        A symbol table in the batch is accepted if it equals the table of the handshake, because the original's threads
+        mix up their output (docs/protocols/rhd.md, Defects, 5).
 
         Raises:
-            PacketError: what came is something else. Every further call raises it again.
+            PacketError: If the bytes are not a batch. Every further call raises it again.
         """
         handshake = self.handshake
         if handshake is None:
-            raise BadValue("take_batch() before the handshake has been taken")
+            raise BadValue("take_batch() was called before take_handshake() returned the handshake")
         self._check()
         while len(self._buffer) - self._at >= 2:
             letter, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
-            if letter == _END:  # whatever the second letter
+            if letter == _END:  # with any second letter
                 return Batch(*self._end_batch(self._at + 2))
             if letter not in (_DATA, _TABLE) or direction not in "rw":
                 self._refuse_package("'dr', 'dw' or 'ee'")
@@ -255,19 +255,19 @@ class ServerDecoder(_Decoder):
                 if table is None:
                     break
                 if table != self._rows[direction]:
-                    self._refuse(f"another table 't{direction}' than in the handshake", start)
+                    self._refuse(f"table 't{direction}' differs from the table in the handshake", start)
         self._bound(self.waiting)
         return None
 
     def _is_at(self, package: str) -> bool:
-        """Whether this package begins here; False if that has not come."""
+        """Whether this package begins here; False if its letters have not arrived."""
         there = bytes(self._buffer[self._at : self._at + 2])
         if len(there) == 2 and there != package.encode():
             self._refuse_package(repr(package))
         return len(there) == 2
 
     def _take_table(self, direction: str) -> tuple[SymbolRow, ...] | None:
-        """The symbol table at hand, None if it has not come whole."""
+        """The current symbol table; None if it has not arrived completely."""
         name = f"table 't{direction}'"
         count = self._take_count(name, self.limits.variables)
         start = self._at + HEAD_SIZE
@@ -290,10 +290,12 @@ class ServerDecoder(_Decoder):
         return tuple(rows)
 
     def _find_width(self) -> int | None:
-        """Words of a time stamp, by the structure of what follows the tables; None if more has to come.
+        """Detect the words of a time stamp from the structure after the tables.
 
-        Of the widths that are known, the one with which ids, counts and letters stand where they have to. Two words
-        are taken as soon as they fit: for a stream of four to look like it, some 48 bits would have to coincide
+        None if more bytes are needed.
+
+        The result is the width for which all ids, counts and letters are at the right positions. Two words are accepted
+        as soon as they fit. A stream of four looks like a stream of two only if about 48 bits happen to match
         (docs/protocols/rhd.md, Time stamps).
         """
         if not self._probes:
@@ -307,19 +309,19 @@ class ServerDecoder(_Decoder):
         offset, expected = max(probe.wrong for probe in self._probes if probe.wrong is not None)
         widths = " or ".join(str(width) for width in self._widths)
         self._refuse(
-            f"the values after the tables fit stamps of {widths} words no longer; expected {expected!r}",
+            f"the values after the tables do not fit time stamps of {widths} words; expected {expected!r}",
             self._at + offset,
         )
 
 
 class _WidthProbe:
-    """Timestamp-width probe: whether the data packages of a handshake fit stamps of so many words.
+    """Checks whether the data packages of a handshake fit time stamps of `width` words.
 
     Attributes:
-        width: the words.
-        wrong: offset of the first letter, count or id that does not fit, and what should stand there; or None.
-        size: bytes of the data packages, with the end.
-        is_complete: all have come and fit.
+        width: Number of words.
+        wrong: Offset of the first letter, count or id that does not fit, and the expected bytes; or None.
+        size: Number of bytes of the data packages, including the end.
+        is_complete: Whether all bytes have arrived and fit.
     """
 
     def __init__(self, width: int, write: TableLayout, read: TableLayout) -> None:
@@ -339,7 +341,7 @@ class _WidthProbe:
         self.is_complete = False
 
     def advance(self, buffer: bytes | bytearray, start: int) -> None:
-        """Look at what has come since the last call; the data packages begin at `start`."""
+        """Check the bytes that have arrived since the last call. The data packages begin at `start`."""
         end = len(buffer) - start
         marks = self._marks
         while self.wrong is None and self._next < len(marks):
@@ -353,18 +355,19 @@ class _WidthProbe:
 
 
 class ClientDecoder(_Decoder):
-    """What a client sends: one access request, then a `Request` for each sync.
+    """Decodes the bytes of a client: one access request, then a `Request` for each sync.
 
     Args:
-        layout: of the write table, which is all that clients send values for.
-        width: words of a time stamp, 2 or 4. Nothing that a client sends tells (docs/protocols/rhd.md, Time stamps).
-        limits: what the client may ask for.
+        layout: Layout of the write table. Clients send values only for this table.
+        width: Number of 32-bit words of a time stamp, 2 or 4. The bytes of a client do not show it
+            (docs/protocols/rhd.md, Time stamps).
+        limits: Limits on the data of the client.
 
     Attributes:
-        access: what it asked for, once that has been taken: "r" or "w".
+        access: Requested access, "r" or "w", once it has been taken.
 
     Raises:
-        BadValue: no such width.
+        BadValue: If `width` is not valid.
     """
 
     def __init__(self, layout: TableLayout, *, width: int = 2, limits: Limits | None = None) -> None:
@@ -377,14 +380,16 @@ class ClientDecoder(_Decoder):
         self._ready: str | None = None
 
     def take_access(self) -> str | None:
-        """The access that the client asks for, "r" or "w", or None if that has not come whole.
+        """Return the access that the client requests, "r" or "w".
+
+        None if it has not arrived completely.
 
         Raises:
-            PacketError: what came is not an access request. Every further call raises it again.
+            PacketError: If the bytes are not an access request. Every further call raises it again.
         """
         self._check()
         if self.access is None and self._buffer:
-            if self._buffer[0] != _ACCESS:  # reported now, since the second byte may never come
+            if self._buffer[0] != _ACCESS:  # report the error now, because the second byte might never arrive
                 self._refuse_package("'ar' or 'aw'", letters=1)
             if len(self._buffer) >= 2:
                 if self._buffer[1:2] not in (b"r", b"w"):
@@ -394,13 +399,15 @@ class ClientDecoder(_Decoder):
         return self.access
 
     def take_request(self) -> Request | None:
-        """The next request after the access request, or None if it has not come whole.
+        """Return the next request after the access request.
+
+        None if it has not arrived completely.
 
         Raises:
-            PacketError: what came is something else. Every further call raises it again.
+            PacketError: If the bytes are not a request. Every further call raises it again.
         """
         if self.access is None:
-            raise BadValue("take_request() before the access request has been taken")
+            raise BadValue("take_request() was called before take_access() returned the access")
         self._check()
         while len(self._buffer) - self._at >= 2:
             letter, direction = self._buffer[self._at], chr(self._buffer[self._at + 1])
@@ -409,7 +416,8 @@ class ClientDecoder(_Decoder):
                 ready, self._ready = self._ready, None
                 return Request(ready, data, size)
             if letter == _READY and direction in "rw":
-                # Before or after the values: the order within a request is free (docs/protocols/rhd.md, Sync cycle).
+                # The ready package can come before or after the values; a request has no order (docs/protocols/rhd.md,
+                # Sync cycle).
                 self._ready = direction
                 self._at += 2
             elif letter == _DATA and direction == "w":

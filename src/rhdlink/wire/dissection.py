@@ -1,6 +1,9 @@
-"""The bytes of one direction of a connection, package by package, by interpreting the declarations in `schema`.
+"""Dissect the bytes of one direction of a connection into packages.
 
-Where the decoders refuse, this shows: every byte is in one piece, and what cannot be is in a piece that says why.
+The declarations in `schema` are used for this.
+
+The decoders reject invalid bytes, but a dissection shows them. Every byte belongs to one piece, and an invalid piece
+contains the reason.
 """
 
 from __future__ import annotations
@@ -25,10 +28,10 @@ class PackagePart:
     """Some bytes of a package.
 
     Attributes:
-        offset: of the first.
-        data: the bytes.
-        meaning: in words.
-        content: what they say, ready for JSON.
+        offset: Offset of the first byte.
+        data: The bytes.
+        meaning: Meaning in words.
+        content: Decoded content, ready for JSON.
     """
 
     offset: int
@@ -39,15 +42,15 @@ class PackagePart:
 
 @dataclass
 class Piece:
-    """A package, or bytes that belong to none.
+    """A package, or bytes that belong to no package.
 
     Attributes:
-        offset: of its first byte.
-        batch: how many batches ended before it; the handshake is the first.
-        package: its two letters; "" for other bytes.
-        meaning: in words.
-        parts: its bytes, in order.
-        error: why these bytes are not a whole package; None where they are.
+        offset: Offset of the first byte.
+        batch: Number of batches that ended before it; the handshake is the first batch.
+        package: The two letters of the package; "" for other bytes.
+        meaning: Meaning in words.
+        parts: Parts of the piece, in order.
+        error: Reason why these bytes are not a whole package; None if they are.
     """
 
     offset: int
@@ -59,18 +62,21 @@ class Piece:
 
     @property
     def size(self) -> int:
-        """Its bytes."""
+        """Number of bytes."""
         return sum(len(part.data) for part in self.parts)
 
 
 def guess_sender(data: bytes) -> str:
-    """ "server" or "client": a client never sends a table, and a server sends one first."""
+    """ "server" or "client". A client never sends a table, and a server sends one first."""
     after = data[2:3] if data[:1] == ACCESS.letter.encode() else data[:1]
     return "server" if after == TABLE.letter.encode() else "client"
 
 
 def tables_in(data: bytes) -> tuple[dict[str, tuple[SymbolRow, ...]], int | None]:
-    """The tables in what a server sent, and the words of its time stamps; nothing where there is no handshake."""
+    """Tables in the bytes of a server, and the words of its time stamps.
+
+    Empty and None without a handshake.
+    """
     decoder = ServerDecoder()
     decoder.feed(data)
     try:
@@ -85,13 +91,13 @@ def tables_in(data: bytes) -> tuple[dict[str, tuple[SymbolRow, ...]], int | None
 def dissect(
     data: bytes, sender: str, tables: dict[str, tuple[SymbolRow, ...]] | None = None, width: int = 2
 ) -> Iterator[Piece]:
-    """Every byte of `data`, in order.
+    """Yield every byte of `data`, in order, as pieces.
 
     Args:
-        data: of one direction of a connection.
+        data: Bytes of one direction of a connection.
         sender: "server" or "client".
-        tables: those that the server of the connection sent; those in `data` itself are found.
-        width: words of a time stamp.
+        tables: Tables that the server of the connection sent. Tables in `data` itself are found automatically.
+        width: Number of 32-bit words of a time stamp.
     """
     dissector = _Dissector(data, sender, dict(tables or {}), width)
     while dissector.at < len(data):
@@ -99,7 +105,7 @@ def dissect(
 
 
 class _Broken(Exception):
-    """The package at hand cannot go on."""
+    """The current package is incomplete or not valid."""
 
 
 class _Dissector:
@@ -113,7 +119,7 @@ class _Dissector:
         self._batch = 0
 
     def next(self) -> Piece:
-        """The next piece."""
+        """Return the next piece."""
         letters = self.data[self.at : self.at + 2].decode("latin-1")
         piece = Piece(self.at, self._batch, letters, "")
         try:
@@ -129,7 +135,7 @@ class _Dissector:
         except _Broken as reason:
             piece.error = str(reason)
             piece.meaning = piece.meaning or "no package"
-            # Nobody can know where the next package begins.
+            # The start of the next package cannot be known.
             self._add(piece, len(self.data), "", {})
         return piece
 
@@ -141,8 +147,8 @@ class _Dissector:
         if len(letters) < 2:
             raise _Broken("one byte of a package")
         raise _Broken(
-            f"{letters.encode('latin-1')!r} begins no package of a {self._sender}; the original takes it for the end "
-            "of a batch"
+            f"{letters.encode('latin-1')!r} does not begin a package of a {self._sender}; "
+            "the original takes it for the end of a batch"
         )
 
     def _meaning(self, package: Package, second: str) -> str:
@@ -154,7 +160,7 @@ class _Dissector:
         return "end of the batch"
 
     def _add(self, piece: Piece, size: int, meaning: str, content: dict[str, Any]) -> None:
-        """The next bytes, at most so many as there are, with what they mean."""
+        """Add the next bytes, up to `size`, with their meaning."""
         if data := self.data[self.at : self.at + size]:
             piece.parts.append(PackagePart(self.at, data, meaning, content))
             self.at += len(data)
@@ -186,7 +192,7 @@ class _Dissector:
         what = f"values of {_DIRECTION[direction]} variables"
         if direction not in self._tables and self.data[self.at + 2 : self.at + HEAD_SIZE] != INT.pack(0):
             piece.meaning = what
-            raise _Broken("no table says how long the variables are; --tables names the file with the server's bytes")
+            raise _Broken("unknown lengths of the variables; use --tables with a file of the server's bytes")
         rows = self._tables.get(direction, ())
         item = item_schema(DATA, [row.length for row in rows], self._width)
         for number in range(self._add_count(piece, len(rows), what)):
@@ -203,7 +209,7 @@ class _Dissector:
             )
 
     def _item(self, item: Any, what: str) -> tuple[Any, int]:
-        """The fields of the item at hand, and its bytes, as construct reads them."""
+        """Parse the fields of the current item with construct. Return them and the size in bytes."""
         from construct import CheckError, StreamError
 
         self._stream.seek(self.at)
@@ -217,5 +223,5 @@ class _Dissector:
 
 
 def _joined(low: int, high: int) -> int:
-    """A number of 64 bits, signed as C has times, of its two words."""
+    """Join two words to a number of 64 bits, signed like C's times."""
     return (low | high << 32) - ((high >> 31) << 64)

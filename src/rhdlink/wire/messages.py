@@ -1,6 +1,6 @@
-"""The messages between server and client, as values, and their encoders.
+"""The messages between server and client as values, and their encoders.
 
-A batch is the unit of the conversation: packages up to an end package (docs/protocols/rhd.md, Encoding).
+A batch is the unit of communication: packages up to and including an end package (docs/protocols/rhd.md, Encoding).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from .data import DataPackage, Selection, Stamps, Words
 from .schema import ACCESS, DATA, INT, NAME_SIZE, READY, TABLE
 from .schema import END as END_PACKAGE
 
-#: Bytes of a name that a symbol table can hold, besides the terminating NUL.
+#: Maximum number of bytes of a name in a symbol table, without the terminating NUL.
 LONGEST_NAME = NAME_SIZE - 1
-#: The end of a batch; its second byte says nothing, and the original sends this one.
+#: The end of a batch. Its second byte has no meaning; the original sends this one.
 END = 2 * END_PACKAGE.letter.encode()
 
 
@@ -24,8 +24,8 @@ class SymbolRow(NamedTuple):
     """A variable in a symbol table.
 
     Attributes:
-        name: at most 32 characters, each a byte on the wire (Latin-1).
-        length: 32-bit words.
+        name: Name of at most 32 characters, each one byte on the wire (Latin-1).
+        length: Number of 32-bit words.
     """
 
     name: str
@@ -33,15 +33,15 @@ class SymbolRow(NamedTuple):
 
 
 class Handshake(NamedTuple):
-    """What a server says first.
+    """First message of a server.
 
     Attributes:
-        granted: the access it gives, "r" or "w"; None if it names none, which is how the original
-            refuses a second writer (docs/protocols/rhd.md, Access).
-        width: words of a time stamp.
-        write: the variables from program to robot, by id.
-        read: the variables from robot to program, by id.
-        data: a value for each of them: the write table's, then the read table's.
+        granted: Granted access, "r" or "w". None if the server names no access, which is how the original refuses a
+            second writer (docs/protocols/rhd.md, Access).
+        width: Number of 32-bit words of a time stamp.
+        write: Variables from program to robot, by id.
+        read: Variables from robot to program, by id.
+        data: Values of all variables: the write table's package, then the read table's.
     """
 
     granted: str | None
@@ -52,11 +52,11 @@ class Handshake(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What a server says at a sync.
+    """Message of a server at a sync.
 
     Attributes:
-        data: its data packages, in order.
-        size: its bytes.
+        data: Data packages, in order.
+        size: Size in bytes.
     """
 
     data: tuple[DataPackage, ...]
@@ -64,12 +64,12 @@ class Batch(NamedTuple):
 
 
 class Request(NamedTuple):
-    """What a client says at a sync.
+    """Message of a client at a sync.
 
     Attributes:
-        ready: "r" or "w", as what it asks for the next batch; None if it asks for none.
-        data: its data packages, in order; only of write variables.
-        size: its bytes.
+        ready: Role in which the client requests the next batch, "r" or "w"; None if it requests none.
+        data: Data packages, in order; only of write variables.
+        size: Size in bytes.
     """
 
     ready: str | None
@@ -78,20 +78,20 @@ class Request(NamedTuple):
 
 
 def encode_access(access: str) -> bytes:
-    """An access request, or its acknowledgement."""
+    """Encode an access request or its acknowledgement."""
     return _letters(ACCESS.letter, access)
 
 
 def encode_ready(access: str) -> bytes:
-    """A client's request for the next batch; an end has to follow."""
+    """Encode a client's request for the next batch. An end package must follow."""
     return _letters(READY.letter, access)
 
 
 def encode_table(direction: str, rows: Sequence[SymbolRow]) -> bytes:
-    """A symbol table.
+    """Encode a symbol table.
 
     Raises:
-        BadValue: a name that is longer than 32 bytes or holds a NUL, or a length below 1.
+        BadValue: If a name is longer than 32 bytes or contains a NUL, or a length is below 1.
     """
     parts = [_letters(TABLE.letter, direction) + INT.pack(len(rows))]
     row_struct = TABLE.item_struct
@@ -99,10 +99,13 @@ def encode_table(direction: str, rows: Sequence[SymbolRow]) -> bytes:
         try:
             raw = name.encode("latin-1")
         except UnicodeEncodeError:
-            raise BadValue(f"{name!r} cannot be a variable: it holds characters beyond Latin-1") from None
+            raise BadValue(
+                f"{name!r} cannot be the name of a variable: it contains characters beyond Latin-1"
+            ) from None
         if len(raw) > LONGEST_NAME or b"\0" in raw:
             raise BadValue(
-                f"{name!r} cannot be a variable: expected at most {LONGEST_NAME} characters, none of them NUL"
+                f"{name!r} cannot be the name of a variable; "
+                f"expected at most {LONGEST_NAME} characters, none of them NUL"
             )
         if not 0 < length < 1 << 31:
             raise BadValue(f"variable {name!r} has {length} words; expected at least 1")
@@ -111,13 +114,13 @@ def encode_table(direction: str, rows: Sequence[SymbolRow]) -> bytes:
 
 
 def encode_data(direction: str, selection: Selection, values: Words, stamps: Stamps) -> bytes:
-    """A data package.
+    """Encode a data package.
 
     Args:
         direction: "r" or "w".
-        selection: which variables.
-        values: the flat storage of their table.
-        stamps: the stamps of their table, shape (variables, 2).
+        selection: Variables of the package.
+        values: Flat storage of their table.
+        stamps: Time stamps of their table, shape (variables, 2).
     """
     count = len(selection.ids)
     head = _letters(DATA.letter, direction) + INT.pack(count)
@@ -126,5 +129,5 @@ def encode_data(direction: str, selection: Selection, values: Words, stamps: Sta
 
 def _letters(package: str, second: str) -> bytes:
     if second not in ("r", "w"):
-        raise BadValue(f"{second!r} is neither 'r' nor 'w'")
+        raise BadValue(f"{second!r} is not valid; expected 'r' or 'w'")
     return (package + second).encode()

@@ -1,11 +1,13 @@
 """The packages of the RHD format, declared once (docs/protocols/rhd.md, Encoding).
 
-Everything on the wire is a row of packages: two letters and, where a package has items, their count and the items.
-All numbers are 32-bit words in network byte order, packed. A *batch* is a row of packages closed by `END`.
+All data on the wire is a sequence of packages. A package begins with two letters. If it has items, their count and the
+items follow. All numbers are 32-bit words in network byte order, packed. A *batch* is a sequence of packages that ends
+with `END`.
 
-The data path (`data`, `messages`, `decoder`) takes letters, struct formats and sizes from here but does not interpret
-the declarations: a package of a thousand entries would take milliseconds. `dissection` and the tables in the docs do
-interpret them, by construct: `schema` has each package as a construct schema. Property tests hold the three equal.
+The data path (`data`, `messages`, `decoder`) uses the letters, struct formats and sizes of this module. It does not
+interpret the declarations, because a package of a thousand entries would take milliseconds. `dissection` and the tables
+in the docs interpret the declarations with construct: `schema` returns each package as a construct schema. Property
+tests ensure that all three agree.
 """
 
 from __future__ import annotations
@@ -19,12 +21,12 @@ from linkcore.errors import BadValue
 if TYPE_CHECKING:
     from construct import Construct
 
-#: Bytes of a word.
+#: Number of bytes of a word.
 WORD = 4
-#: Bytes of a name: 32 characters and a terminating NUL.
+#: Number of bytes of a name: 32 characters and a terminating NUL.
 NAME_SIZE = 33
-#: Words of a time stamp: the canonical two, and the four of 64-bit builds of the ordinary sources, where each number
-#: is a 64-bit one, low word first.
+#: Possible numbers of words of a time stamp: two (canonical), or four with 64-bit builds of the ordinary sources. With
+#: four, each number has 64 bits, low word first.
 WIDTHS = (2, 4)
 
 
@@ -32,11 +34,11 @@ class ItemField(NamedTuple):
     """A field of an item.
 
     Attributes:
-        name: what it is called.
-        code: its struct format character, or that of each of its words.
-        doc: what it is.
-        words: what says how many words it has, where that varies: "width" (of time stamps, the same in the whole
-            connection) or "length" (of the variable).
+        name: Name of the field.
+        code: Character of its struct format, or of the format of each of its words.
+        doc: Description of the field.
+        words: Quantity that determines the number of words, if it varies: "width" (of time stamps, the same in the
+            whole connection) or "length" (of the variable).
     """
 
     name: str
@@ -46,13 +48,13 @@ class ItemField(NamedTuple):
 
 
 class Package(NamedTuple):
-    """A package: `letter`, a second letter, and for one with items their count and the items.
+    """A package: `letter`, a second letter, and optionally a count and items.
 
     Attributes:
-        letter: the first byte.
-        second: who sends it -> what the second byte may be; "" for anything.
-        second_doc: what the second byte says.
-        item: the fields of an item; none for a package without items.
+        letter: First byte.
+        second: Allowed second bytes by sender; "" for any byte.
+        second_doc: Meaning of the second byte.
+        item: Fields of an item; empty for a package without items.
     """
 
     letter: str
@@ -67,13 +69,13 @@ class Package(NamedTuple):
 
     @property
     def item_struct(self) -> struct.Struct:
-        """The format of an item whose fields are all of fixed size."""
+        """Struct format of an item whose fields all have a fixed size."""
         return struct.Struct(">" + "".join(field.code for field in self.item))
 
 
 _WHOSE = "r from robot to program, w from program to robot"
 
-#: A client asks for access with its first two bytes; the server grants it with its first two.
+#: A client requests access with its first two bytes. The server grants access with its first two bytes.
 ACCESS = Package("a", {"client": "rw", "server": "rw"}, "r as reader, w as master")
 
 #: The symbol table of one direction.
@@ -82,36 +84,36 @@ TABLE = Package(
     {"server": "rw"},
     _WHOSE,
     (
-        ItemField("length", "i", "words of the variable; the place of the row is the variable's id"),
-        ItemField("name", f"{NAME_SIZE}s", "Latin-1, at most 32 characters, filled up with NUL; the last byte is NUL"),
+        ItemField("length", "i", "words of the variable; the position of the row is the variable's id"),
+        ItemField("name", f"{NAME_SIZE}s", "Latin-1, at most 32 characters, padded with NUL; the last byte is NUL"),
     ),
 )
 
-#: Values of variables, in any order of their ids. Without items it is legal and common.
+#: Values of variables, in any order of their ids. A package without items is legal and common.
 DATA = Package(
     "d",
     {"client": "w", "server": "rw"},
-    f"{_WHOSE}; a client sends w only",
+    f"{_WHOSE}; a client sends only w",
     (
-        ItemField("id", "i", "place of the variable in its table"),
-        ItemField("stamp", "I", "when it was set: seconds since 1970, microseconds", "width"),
-        ItemField("data", "i", "the whole variable, as many words as its table says", "length"),
+        ItemField("id", "i", "position of the variable in its table"),
+        ItemField("stamp", "I", "time at which it was set: seconds since 1970, microseconds", "width"),
+        ItemField("data", "i", "the whole variable, with the number of words in its table", "length"),
     ),
 )
 
-#: A client asks for the next batch.
-READY = Package("r", {"client": "rw"}, "as what it asks: r as reader, w as master")
+#: A client requests the next batch.
+READY = Package("r", {"client": "rw"}, "role of the request: r as reader, w as master")
 
 #: The end of a batch.
-END = Package("e", {"client": "", "server": ""}, "says nothing; e by convention")
+END = Package("e", {"client": "", "server": ""}, "no meaning; e by convention")
 
-#: All packages, by the names that `schema` takes, and by their letter.
+#: All packages, by their names for `schema`, and by their letter.
 _NAMED = {"access": ACCESS, "table": TABLE, "data": DATA, "ready": READY, "end": END}
 PACKAGES = {package.letter: package for package in _NAMED.values()}
 
 #: A count, an id or a length.
 INT = struct.Struct(">i")
-#: Bytes of a package before its items: two letters and the count.
+#: Number of bytes of a package before its items: two letters and the count.
 HEAD_SIZE = 2 + INT.size
 
 
@@ -121,20 +123,22 @@ def schema(
     lengths: Sequence[int] = (),
     width: int = 2,
 ) -> Construct[Any, Any]:
-    """The construct schema of one package of the RHD format: it parses, builds and checks.
+    """Return the construct schema of one package of the RHD format.
 
-    Made of the declaration that the pages of the format show. construct is imported with the first call. ``parse``
-    raises `construct.ConstructError` where the letters are not those of the package, and where there are fewer bytes
-    than its count and the lengths of its variables ask for. ``print`` shows the fields.
+    It parses, builds and checks.
+
+    The schema is made from the declaration that the documentation of the format shows. construct is imported by the
+    first call. ``parse`` raises `construct.ConstructError` if the letters belong to another package, or if there are
+    too few bytes for the count and the lengths of the variables. ``print`` shows the fields.
 
     Args:
-        package: which; `docs/rhd-wire.md` has what each is for.
-        sender: who sends it.
-        lengths: words of each variable of the direction's table, by its id; needed for "data".
-        width: words of a time stamp, 2 or 4.
+        package: Name of the package; `docs/rhd-wire.md` describes each package.
+        sender: Sender of the package.
+        lengths: Words of each variable of the direction's table, by its id; needed for "data".
+        width: Number of 32-bit words of a time stamp, 2 or 4.
 
     Raises:
-        BadValue: no such package, or the sender sends none.
+        BadValue: If there is no such package, or the sender does not send it.
 
     >>> from rhdlink import schema
     >>> schema("data", "server", lengths=[1, 3]).build(
@@ -147,12 +151,12 @@ def schema(
     from linkcore.wire.schema_text import PacketStruct
 
     if package not in _NAMED:
-        raise BadValue(f"no package {package!r}; expected one of {', '.join(_NAMED)}")
+        raise BadValue(f"unknown package {package!r}; expected one of {', '.join(_NAMED)}")
     declared = _NAMED[package]
     if sender not in declared.second:
-        raise BadValue(f"a {sender!r} sends no {package}; expected {' or '.join(declared.second)}")
+        raise BadValue(f"a {sender!r} does not send {package}; expected {' or '.join(declared.second)}")
     if width not in WIDTHS:
-        raise BadValue(f"{width!r} words of a time stamp; expected {' or '.join(map(str, WIDTHS))}")
+        raise BadValue(f"width is {width!r} words; expected {' or '.join(map(str, WIDTHS))}")
     second = declared.second[sender]
     fields = [
         "letter" / Const(declared.letter.encode()),
@@ -164,7 +168,7 @@ def schema(
 
 
 def item_schema(package: Package, lengths: Sequence[int], width: int) -> Any:
-    """One item of a package; `lengths` and `width` as in `schema`."""
+    """Return the schema of one item of a package. For `lengths` and `width`, see `schema`."""
     import construct
 
     words = {"i": construct.Int32sb, "I": construct.Int32ub}

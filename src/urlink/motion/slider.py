@@ -1,6 +1,6 @@
 """What the speed slider does to each motion, as the class of the motion states it.
 
-The table in docs/time.md is that of `EFFECTS`, and a test measures each row on the simulated controller.
+The table in docs/speed-scaling.md is that of `EFFECTS`, and a test measures each row on the simulated controller.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A controller in software: the arm, its programs and its servers.
 
-`Controller` is the class for users; see `urlink.simulator.controller`.
+Users need the class `Controller`; see `urlink.simulator.controller`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""How the time of a simulated controller passes: in cycles of 8 ms (CB) or 2 ms (e-Series), or by calls alone.
+"""Advance a simulated controller in time, in cycles of 8 ms (CB) or 2 ms (e-Series).
 
-    faults that are due -> programs -> their set-point -> arm -> modes -> messages about them
+    due faults -> programs -> their set-point -> arm -> modes -> messages about them
 
-A cycle has no thread, clock or socket: the owner of the controller decides when it is over, a test with `step`, or the
-server's thread. The same programs and faults in the same cycles give the same result to the last bit.
+A cycle needs no thread, clock or socket. The owner of the controller decides when a cycle ends: a test calls `step`, or
+the server's thread follows the clock. The same programs and faults in the same cycles give the same result to the last
+bit.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ class ControlLoop:
     """Advances the state of one controller.
 
     Args:
-        state: of the controller.
-        runner: of its programs.
-        schedule: of its faults.
+        state: State of the controller.
+        runner: Runner of its programs.
+        schedule: Schedule of its faults.
     """
 
     def __init__(self, state: ControllerState, runner: ProgramRunner, schedule: FaultSchedule) -> None:
@@ -38,10 +39,10 @@ class ControlLoop:
         self._schedule = schedule
 
     def next_event(self, cycle: int) -> int | None:
-        """The first cycle after this one that must be executed at its time; None if there is none.
+        """Return the first cycle after this one that must run on time; None if there is none.
 
-        While a program runs, the controller is down or there is a scene, that is every cycle; otherwise the next one
-        with a scheduled fault.
+        While a program runs, the controller is down or there is a scene, every cycle must run on time. Otherwise only
+        the next cycle with a scheduled fault must.
         """
         if self._runner.is_running or not self._state.is_up or self._state.surroundings.scene is not None:
             return cycle + 1
@@ -71,15 +72,15 @@ class ControlLoop:
                 state.outbox.put(message)
 
 
-#: Seconds of robot time that `passing` advances at once: some packets, then what clients have sent is read.
+#: Robot time, in s, that `passing` advances at once. After these packets, the bytes from clients are read.
 _SLICE = 0.01
 
 
 class SteppedClock:
-    """Seconds that stand still until `advance`.
+    """Clock, in seconds, that advances only when `advance` is called.
 
     Args:
-        rate: cycles a second of the controller.
+        rate: Cycles per second of the controller.
     """
 
     def __init__(self, rate: int) -> None:
@@ -87,11 +88,11 @@ class SteppedClock:
         self._cycles = 0
 
     def __call__(self) -> float:
-        # In the middle of a cycle, so that rounding never counts one too few.
+        # Return the middle of a cycle, so that rounding never counts one cycle too few.
         return (self._cycles + 0.5) / self._rate if self._cycles else 0.0
 
     def advance(self, cycles: int) -> None:
-        """Advance by this many cycles."""
+        """Advance by this number of cycles."""
         self._cycles += cycles
 
 
@@ -100,9 +101,9 @@ def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[
     """Let time pass, in a thread, until the block is left.
 
     Args:
-        step: advances by a number of cycles.
-        rate: cycles a second.
-        speed: factor of real time; less if the machine is too slow.
+        step: Function that advances by a number of cycles.
+        rate: Cycles per second.
+        speed: Factor of real time; time passes more slowly if the machine is too slow.
     """
     speed = check_seconds(speed, "speed", positive=True, finite=True)
     over = threading.Event()
@@ -111,7 +112,7 @@ def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[
     def run() -> None:
         due = clock.now()
         while not clock.wait(over.wait, due - clock.now()):
-            # The thread that serves may get no processor time for seconds: time stands still then, and goes on.
+            # The serving thread might get no processor time for seconds. Robot time then pauses, and continues later.
             with contextlib.suppress(LinkTimeout):
                 step(cycles)
             due = max(due + cycles / rate / speed, clock.now() - 1.0)

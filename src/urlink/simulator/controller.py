@@ -1,4 +1,4 @@
-"""`Controller`: wires up state, programs, faults and interfaces, and serves or steps them."""
+"""`Controller`: connects state, programs, faults and interfaces, and serves or steps them."""
 
 from __future__ import annotations
 
@@ -57,70 +57,77 @@ if TYPE_CHECKING:
 
 _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
-# Addresses to listen on that cannot be connected to.
+# Addresses that a server can listen on, but that a client cannot connect to.
 _ALL_ADDRESSES = ("", "0.0.0.0", "::")
-# Addresses from which the system connects to loopback addresses.
+# Addresses from which the operating system connects to loopback addresses.
 _FIRST_LOOPBACK = ("127.0.0.1", "::1")
-# The number of each port of a real controller -> its name.
+# Port number of a real controller -> name of the port.
 _NAMES = {number: name for name, number in PORTS.items()}
-#: Most lines from clients, and robot messages of a stepped controller, that are kept.
+#: Maximum number of kept client lines, and of kept robot messages of a stepped controller.
 RECEIVED, KEPT_MESSAGES = 1000, 10_000
 
 
 class Controller(StrictAttributes):
-    """A robot controller in software: it serves the primary, secondary and real-time interfaces, RTDE and the dashboard
-    (or the Robot API of PolyScope X), and runs the URScript that is sent to it.
+    """A robot controller in software, with the interfaces of a real one.
 
-    As a context manager it serves its ports from one thread of its own::
+    It serves the primary, secondary and real-time interfaces, RTDE, and the dashboard (or the Robot API of PolyScope
+    X). It runs the URScript that clients send.
+
+    As a context manager, it serves its ports from a dedicated thread::
 
         with Controller("UR5e", "5.11") as controller:
             print(controller.host, controller.ports["realtime"])
 
-    Until it is started it has no thread and no socket, and `step` advances it cycle by cycle: everything is then the
+    Until it is started, it has no thread and no socket, and `step` advances it cycle by cycle. Everything is then the
     same for the same seed, to the last byte.
 
     Args:
-        model: name of the arm, such as `"UR10"`; None for a UR5e, or for a UR5 if the firmware is older than 5.0.
-        firmware: None for the newest that suits the model.
-        host: address to listen on; `""` for every IPv4 address of this computer, `"::"` for those of both families.
-        ports: `"free"` for any that are free, `"standard"` for those that a real controller of this firmware has (80,
-            for the Robot API of PolyScope X, may need rights), or a mapping from names in
-            `PORTS` to numbers, 0 for a free one; ports that it leaves out are not served.
-        seed: of the noise on the sensors and of random garbage.
-        noise: whether the sensors are noisy; without noise the actual joints of an arm that stands are its targets.
-        serial: serial number of the arm.
-        motion: the source of set-points until a program commands the arm: `Demonstration` moves it slowly, `Still` has
-            a posture to stand in; None to stand in `HOME`.
-        output_limit: bytes that may wait for one client, besides what the network has buffered. Beyond it, packets of
-            the primary, secondary and real-time interface are left out, and a client of the dashboard is disconnected.
-        files: path -> URScript of the programs that are saved at the pendant.
-        reachable: numeric addresses, other than this computer, to which programs may open sockets. Those of connected
-            clients are always allowed.
-        calibration: DH parameters of the arm; it then moves as they say and sends them. None for those published.
-        gripper: whether a Robotiq gripper is mounted and its URCap serves it.
-        stepped: time passes only by `step` and within `passing`, even while the ports are served. For tests that need
-            the robot at a certain moment.
-        scaling: how the speed scaling of programs behaves, where that is not known or to be tried.
-        like: what was identified of an arm, which this one is then: model, calibration, TCP and payload, motors, lag,
-            noise, and the ramp of programs, as far as the recording shows them.
-        scene: a file of bodies around the arm, which the adapter for its ending opens, such as urlink-mujoco `.xml`.
+        model: Name of the arm, such as `"UR10"`. None selects a UR5e, or a UR5 if the firmware is older than 5.0.
+        firmware: Firmware of the controller. None selects the newest firmware that suits the model.
+        host: Address to listen on. `""` means every IPv4 address of this computer; `"::"` means every IPv4 and IPv6
+            address.
+        ports: Ports to serve. `"free"` selects free ports. `"standard"` selects the ports of a real controller with
+            this firmware; port 80, for the Robot API of PolyScope X, might need special rights. A mapping assigns
+            numbers to names in `PORTS`, 0 for a free port; ports that it does not contain are not served.
+        seed: Seed of the sensor noise and of random garbage.
+        noise: Whether the sensors are noisy. Without noise, the actual joint positions of an arm at rest equal its
+            targets.
+        serial: Serial number of the arm.
+        motion: Source of set-points until a program commands the arm. `Demonstration` moves the arm slowly; `Still`
+            holds it in a given posture. None holds it in `HOME`.
+        output_limit: Maximum number of bytes buffered for one client, in addition to the buffers of the network. Above
+            this limit, packets of the primary, secondary and real-time interfaces are dropped, and a dashboard client
+            is disconnected.
+        files: Programs that are saved on the pendant: path -> URScript.
+        reachable: Numeric addresses, other than this computer, to which programs may open sockets. The addresses of
+            connected clients are always allowed.
+        calibration: DH parameters of the arm. The arm moves according to them, and the controller sends them. None
+            selects the published parameters.
+        gripper: Whether a Robotiq gripper is mounted and its URCap serves it.
+        stepped: Whether time passes only in `step` and within `passing`, even while the ports are served. Use it for
+            tests that need the robot at a certain moment.
+        scaling: Behaviour of the speed scaling of programs, for behaviour that is unknown or that you want to vary.
+        like: Identified properties of an arm for the simulated arm, as far as the recording shows them. They are model,
+            calibration, TCP and payload, motors, lag, noise, and the ramp of programs.
+        scene: File with bodies around the arm. The adapter for its suffix opens it, such as urlink-mujoco for `.xml`.
 
     Attributes:
-        host: address that it listens on.
-        faults: faults to cause on demand.
-        pendant: its saved programs, what it shows, and its buttons.
-        received: (name of the interface, line of text) of the latest lines that clients sent.
-        rtde: the RTDE interface: its connections, for a stepped controller; and which client holds an input.
-        dashboard: answers the lines of dashboard clients.
-        robot_api: answers the HTTP requests of PolyScope X; holds the operational mode.
-        tool_serial: the serial line in the tool connector: its `device`, the gripper by Modbus RTU unless it is set.
+        host: Address that the controller listens on.
+        faults: Faults that can be caused on demand.
+        pendant: Teach pendant: its saved programs, its display and its buttons.
+        received: Latest lines that clients sent, as (name of the interface, line of text).
+        rtde: RTDE interface. It makes connections for a stepped controller, and reports which client holds an input.
+        dashboard: Dashboard interface, which answers the lines of its clients.
+        robot_api: Robot API, which answers the HTTP requests of PolyScope X and holds the operational mode.
+        tool_serial: Serial line in the tool connector. Its `device` is the gripper (Modbus RTU) unless it is set.
 
     Raises:
-        UnknownModel: no such arm.
-        BadVersion: no such firmware.
-        BadValue: the firmware does not run on the model, the calibration is not of such an arm, `ports` is none of the
-            above, an address in `reachable` is not numeric, or there is no file `scene`.
-        LocalError: no adapter for the ending of `scene` is installed, or it cannot open it.
+        UnknownModel: If there is no such arm.
+        BadVersion: If there is no such firmware.
+        BadValue: If the firmware does not run on the model, or `model` differs from the model of `like`. If the
+            calibration belongs to another kind of arm, `ports` has none of the forms above, or an address in
+            `reachable` is not numeric. If the file `scene` does not exist.
+        LocalError: If no adapter for the suffix of `scene` is installed, or the adapter cannot open the file.
     """
 
     def __init__(
@@ -146,7 +153,8 @@ class Controller(StrictAttributes):
     ) -> None:
         if like is not None:
             if model is not None and models.model(model).name != like.model:
-                raise BadValue(f"a {models.model(model).name} is not like a {like.model}, of which the file is")
+                found = models.model(model).name
+                raise BadValue(f"model={found!r}; expected {like.model!r}, the model of the arm file, or None")
             model, calibration = like.model, calibration or like.calibration
             if (rate := like.known("start_rate")) is not None:
                 scaling = dataclasses.replace(scaling, start_rate=rate)
@@ -164,7 +172,7 @@ class Controller(StrictAttributes):
         self._server: Server | None = None
         self._stepped = SteppedClock(chosen.rate) if stepped else None
         self._clock: Callable[[], float] = self._stepped or clock.now
-        # Of the cycles that were stepped, until they are taken.
+        # Robot messages of the stepped cycles, until they are taken.
         self._messages: deque[bytes] = deque()
         source = motion or Still()
         self._state = state = ControllerState(
@@ -205,7 +213,7 @@ class Controller(StrictAttributes):
         )
 
     def _route(self, address: str, port: int) -> Target | None:
-        """Where a connection of a program to this numeric address and port goes; see `program_world.Route`."""
+        """Return the target of a program's connection to this address; see `program_world.Route`."""
         if ipaddress.ip_address(address).is_loopback:
             own = _NAMES.get(port)
             if own is None:
@@ -217,7 +225,7 @@ class Controller(StrictAttributes):
 
     @property
     def _own_host(self) -> str:
-        """The address of this controller for this computer."""
+        """Address at which this computer reaches the controller."""
         return "127.0.0.1" if self.host in _ALL_ADDRESSES else self.host
 
     # -- properties ----------------------------------------------------------------------------------
@@ -234,39 +242,44 @@ class Controller(StrictAttributes):
 
     @property
     def firmware(self) -> Firmware:
-        """The controller's firmware at present."""
+        """Current firmware of the controller."""
         return self._state.firmware
 
     @property
     def cycle(self) -> int:
-        """Number of the cycle since the controller was made, reboots included."""
+        """Number of cycles since the controller was made, including reboots."""
         return self._state.cycle
 
     @property
     def time(self) -> float:
-        """Seconds since the controller started or came back from a reboot: whole cycles."""
+        """Time since the controller started or last rebooted, in s: a whole number of cycles."""
         return self._state.time
 
     @property
     def is_up(self) -> bool:
-        """Whether it is up; False while it reboots, until its ports are open again."""
+        """Whether the controller is up; False during a reboot, until its ports are open again."""
         server = self._server
         return self._state.is_up and (server is None or server.is_open)
 
     @property
     def arm(self) -> SimulatedArm:
-        """The joints at present: set-point, sensors, TCP and payload. A reboot makes a new object."""
+        """Current state of the joints: set-point, sensors, TCP and payload.
+
+        A reboot creates a new object.
+        """
         return self._state.arm
 
     @property
     def world(self) -> Surroundings:
-        """The surroundings of the tool: planes and springs can be placed, a load hung at the flange, and a
-        scene of bodies set."""
+        """Surroundings of the tool.
+
+        You can place planes and springs in it, hang a load at the flange, and set a scene of bodies.
+        """
         return self._state.surroundings
 
     @property
     def modes(self) -> Modes:
-        """Modes of robot, safety and program. A reboot makes a new object."""
+        """Modes of robot, safety and program. A reboot creates a new object."""
         return self._state.modes
 
     @property
@@ -281,20 +294,20 @@ class Controller(StrictAttributes):
 
     @property
     def registers(self) -> RegisterBanks:
-        """General-purpose registers: what programs read and write. A reboot makes a new object."""
+        """General-purpose registers, which programs read and write. A reboot creates a new object."""
         return self._state.registers
 
     @property
     def flags(self) -> list[bool]:
-        """Of `set_flag`."""
+        """Flags that programs set with `set_flag`."""
         return self._state.flags
 
     @property
     def gripper(self) -> SimulatedGripper:
-        """The mounted gripper: the object between its fingers, and its faults.
+        """Mounted gripper: the object between its fingers, and its faults.
 
         Raises:
-            LocalError: the controller was made without one.
+            LocalError: If the controller was made without a gripper.
         """
         if self._gripper is None:
             raise LocalError("no gripper is mounted: the controller was made with gripper=False")
@@ -302,18 +315,19 @@ class Controller(StrictAttributes):
 
     @property
     def fieldbus(self) -> str | None:
-        """The fieldbus that is enabled in the installation and reserves RTDE inputs: "EtherNet/IP", "PROFINET" or None.
-        Can be set; clients keep the inputs that they hold.
+        """Fieldbus that is enabled in the installation and reserves RTDE inputs.
+
+        It is "EtherNet/IP", "PROFINET" or None, and can be set. Clients keep the inputs that they hold.
 
         Raises:
-            BadValue: on setting it to something else.
+            BadValue: If it is set to another value.
         """
         return self._state.fieldbus
 
     @fieldbus.setter
     def fieldbus(self, name: str | None) -> None:
         if name is not None and name not in FIELDBUSES:
-            raise BadValue(f"a fieldbus is {' or '.join(FIELDBUSES)}, not {name!r}")
+            raise BadValue(f"fieldbus={name!r}; expected None or one of {', '.join(FIELDBUSES)}")
         self._state.fieldbus = name
 
     @property
@@ -323,12 +337,12 @@ class Controller(StrictAttributes):
 
     @property
     def stopped_since(self) -> float | None:
-        """`time` at which the present stop began; None if there is no stop."""
+        """`time` at which the current stop began; None if there is no stop."""
         return self._state.stopped_since
 
     @property
     def remote_control(self) -> bool:
-        """Whether an e-Series is in remote control, and so accepts commands from outside the pendant. Can be set."""
+        """Whether an e-Series is in remote control, and so accepts external commands. Can be set."""
         return self._state.remote_control
 
     @remote_control.setter
@@ -337,10 +351,10 @@ class Controller(StrictAttributes):
 
     @property
     def has_local_control(self) -> bool:
-        """Whether an e-Series that is not in remote control refuses commands from outside the pendant. Can be set.
+        """Whether an e-Series in local control rejects external commands. Can be set.
 
-        If False, the controller accepts them although `remote_control` is False, as URSim does. Assumption: the feature
-        "remote control" is off in the settings of such a controller.
+        External commands do not come from the pendant. If False, the controller accepts them although `remote_control`
+        is False, as URSim does. Assumption: the feature "remote control" is off in the settings of such a controller.
         """
         return self._state.has_local_control
 
@@ -350,7 +364,7 @@ class Controller(StrictAttributes):
 
     @property
     def teach_button(self) -> bool:
-        """Whether the button for freedrive is held: only `robot_status_bits` shows it. Can be set."""
+        """Whether the freedrive button is held. Only `robot_status_bits` shows it. Can be set."""
         return self._state.teach_button
 
     @teach_button.setter
@@ -368,13 +382,13 @@ class Controller(StrictAttributes):
 
     @property
     def program_name(self) -> str | None:
-        """Name of the program that runs or is paused, or None."""
+        """Name of the program that is running or paused, or None."""
         program = self._runner.program
         return None if program is None else program.name
 
     @property
     def is_running_program(self) -> bool:
-        """Whether a program that was sent runs or waits for its turn; secondary programs count."""
+        """Whether a program from a client is running or queued; secondary programs count."""
         return self._runner.is_running
 
     # -- commands ------------------------------------------------------------------------------------
@@ -382,20 +396,21 @@ class Controller(StrictAttributes):
     def step(self, cycles: int = 1) -> None:
         """Advance by controller cycles of 8 ms (CB) or 2 ms (e-Series).
 
-        If the controller serves its ports (`stepped`): from any thread; when it returns, the packets of these cycles
-        are on their way to the clients.
+        If the controller serves its ports (`stepped`), any thread may call this. When the call returns, the packets of
+        these cycles are on their way to the clients.
+
+        Args:
+            cycles: Number of cycles, default 1.
 
         Raises:
-            LocalError: the controller was started without `stepped`, so its own thread steps it.
+            LocalError: If the controller was started without `stepped`, so that its own thread steps it.
         """
         if self._server is not None:
             if self._stepped is None:
-                raise LocalError(
-                    "a controller that serves its ports cannot be stepped, unless it was made stepped=True"
-                )
+                raise LocalError("a controller that serves its ports cannot be stepped; make it with stepped=True")
             self.call(lambda: None)  # clients that have connected by now are accepted before time passes
             while cycles > 0:
-                # Packets that are late by more than a second would be left out.
+                # Packets that are more than a second late would be dropped.
                 some = min(cycles, self.firmware.rate // 5)
                 self._stepped.advance(some)
                 self.call(lambda: None)
@@ -409,25 +424,25 @@ class Controller(StrictAttributes):
             self.counters.lost_messages += 1
 
     def passing(self, speed: float = 1.0) -> contextlib.AbstractContextManager[None]:
-        """``with controller.passing():`` lets time pass while the block is executed; for `stepped`.
+        """Let time pass while a ``with controller.passing():`` block runs; for `stepped`.
 
         Args:
-            speed: factor of real time; less if the machine is too slow. What a client does in its own time, such as
-                streaming set-points, does not get faster.
+            speed: Factor of real time; time passes more slowly if the machine is too slow. Work that a client does in
+                its own time, such as streaming set-points, does not get faster.
 
         Raises:
-            LocalError: the controller serves its ports and was not made with ``stepped=True``.
-            BadValue: `speed` is not a positive number.
+            LocalError: If the controller serves its ports and was not made with ``stepped=True``.
+            BadValue: If `speed` is not a positive number.
         """
         if self._server is not None and self._stepped is None:
-            raise LocalError("the time of this controller passes by itself; it was not made stepped=True")
+            raise LocalError("the time of this controller passes automatically; make it with stepped=True")
         return passing(self.step, self.firmware.rate, speed)
 
     def take(self, text: str) -> None:
         """Load text as if a client had sent it: the lines of one or more programs, or of commands.
 
-        From any thread. Programs begin in the next cycle, however long they are. A program without `end` is discarded,
-        as that of a client that disconnects.
+        Any thread may call this. Programs begin in the next cycle, however long they are. A program without `end` is
+        discarded, like the program of a client that disconnects.
         """
         assembler = LineAssembler()
         lines = [line.removesuffix("\r") for line in text.split("\n")]
@@ -440,29 +455,36 @@ class Controller(StrictAttributes):
         self.call(load)
 
     def follow(self, source: SetpointSource) -> None:
-        """Brake the arm, then let it follow another source of set-points; a program that runs ends. From any thread."""
+        """Brake the arm, then let it follow another source of set-points.
+
+        A running program ends. Any thread may call this.
+        """
         self.call(lambda: self._runner.follow(source))
 
     def push(self, wrench: Sequence[float], joint_torques: Sequence[float] = (0.0,) * 6) -> None:
-        """Push the arm from now on: in freedrive or force mode it yields, otherwise it shows the force.
-        Six zeros end it. From any thread.
+        """Push the arm continuously, until the next call; six zeros end the push.
+
+        In freedrive or force mode, the arm yields. Otherwise it only reports the force. Any thread may call this.
 
         Args:
-            wrench: (6,) at the TCP, N in the directions of the base frame, and Nm about the TCP.
-            joint_torques: (6,) Nm at the joints, in addition.
+            wrench: Wrench at the TCP, shape (6,): forces in N along the axes of the base frame, and torques in Nm about
+                the TCP.
+            joint_torques: Additional torques at the joints, shape (6,), in Nm.
 
         Raises:
-            BadValue: not six finite numbers each.
+            BadValue: If an argument is not six finite numbers.
         """
         self.world.push(wrench)
         self.world.push_joints(joint_torques)
 
     def schedule(self, *faults: str | ScheduledFault) -> None:
-        """Schedule faults, in seconds since the controller was made: `schedule("protective_stop@5")`.
+        """Schedule faults, for example `schedule("protective_stop@5")`.
+
+        The times are in seconds since the controller was made.
 
         Raises:
-            BadValue: a text that `parse_fault` cannot read, no such fault, or a reboot into firmware that does not run
-                on the model.
+            BadValue: If `parse_fault` cannot read a text, a fault does not exist, or a reboot names firmware that does
+                not run on the model.
         """
         wanted = checked(faults, self.model)
         self.call(lambda: self._schedule.add(wanted))
@@ -470,41 +492,48 @@ class Controller(StrictAttributes):
     # -- packets and messages ------------------------------------------------------------------------
 
     def realtime_packet(self) -> bytes:
-        """The real-time packet of this cycle."""
+        """Real-time packet of this cycle."""
         return self._realtime.packet()
 
     def state_package(self, first: bool = False) -> bytes:
-        """The robot state of this cycle; with `first`, that of a new connection, with kinematics and configuration."""
+        """Return the robot state of this cycle.
+
+        Args:
+            first: Whether to return the state for a new connection, which includes kinematics and configuration.
+        """
         return self._states.package(first)
 
     def take_messages(self) -> list[bytes]:
-        """The robot messages that wait for the clients of the primary interface, once each.
+        """Return the messages that are queued for clients of the primary interface, once each.
 
-        If the controller is stepped: those of all cycles since the last call, oldest first. Of more than 10,000 the
-        oldest are dropped, and counted in `counters.lost_messages`.
+        If the controller is stepped, these are the messages of all cycles since the last call, oldest first. At most
+        10,000 messages are kept. Older ones are dropped and counted in `counters.lost_messages`.
         """
         messages = [*self._messages, *self._state.outbox.take()]
         self._messages.clear()
         return messages
 
     def greeting(self, port: str) -> list[bytes]:
-        """The packets at the beginning of a connection to this port: none on the real-time ports."""
+        """Return the packets at the beginning of a connection to this port.
+
+        The real-time ports have none.
+        """
         return self._interfaces[interface_of(port)].greeting()
 
     # -- serving -------------------------------------------------------------------------------------
 
     @property
     def ports(self) -> dict[str, int]:
-        """Name of each port that is served -> its number; empty until started.
+        """Served ports: name -> number. Empty until the controller is started.
 
-        Ports whose interface the present firmware does not have are left out. A reboot into another firmware may add or
-        remove some.
+        Ports whose interface does not exist in the current firmware are not included. A reboot into another firmware
+        might add or remove ports.
         """
         return {name: number for name, number in self._all_ports.items() if self._serves(name)}
 
     @property
     def _all_ports(self) -> dict[str, int]:
-        """`ports`, and those that refuse connections until the firmware has their interface."""
+        """`ports`, and the ports that refuse connections until the firmware has their interface."""
         return {} if self._server is None else self._server.numbers
 
     def _serves(self, port: str) -> bool:
@@ -512,24 +541,27 @@ class Controller(StrictAttributes):
 
     @property
     def address(self) -> str:
-        """The address for `urlink.connect`. It has all ports, so that it stays valid when the firmware changes.
+        """Address for `urlink.connect`.
+
+        It contains all ports, so that it stays valid when the firmware changes.
 
         Raises:
-            LocalError: it has not been started.
+            LocalError: If the controller has not been started.
         """
         if self._server is None:
-            raise LocalError("a controller that has not been started has no address")
+            raise LocalError("the controller has no address, because it has not been started; call start() first")
         return str(RobotAddress(self._own_host, self._all_ports))
 
     @property
     def is_serving(self) -> bool:
-        """Whether it was started and not closed."""
+        """Whether the controller was started and not closed."""
         return self._server is not None
 
     def call(self, change: Callable[[], object]) -> None:
-        """Call a function between two cycles, in the thread that owns the controller, and wait until it returns.
+        """Call a function between two cycles, in the thread that owns the controller.
 
-        For changes that must not happen in the middle of a cycle; from any thread.
+        Use it for changes that must not happen in the middle of a cycle. It waits until the function returns. Any
+        thread may call this.
         """
         server = self._server
         if server is None:
@@ -538,13 +570,13 @@ class Controller(StrictAttributes):
             server.call(change)
 
     def start(self) -> Self:
-        """Listen on the ports and serve them from a thread. No effect if it does so already.
+        """Listen on the ports and serve them from a thread. No effect if already started.
 
         Raises:
-            BadAddress: the ports cannot be listened on.
+            BadAddress: If the controller cannot listen on the ports.
         """
         if self._server is None:
-            # The module with sockets is imported only when the controller begins to serve.
+            # Import the module with sockets only when the controller begins to serve.
             from .server import Server
 
             server = Server(
@@ -563,7 +595,7 @@ class Controller(StrictAttributes):
         return self
 
     def close(self) -> None:
-        """End all connections and the thread, within about a second. No effect if it is not started."""
+        """End all connections and the thread, within about a second. No effect if not started."""
         server, self._server = self._server, None
         if server is not None:
             server.close()
@@ -583,10 +615,10 @@ class Controller(StrictAttributes):
 
 
 def _source(host: str, target: str) -> str | None:
-    """The loopback address of a controller that listens on `host`, if it is not the one that the system chooses.
+    """Return `host` if it is a loopback address that the system would not choose as source; else None.
 
-    A client accepts a program only from the address of its robot, and each of several controllers on this computer may
-    have its own loopback address.
+    A client accepts a program only from the address
+    of its robot, and each of several controllers on this computer can have its own loopback address.
     """
     try:
         own = ipaddress.ip_address(host)
@@ -600,7 +632,7 @@ def _numeric(address: str) -> str:
     try:
         return str(ipaddress.ip_address(address))
     except ValueError:
-        raise BadValue(f"a reachable address is numeric, such as 192.168.1.2, not {address!r}") from None
+        raise BadValue(f"reachable address {address!r}; expected a numeric address, such as 192.168.1.2") from None
 
 
 def _port_numbers(ports: str | Mapping[str, int], firmware: Firmware) -> dict[str, int]:
@@ -611,5 +643,5 @@ def _port_numbers(ports: str | Mapping[str, int], firmware: Firmware) -> dict[st
     if ports == "free":
         return dict.fromkeys(PORTS, 0)
     if isinstance(ports, str) or not ports or not ports.keys() <= PORTS.keys():
-        raise BadValue(f"ports are 'free', 'standard' or a mapping from {', '.join(PORTS)}; not {ports!r}")
+        raise BadValue(f"ports={ports!r}; expected 'free', 'standard' or a mapping from {', '.join(PORTS)}")
     return dict(ports)

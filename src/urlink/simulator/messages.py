@@ -1,8 +1,8 @@
 """Robot messages, and the packages at the beginning of a connection.
 
-Layouts and codes: docs/protocols/primary.md, Robot messages. Seen on real bytes of 5.4: a runtime exception carries no
-time stamp if a program does not compile, and keys, texts and exceptions have source -3. The source of the others, their
-levels, and all of it on older firmware are guesses.
+For layouts and codes, see docs/protocols/primary.md, Robot messages. Two facts are from captured bytes of 5.4. A
+runtime exception has no time stamp if a program does not compile. Keys, texts and exceptions have source -3. The source
+of the other messages, their levels, and everything about older firmware are assumed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from urlink.protocol.primary.robot_message import (
 from .state import ControllerState, StopCause
 from .urscript import ProgramError
 
-#: Most bytes of a text in one message; the vendor gives no limit.
+#: Maximum number of bytes of a text in one message. The vendor gives no limit.
 _LONGEST_TEXT = 4096
 
 _HAS_MESSAGE_12 = Since("3.3")
@@ -36,11 +36,12 @@ _HAS_TOLERANCES = Since("3.10/5.4")
 
 
 def greeting(state: ControllerState, kind: str) -> list[bytes]:
-    """The packages at the beginning of a connection on the primary or secondary interface.
+    """Return the packages at the beginning of a primary or secondary connection.
 
-    Version message, message 12 from 3.3, and on the primary interface package 24 from 3.10 and 5.4: so captured on
-    3.3, 3.10 and 5.4 and on the secondary interface of 5.12. (A capture of 5.11 that is reported to be of the primary
-    interface has no package 24.) Older firmware was not captured: that it sends the version message alone is a guess.
+    They are the version message, message 12 (3.3 or later), and package 24 on the primary interface (3.10, 5.4 or
+    later). This was captured on 3.3, 3.10 and 5.4, and on the secondary interface of 5.12. A capture of 5.11,
+    reportedly of the primary interface, has no package 24. There is no capture of older firmware; it is assumed to send
+    only the version message.
     """
     firmware = state.firmware
     on_connect = {"timestamp": NO_TIMESTAMP, "source": MessageSource.ROBOT_INTERFACE}
@@ -48,7 +49,7 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
         **firmware._asdict(),
         "project_name": "URControl",
         "svn_revision": firmware.bugfix,
-        # The two forms of date that captures show.
+        # The two date formats in captures.
         "build_date": "01-01-2024, 00:00:00" if firmware >= (3, 4) else "Jan 01 2016, 00:00:00",
     }
     packages = [_message(state, VersionMessage, **on_connect, **version)]
@@ -65,12 +66,12 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
 
 
 def safety_messages(state: ControllerState, cause: StopCause) -> list[bytes]:
-    """The messages of the primary interface when the safety mode has changed.
+    """Return the messages of the primary interface when the safety mode has changed.
 
-    A report with a code and, if there is one, the reason; then from 3.0 on the safety mode message. The code of a
-    protective stop, C153A0 "position deviates from path", is a documented one. That `protective_stop()` of a program
-    is C209A0 at the level of a warning is what the tests of UR Client Library expect. The others, the order, the
-    sources and the other levels are guesses.
+    The first is a report with a code and, if there is one, the reason. The second, on 3.0 and later, is the safety mode
+    message. The code of a protective stop, C153A0 "position deviates from path", is documented. A program's
+    `protective_stop()` is reported as C209A0 at warning level; this is what the tests of UR Client Library expect. The
+    other codes and levels, the order and the sources are assumed.
     """
     mode = state.modes.safety_mode
     messages = []
@@ -86,7 +87,7 @@ def safety_messages(state: ControllerState, cause: StopCause) -> list[bytes]:
     return messages
 
 
-#: What a report has beside its code and text; that there is none is a guess.
+#: Data of a report in addition to its code and text; it is assumed that there is none.
 _NO_DATA = {"argument": 0, "data_type": ReportDataType.NONE, "data": 0}
 _REPORTS = {
     SafetyMode.PROTECTIVE_STOP: (153, ReportLevel.VIOLATION, "Protective stop: position deviates from path"),
@@ -98,22 +99,22 @@ _BY_PROGRAM = (209, ReportLevel.WARNING, "Protective stop")
 
 
 def program_started(state: ControllerState, name: str) -> bytes:
-    """The message for a program that begins."""
+    """Return the message for a program that begins."""
     return _message(state, KeyMessage, code=0, argument=0, title="PROGRAM_XXX_STARTED", text=name)
 
 
 def program_stopped(state: ControllerState, name: str) -> bytes:
-    """The message for a program that is over, for any reason."""
+    """Return the message for a program that has ended, for any reason."""
     return _message(state, KeyMessage, code=0, argument=0, title="PROGRAM_XXX_STOPPED", text=name)
 
 
 def text_message(state: ControllerState, text: str) -> bytes:
-    """The message of a program's `textmsg`."""
+    """Return the message of a program's `textmsg`."""
     return _message(state, TextMessage, text=text)
 
 
 def runtime_exception(state: ControllerState, error: ProgramError, is_running: bool) -> bytes:
-    """The message for a program that does not compile, or that failed while it was running."""
+    """Return the message for a program that does not compile, or that failed while running."""
     stamp = {} if is_running else {"timestamp": NO_TIMESTAMP}
     return _message(state, RuntimeExceptionMessage, **stamp, line=error.line, column=error.column, text=error.text)
 
@@ -121,7 +122,7 @@ def runtime_exception(state: ControllerState, error: ProgramError, is_running: b
 def popup_message(
     state: ControllerState, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool
 ) -> bytes:
-    """The message for a popup of a program."""
+    """Return the message for a popup of a program."""
     return _message(
         state,
         PopupMessage,
@@ -130,7 +131,7 @@ def popup_message(
         is_warning=is_warning,
         is_error=is_error,
         is_blocking=is_blocking,
-        # Its length is one byte.
+        # The length field is one byte.
         title=title.encode("utf-8", "backslashreplace")[:255].decode("utf-8", "ignore"),
         text=text,
     )

@@ -1,11 +1,11 @@
-"""RTDE's variables of the simulated controller: outputs read from its state, inputs that change it.
+"""RTDE variables of the simulated controller: outputs read its state, inputs change it.
 
-Values that another interface sends too come from the same place, so that they are equal in the same cycle. Only
-`timestamp` differs from the real-time interface's `time`, by `UPTIME`: real controllers have been up for a while when a
-client connects, and public clients wait until 40 s are over (docs/protocols/rtde.md).
+Values that another interface also sends come from the same source, so that they are equal in the same cycle. Only
+`timestamp` differs from the real-time interface's `time`, by `UPTIME`. Real controllers have been up for a while when a
+client connects, and public clients wait until 40 s have passed (docs/protocols/rtde.md).
 
-Guesses, where nothing is behind a variable here: the energy counters are those of the electronics alone, ratios,
-encoders and Euromap are zero, the window of currents is 2 A, and `script_control_line` is always 0.
+Variables that are not modelled have assumed values. The energy counters count only the electronics. Ratios, encoders
+and Euromap are zero, the window of currents is 2 A, and `script_control_line` is always 0.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from .robot.characteristics import EXECUTION_TIME
 from .robot.modes import StopState
 from .state import ControllerState
 
-#: s that `timestamp` begins with.
+#: Initial value of `timestamp`, in s.
 UPTIME = 45.0
-#: V, of the controller's supply and of the robot's.
+#: Voltages of the controller's supply and of the robot's, in V.
 MAIN_VOLTAGE, ROBOT_VOLTAGE = number("main_voltage"), number("robot_voltage")
-# A, of the electronics of a standing arm; A/W of the power that moves it; 1/A of what heats the motors.
+# Current of the electronics at rest, in A; current per power of the motion, in A/W; current per motor heat, in 1/A.
 _IDLE, _OF_POWER, _OF_HEAT = (
     number("robot_idle_current"),
     number("robot_current_of_power"),
@@ -77,21 +77,24 @@ def _tool_analog_types(state: ControllerState) -> int:
 
 
 def robot_current(state: ControllerState) -> float:
-    """A: of the electronics, of the power of the joints, and of what heats their motors.
+    """Return the current of electronics, joint power and motor heat, in A.
 
-    As a UR3e has it; that other arms do is a guess.
+    The model is that of a UR3e; it is assumed to be the same for other arms.
     """
     if not state.modes.is_powered:
         return 0.0
     s = state.arm.sample
-    # Not `sum`, which rounds in another way from Python 3.12 on: the same run sends the same bytes everywhere.
+    # Avoid `sum`, which rounds differently since Python 3.12. The same run must send the same bytes on every version.
     power: float = reduce(add, map(mul, s.M_target, s.qd_target))
     heat: float = reduce(add, map(mul, s.I_actual, s.I_actual))
     return max(_IDLE + _OF_POWER * power + _OF_HEAT * heat, 0.0)
 
 
 def execution_time(state: ControllerState) -> float:
-    """ms that a cycle takes the controller: without a program, or with one. 0.06 on a real CB2."""
+    """Return the time that a cycle takes the controller, in ms, without or with a program.
+
+    It was 0.06 on a real CB2.
+    """
     if not state.firmware.is_e_series:
         return 0.06
     idle, busy = EXECUTION_TIME
@@ -188,7 +191,7 @@ def _outputs() -> dict[str, Output]:
 
 
 def _registers(direction: str, bank: Callable[[ControllerState], Bank]) -> dict[str, Output]:
-    """The registers of one direction."""
+    """Return the registers of one direction."""
 
     def word(first: int) -> Output:
         return lambda s: bank(s).bits >> first & _WORD
@@ -208,7 +211,7 @@ def _registers(direction: str, bank: Callable[[ControllerState], Bank]) -> dict[
     return found | {f"{direction}_double_register_{number}": double(number) for number in range(NUMBERS)}
 
 
-#: name -> what is sent of the state.
+#: Name of an output -> function that reads its value from the state.
 OUTPUT_VALUES: Mapping[str, Output] = MappingProxyType(_outputs())
 
 
@@ -221,11 +224,11 @@ def write_inputs(state: ControllerState, values: Mapping[str, Any]) -> None:
     """Apply the inputs of one data package, by name.
 
     All inputs keep their last value. An output of the controller changes when a package contains any input of its
-    group, by the mask and the values that hold then; that these may come in different recipes is a guess. The speed
+    group, according to the current mask and values. It is assumed that these can arrive in different recipes. The speed
     slider moves once for each package in which its mask is 1. A value that is not a number changes nothing.
 
-    In local control an e-Series accepts registers, but no outputs and no slider: a cautious guess. It is known that it
-    accepts no URScript then.
+    In local control, an e-Series accepts registers, but not outputs and the slider. This is a cautious assumption: it
+    is known only that it accepts no URScript then.
     """
     state.rtde_inputs.update(values)
     for change in dict.fromkeys(_CHANGES[name] for name in values):
@@ -249,7 +252,7 @@ def _analog(state: ControllerState, values: Mapping[str, Any]) -> None:
 
 
 def _digital(group: str, first: int, count: int) -> Change:
-    """Set the outputs of a group whose bits begin at `first`; only those in its mask."""
+    """Set the outputs of a group whose bits begin at `first`, but only outputs in its mask."""
 
     def change(state: ControllerState, values: Mapping[str, Any]) -> None:
         held, signals = state.rtde_inputs, state.signals
@@ -279,7 +282,10 @@ def _input_registers(state: ControllerState, values: Mapping[str, Any]) -> None:
 
 
 def _register_of(name: str) -> tuple[str, int] | None:
-    """Kind and number of an input register: "word" with the first of its bits, "bit", "int" or "double"."""
+    """Return kind and number of an input register; None for other inputs.
+
+    The kind is "word" (with the number of its first bit), "bit", "int" or "double".
+    """
     if not name.startswith("input_"):
         return None
     if "_bit_registers" in name:

@@ -1,10 +1,14 @@
-"""The controller's interfaces over TCP: one thread that keeps the clock and carries the bytes of every client.
+"""Serve the controller's interfaces over TCP.
 
-Deadlines are absolute: cycle k is due k periods after the start, however late the one before was. A thread without
-processor time catches up cycle by cycle, and the packets of these cycles are still sent, as by a network with a delay;
-packets that are more than `LATEST` late are counted instead, and with the next cycle that is sent come those that have
-become due meanwhile. After `ASLEEP` the clock is set again. So clients of a slow simulator see late and missing
-packets, but only one clock, and no interface that is silent.
+One thread keeps the clock and transfers the bytes of every client.
+
+Deadlines are absolute: cycle k is due k periods after the start, however late the previous cycle was. A thread that got
+no processor time catches up cycle by cycle. The packets of these cycles are still sent, as if the network had delayed
+them.
+
+Packets that are more than `LATEST` late are counted but not sent. The next cycle that is sent also carries the packets
+that became due in the meantime. After `ASLEEP`, the clock is set again. So clients of a slow simulator see late and
+missing packets, but only one clock, and no silent interface.
 """
 
 from __future__ import annotations
@@ -21,26 +25,26 @@ from .interfaces.interface import Interface, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
 from .state import ControllerState
 
-#: Seconds after which a packet is not sent any more. Until then a client gets every cycle. Older packets would only
-#: delay the next ones, on a machine that is too slow for all of its controllers.
+#: Age in seconds above which a packet is no longer sent. Up to this age, a client gets every cycle. Older packets would
+#: only delay the next ones, on a machine that is too slow for all of its controllers.
 LATEST = 1.0
-#: Seconds after which the clock is set again instead of catching up: the machine was suspended.
+#: Delay in seconds above which the clock is set again instead of catching up, because the machine was suspended.
 ASLEEP = 5.0
 #: Seconds of catching up after which the sockets are served again, however far behind the clock is. A program can make
 #: cycles that take longer than their period.
 LONGEST_CATCH_UP = 0.02
-#: Cycles a second that are executed at their time even if no client needs them, so that modes and time go on.
+#: Cycles per second that are executed on time even if no client needs them, so that modes and time advance.
 LEAST_RATE = 10
-#: Bytes read from a client at once: each line of them may be a program.
+#: Bytes read from a client at once. Each line of them can be a program.
 CHUNK = 1 << 12
-#: Seconds that other threads wait for the server's.
+#: Seconds that other threads wait for the server's thread.
 TIMEOUT = 5.0
 #: Seconds within which a client must take the last reply before its connection is closed.
 LAST_REPLY = 2.0
 
 
 class _Client(Handler):
-    """One connection. What an interface sends goes through the faults of the link."""
+    """One connection. The faults of the link apply to the packets that its interface sends."""
 
     def __init__(self, server: Server, name: str, interface: Interface, connection: Connection) -> None:
         self.name = name
@@ -68,7 +72,7 @@ class _Client(Handler):
         self.connection.close(reset=True)
 
     def data_received(self, data: bytes) -> None:
-        # A request of a client takes effect in the next cycle of the present, not of the last reading of the clock.
+        # A request of a client must take effect in the next cycle from now, not from the last reading of the clock.
         self._server.look_at_the_clock()
         self._receiver.feed(data)
 
@@ -78,25 +82,25 @@ class _Client(Handler):
 
 
 class Server:
-    """Serves the interfaces of one controller from one thread, which owns the controller from then on.
+    """Serves the interfaces of one controller from one thread, which then owns the controller.
 
     Args:
-        loop: advances the controller.
-        state: of the controller.
-        interfaces: name of the interface -> its handler.
-        loader: of programs; compiles in another thread.
-        link: the faults of the connections.
-        host: address to listen on.
-        numbers: name of each port -> number, 0 for a free one.
-        output_limit: bytes that may wait for one client.
-        clock: seconds, monotonic; a test may have one of its own.
+        loop: Control loop that advances the controller.
+        state: State of the controller.
+        interfaces: Name of each interface -> its handler.
+        loader: Loader of programs, which compiles long ones in another thread.
+        link: Faults of the connections.
+        host: Address to listen on.
+        numbers: Name of each port -> its number, 0 for a free one.
+        output_limit: Maximum number of bytes buffered for one client.
+        clock: Monotonic clock, in seconds. A test can pass its own clock.
 
     Attributes:
-        counters: of events on the interfaces.
-        is_open: whether the ports are open; after a reboot a moment later than the controller is up.
+        counters: Counters of events on the interfaces.
+        is_open: Whether the ports are open. After a reboot, they open a moment later than the controller is up.
 
     Raises:
-        BadAddress: a port cannot be listened on.
+        BadAddress: If the server cannot listen on a port.
     """
 
     def __init__(
@@ -126,15 +130,15 @@ class Server:
         self._is_stepped = isinstance(clock, SteppedClock)
         self._is_closing = False
         self._is_changed = False
-        # Whether the last catching up ran out of its time.
+        # Whether the last `catch_up` ran out of time.
         self._is_behind = False
         self._rate = state.rate
-        #: time on the monotonic clock of the cycle in which the controller was when it was started, and that cycle
+        #: Cycle of the controller at the start of the server, and its time on the monotonic clock.
         self._epoch = 0.0
         self._first = state.cycle
         self._segments_seen = link.segments_changed
         self.is_open = True
-        # Whether any port was paused when the ports were last looked at.
+        # Whether any port was paused at the last check of the ports.
         self._was_stalled = False
         self._listening: dict[str, ListeningPort] = {}
         try:
@@ -162,7 +166,7 @@ class Server:
 
     @property
     def numbers(self) -> dict[str, int]:
-        """Name of each port -> its number."""
+        """Ports: name -> number."""
         return {name: port.number for name, port in self._listening.items()}
 
     @property
@@ -173,7 +177,7 @@ class Server:
     # -- from other threads ------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start the thread that serves the ports."""
         self._thread.start()
 
     def close(self) -> None:
@@ -187,15 +191,15 @@ class Server:
         """Call a function in the server's thread between two cycles, and wait until it returns.
 
         Raises:
-            LinkTimeout: it was not done within `TIMEOUT`.
-            Exception: whatever `change` raises.
+            LinkTimeout: If the call was not done within `TIMEOUT`.
+            Exception: If `change` raises it.
         """
 
         def change_now() -> None:
             self.catch_up()
             change()
             self._settle()
-            # The change has to be in the very next cycle.
+            # The very next cycle must contain the change.
             self._is_changed = True
 
         if self._thread is threading.current_thread():
@@ -218,16 +222,16 @@ class Server:
             self._sockets.close()
 
     def _due(self) -> float | None:
-        """The time of the next cycle in which something is to be done; None where `step` calls when it is."""
+        """Return the time of the next cycle that has work to do; None if `step` drives the cycles."""
         if self._is_stepped:
-            return None  # the clock stands still while the sockets are waited for
+            return None  # the clock does not advance while the thread waits for the sockets
         cycle = self._state.cycle
         wake = cycle + 1 if self._is_changed else self._next(cycle)
         self._is_changed = False
         return self._epoch + (wake - self._first) / self._rate
 
     def catch_up(self) -> None:
-        """Advance the controller to the present, and send the packets of its cycles."""
+        """Advance the controller to the current time, and send the packets of its cycles."""
         rate, state, counters = self._rate, self._state, self.counters
         behind = int((self._clock() - self._epoch) * rate) - (state.cycle - self._first)
         if behind > ASLEEP * rate:
@@ -251,15 +255,16 @@ class Server:
         self._is_behind = behind > 0
 
     def look_at_the_clock(self) -> None:
-        """Advance to the present before something is done for a client, unless the thread is behind anyway.
+        """Advance to the current time before serving a client, unless the thread is behind anyway.
 
-        If the machine is too slow for the controller, clients would have to wait for each other's catching up.
+        If the machine is too slow for the controller, clients would otherwise wait while it catches up for other
+        clients.
         """
         if not self._is_behind:
             self.catch_up()
 
     def _next(self, cycle: int) -> int:
-        """The first cycle after this one that must be executed at its time; those before it are caught up then."""
+        """Return the first cycle after this one that must run on time; earlier cycles are caught up then."""
         earliest = -(-(cycle * LEAST_RATE // self._rate + 1) * self._rate // LEAST_RATE)
         if self._loader.is_waiting:
             return cycle + 1
@@ -291,7 +296,7 @@ class Server:
                 data = self._link.on_the_wire(name, packet)
                 for client in clients:
                     if client.pending + len(data) > client.connection.port.output_limit:
-                        # Public clients send programs here for hours and never read, to real controllers too.
+                        # Public clients send programs for hours and never read, even with real controllers.
                         self.counters.unread += 1
                     else:
                         self._put(client, data)
@@ -320,7 +325,7 @@ class Server:
     def _accept(self, name: str, connection: Connection) -> _Client | None:
         if self._is_closing:
             return None
-        # The clock may be waiting for a later cycle: a new client gets no packets of the past.
+        # The thread might be waiting for a later cycle. Advance first, so that a new client gets no old packets.
         self.look_at_the_clock()
         interface = self._interfaces[interface_of(name)]
         client = _Client(self, name, interface, connection)
@@ -333,7 +338,7 @@ class Server:
         return client
 
     def forget(self, client: _Client) -> None:
-        """Remove a client whose connection is over."""
+        """Remove a client whose connection has ended."""
         self._clients[client.name].remove(client)
         kind = interface_of(client.name)
         if not self._clients.get(kind) and not self._clients.get(f"{kind}_readonly"):
@@ -342,7 +347,7 @@ class Server:
     # -- faults --------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """Bring ports and connections into the state that controller and faults require."""
+        """Set ports and connections to the state that the controller and its faults require."""
         if self._is_closing:
             return
         self._open_or_refuse()
@@ -354,13 +359,13 @@ class Server:
     def _open_or_refuse(self) -> None:
         is_up, is_stalled = self._state.is_up, self._link.is_any_stalled
         if is_up and self.is_open and not is_stalled and not self._was_stalled:
-            return  # the usual case, in nearly every cycle
+            return  # the usual case in nearly every cycle
         if not is_up:
             self._loader.clear()
         for name, port in self._listening.items():
             if is_up and self._interfaces[interface_of(name)].is_offered():
                 port.listen()
-                # Connected but silent: the kernel has made the connection, and there it waits.
+                # A stalled port is silent, but still accepts connections: the kernel queues them.
                 if self._link.is_stalled(name):
                     port.pause()
                 else:

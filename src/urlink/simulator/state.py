@@ -1,6 +1,7 @@
-"""The state of a controller: everything that its interfaces show and its programs change, in one passive object.
+"""State of a controller: all that its interfaces show and its programs change.
 
-It does not depend on programs or interfaces. The control loop advances it; packets and messages are made from it.
+The state is one passive object that does not depend on programs or interfaces. The control loop advances it. Packets
+and messages are made from it.
 """
 
 from __future__ import annotations
@@ -28,29 +29,29 @@ from .robot.surroundings import Surroundings
 if TYPE_CHECKING:
     from urlink.arm.arm_file import ArmFile
 
-#: Bytes of messages in one cycle above which texts and popups are lost; a program could make thousands of them.
+#: Bytes of messages in one cycle above which texts and popups are dropped. A program could make thousands of them.
 MOST_MESSAGES = 1 << 14
-#: Flags of `set_flag` and `get_flag`: that their numbers go up to 31 is inferred (docs/protocols/urscript.md, Flags).
+#: Number of flags of `set_flag` and `get_flag`. The highest flag, 31, is inferred (docs/protocols/urscript.md, Flags).
 FLAGS = 32
 
 
 @dataclass
 class Counters:
-    """Counters of a controller's interfaces, since it was made.
+    """Counters of a controller's interfaces since the controller was made.
 
     Attributes:
-        connections: accepted.
-        sent: packets and packages handed to the network, once per connection.
-        dropped: connections ended because the client did not read.
-        unread: packets that were left out because the client had not read those before.
-        refused_bytes: input that was discarded: text to read-only ports, lines and programs too long, or too many that
-            wait.
-        refused_programs: texts that were ignored because of the state of the controller.
-        late: cycles whose packets were sent more than one cycle after they were due.
-        skipped: cycles whose packets were not sent because they were far too late.
-        lost_messages: texts and popups of programs, beyond what one cycle sends; and messages of a controller that was
-            stepped, beyond what it keeps until they are taken.
-        ignored_packages: packages of RTDE clients that do not fit, such as data of an unknown recipe.
+        connections: Accepted connections.
+        sent: Packets and packages passed to the network, counted once per connection.
+        dropped: Connections that were ended because the client did not read.
+        unread: Packets that were dropped because the client had not read the previous ones.
+        refused_bytes: Discarded input bytes: text to read-only ports, lines and programs that are too long, and
+            programs that exceed the limit of the queue.
+        refused_programs: Programs and lines that were ignored because of the state of the controller.
+        late: Cycles whose packets were sent more than one cycle after they were due.
+        skipped: Cycles whose packets were not sent because they were far too late.
+        lost_messages: Dropped messages: texts and popups of programs above the limit of one cycle, and messages of a
+            stepped controller above the number that it keeps until they are taken.
+        ignored_packages: Invalid packages from RTDE clients, such as data of an unknown recipe.
     """
 
     connections: int = 0
@@ -66,11 +67,11 @@ class Counters:
 
 
 class StopCause(NamedTuple):
-    """Why the safety mode has changed.
+    """Cause of a change of the safety mode.
 
     Attributes:
-        reason: for the message; "" if none was given.
-        by_program: whether a program has called `protective_stop()`.
+        reason: Reason for the message; "" if none was given.
+        by_program: Whether a program has called `protective_stop()`.
     """
 
     reason: str = ""
@@ -78,10 +79,10 @@ class StopCause(NamedTuple):
 
 
 class StateOutbox:
-    """The robot messages that wait to be sent to the clients of the primary interface.
+    """Queue of robot messages for the clients of the primary interface.
 
     Args:
-        counters: counts the lost messages.
+        counters: Counters to which dropped messages are added.
     """
 
     def __init__(self, counters: Counters) -> None:
@@ -95,68 +96,69 @@ class StateOutbox:
         self._size += len(message)
 
     def offer(self, make: Callable[[], bytes]) -> None:
-        """Add a message unless there are too many already, in which case it is lost. It is made only if it is added."""
+        """Add a message, or drop it if there are too many already. It is made only if it is added."""
         if self._size > MOST_MESSAGES:
             self._counters.lost_messages += 1
         else:
             self.put(make())
 
     def take(self) -> list[bytes]:
-        """All messages, once each."""
+        """Return and remove all messages."""
         messages, self._messages, self._size = self._messages, [], 0
         return messages
 
 
 class ControllerState:
-    """The state of a controller.
+    """State of a controller.
 
     Args:
-        kinematics: of the arm.
-        firmware: the first one.
-        source: what the arm follows when the controller has come up.
-        serial: serial number of the arm.
-        seed: of the noise on the sensors.
-        noise: whether there is any.
-        like: what was identified of an arm; None for what is known of the model.
+        kinematics: Kinematics of the arm.
+        firmware: Firmware until the first reboot.
+        source: Source of set-points that the arm follows when the controller has come up.
+        serial: Serial number of the arm.
+        seed: Seed of the sensor noise.
+        noise: Whether the sensors are noisy.
+        scaling_parameters: Behaviour of the speed scaling.
+        like: Identified properties of an arm. None selects the known properties of the model.
 
     Attributes:
-        kinematics, serial: as given.
-        firmware: the present one.
-        rate: cycles a second.
-        period: s from one cycle to the next.
-        cycle: number of the cycle since the controller was made, reboots included.
-        uptime: cycles since the controller came up.
-        cycles_down: until a reboot is over; 0 while it is up.
-        surroundings: what the tool touches; they outlive a reboot.
-        arm: joints, tool and sensors.
-        modes: of robot, safety and program.
-        signals: inputs and outputs.
-        modbus: signals by name, with no bus behind them.
-        registers: general-purpose registers, which a reboot clears (a guess).
-        watchdogs: of the program that runs, over RTDE inputs.
-        rtde_inputs: name -> the last value that a client has sent.
-        claims: which client holds which RTDE input.
-        fieldbus: that is enabled in the installation, a key of `FIELDBUSES`, or None.
-        source: where the arm's set-points come from.
-        is_paused: whether the source is paused: its program was, by hand or by a stop.
-        resumes: whether the program goes on by itself when the stop is over.
-        by_hand: moves the arm from the pendant while no program plays; None if nothing does.
-        speed_fraction: of the speed slider, 0 to 1.
-        slider: the fraction that the movement of the speed slider has come to; it follows `speed_fraction`.
-        scaling: the fraction of their speed with which the commands of programs are executed; it follows `slider`, and
-            is 0 at the start of a program.
-        scaling_parameters: as given.
-        remote_control: whether an e-Series is in remote control.
-        has_local_control: whether an e-Series that is not in remote control refuses commands from outside the pendant.
-        control_mode: what the program that runs controls; position without a program.
-        teach_button: whether the button for freedrive is held.
-        flags: of `set_flag`.
-        stopped_since: `time` at which the present stop began; None without one.
-        popup: text that the pendant shows, or None.
-        loaded: path of the program that `play` runs, or None.
-        log: lines that the dashboard has added.
-        counters: of events on the interfaces.
-        outbox: messages to be sent.
+        kinematics, serial: The arguments of the same names.
+        firmware: Current firmware.
+        rate: Cycles per second.
+        period: Duration of a cycle, in s.
+        cycle: Number of cycles since the controller was made, including reboots.
+        uptime: Number of cycles since the controller came up.
+        cycles_down: Number of cycles until a reboot is complete; 0 while the controller is up.
+        surroundings: Objects that the tool touches. They persist across reboots.
+        arm: Joints, tool and sensors.
+        modes: Modes of robot, safety and program.
+        signals: Inputs and outputs.
+        modbus: Modbus signals by name, without a bus.
+        registers: General-purpose registers. A reboot clears them (assumed).
+        watchdogs: Watchdogs of the running program over RTDE inputs.
+        rtde_inputs: Name -> last value that a client has sent.
+        claims: RTDE inputs and the clients that hold them.
+        fieldbus: Fieldbus that is enabled in the installation, a key of `FIELDBUSES`, or None.
+        source: Current source of the arm's set-points.
+        is_paused: Whether the source is paused, because its program was paused by hand or by a stop.
+        resumes: Whether the program continues automatically when the stop has ended.
+        by_hand: Drive that moves the arm from the pendant while no program plays; None if there is none.
+        speed_fraction: Position of the speed slider, 0 to 1.
+        slider: Effective fraction of the speed slider; it follows `speed_fraction` gradually.
+        scaling: Fraction of their speed with which the commands of programs are executed. It follows `slider`, and is 0
+            at the start of a program.
+        scaling_parameters: The argument of the same name.
+        remote_control: Whether an e-Series is in remote control.
+        has_local_control: Whether an e-Series in local control rejects commands that do not come from the pendant.
+        control_mode: Quantity that the running program controls; position if there is no program.
+        teach_button: Whether the freedrive button is held.
+        flags: Flags that programs set with `set_flag`.
+        stopped_since: `time` at which the current stop began; None if there is no stop.
+        popup: Text that the pendant shows, or None.
+        loaded: Path of the program that `play` runs, or None.
+        log: Lines that the dashboard has added.
+        counters: Counters of events on the interfaces.
+        outbox: Messages to be sent.
     """
 
     def __init__(
@@ -220,9 +222,12 @@ class ControllerState:
         return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, self._like)
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
-        """Reboot: down for some seconds, at least a cycle; then with this firmware, or the present one.
+        """Reboot: go down for a time, then come up with this firmware or the current one.
 
-        Without power the brakes of the joints hold the arm. The way that it slides until they do is left out.
+        The time is at least one cycle.
+
+        Without power, the brakes hold the joints. The distance that the joints slide before the brakes hold is not
+        modelled.
         """
         self.cycles_down = max(1, math.ceil(seconds * self.rate))
         self._next_firmware = firmware or self.firmware
@@ -230,9 +235,10 @@ class ControllerState:
         self.arm.advance(self.period, Setpoint(self.arm.setpoint.q, [0.0] * 6, [0.0] * 6))
 
     def come_up(self) -> None:
-        """End the reboot. The arm has not moved; tool and payload are in the installation, and stay.
+        """Complete the reboot.
 
-        That popup and loaded program are gone, and signals, remote control and log stay, is a guess.
+        The arm has not moved. Tool and payload are in the installation and stay. It is assumed that popup and loaded
+        program are lost, and that signals, remote control and log stay.
         """
         before = self.arm
         self._first_source.start(before.setpoint.q)
@@ -244,39 +250,42 @@ class ControllerState:
 
     @property
     def model(self) -> Model:
-        """Geometry as published, limits and masses of the arm."""
+        """Model of the arm: its published geometry, limits and masses."""
         return self.kinematics.model
 
     @property
     def time(self) -> float:
-        """Seconds since the controller came up: whole cycles."""
+        """Time since the controller came up, in s: a whole number of cycles."""
         return self.uptime / self.rate
 
     @property
     def is_up(self) -> bool:
-        """Whether it is up; False while it reboots."""
+        """Whether the controller is up; False during a reboot."""
         return self.cycles_down == 0
 
     @property
     def is_local(self) -> bool:
-        """Whether it accepts commands from the pendant alone: an e-Series in local control."""
+        """Whether only the pendant can command the controller: an e-Series in local control."""
         return self.firmware.is_e_series and self.has_local_control and not self.remote_control
 
     def move_slider(self, seconds: float) -> None:
-        """Let the speed slider take effect, as far as it does in some seconds."""
+        """Move the effective slider fraction towards the slider, as far as it gets in this time."""
         self.slider = approached(self.slider, self.speed_fraction, self.scaling_parameters.slider_rate * seconds)
 
     @property
     def speed_scaling(self) -> float:
-        """As all interfaces show it: `slider` while a program plays.
+        """Speed scaling that all interfaces show: `slider` while a program plays.
 
-        The start of a program does not show in it: in the log of a UR3e it is 1 while the joints still speed up.
+        The start of a program does not affect it: in the log of a UR3e it is 1 while the joints still accelerate.
         """
         return self.modes.speed_scaling * self.slider
 
     @property
     def time_scale_source(self) -> TimeScaleSource:
-        """What scales the motion. That the slider and the start of a program are a smooth transition is a guess."""
+        """Reason why the motion is scaled.
+
+        It is assumed that a change of the slider, and the start of a program, count as a smooth transition.
+        """
         if self.modes.program_state is not ProgramState.PLAYING:
             return TimeScaleSource.PROGRAM_NOT_RUNNING
         is_changing = self.slider != self.speed_fraction or self.scaling != self.slider
@@ -285,17 +294,22 @@ class ControllerState:
     # -- modes ---------------------------------------------------------------------------------------
 
     def update_modes(self, seconds: float) -> None:
-        """Update the modes by the state of arm and program, after `seconds`."""
+        """Update the modes from the state of arm and program, after `seconds`."""
         is_standing = self.arm.is_standing or self.by_hand is not None
         self.modes.advance(seconds, is_standing, self.source.is_program, self.is_paused)
 
     def stop_protectively(self, reason: str, *, by_program: bool = False) -> None:
-        """Make a protective stop; the reason, and whether a program has asked for it, are for its message."""
+        """Make a protective stop.
+
+        Args:
+            reason: Reason for the message of the stop.
+            by_program: Whether a program has requested the stop.
+        """
         self._stop_cause = StopCause(reason, by_program)
         self.modes.protective_stop()
 
     def take_safety_change(self) -> StopCause | None:
-        """The cause of a change of the safety mode since the last call; None without a change."""
+        """Return the cause of a change of the safety mode since the last call; None if unchanged."""
         cause, self._stop_cause = self._stop_cause, StopCause()
         modes = self.modes
         if modes.safety_mode is self._announced:
@@ -306,14 +320,14 @@ class ControllerState:
 
 
 def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
-    """The firmware, if it runs on the model.
+    """Return the firmware if it runs on the model.
 
-    UR3, UR5 and UR10 run 1.x (not the UR3, which came with CB3) and 3.x, all others 5.0 and later. With which later
-    release the younger arms came is not checked.
+    UR3, UR5 and UR10 run 3.x. UR5 and UR10 also run 1.x, but the UR3 does not, because it was introduced with CB3. All
+    other arms run 5.0 and later. Whether a later release is needed for the newer arms is not checked.
 
     Raises:
-        BadVersion: no such firmware.
-        BadValue: it does not run on the model.
+        BadVersion: If there is no such firmware.
+        BadValue: If the firmware does not run on the model.
     """
     parsed = existing_firmware(firmware)
     if model.generation == "e":
@@ -323,5 +337,5 @@ def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
     else:
         suits, needs = not parsed.is_e_series, "1.x or 3.x"
     if not suits:
-        raise BadValue(f"a {model.name} does not run firmware {parsed}; it needs {needs}")
+        raise BadValue(f"a {model.name} does not run firmware {parsed}; expected {needs}")
     return parsed

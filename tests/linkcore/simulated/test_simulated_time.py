@@ -258,7 +258,7 @@ def test_a_limit_of_time() -> None:
             threading.Thread(target=tick).start()
             threading.Event().wait()
 
-    with pytest.raises(TimeLimit, match="10 s of simulated time are over"):
+    with pytest.raises(TimeLimit, match="exceeds its limit of 10 s"):
         program()
 
 

@@ -124,10 +124,10 @@ def test_what_is_missing_is_said(run: Run, tmp_path: Path) -> None:
     other.write_bytes(b"nothing")
     status, out, _ = run("dissect", str(path))
     assert status == 0
-    assert "!! no table says how long the variables are; --tables" in out
+    assert "!! unknown lengths of the variables; use --tables" in out
     status, _, err = run("dissect", str(path), "--tables", str(other))
     assert status == 1
-    assert "holds no handshake" in err
+    assert "contains no handshake" in err
     assert run("dissect", str(other))[0] == 1
     other.write_bytes(b"")
     status, _, err = run("dissect", str(other))
@@ -156,8 +156,8 @@ def test_a_server_that_grants_nothing_is_known_by_its_table() -> None:
         (server()[:-3], "cut off in entry 1, in its data"),
         (b"awtw\xff\xff\xff\xff", "counts -1; expected 0 to 8192"),
         (b"awx", "one byte of a package"),
-        (b"awxx", "b'xx' begins no package of a server"),
-        (b"rr", "b'rr' begins no package of a server"),
+        (b"awxx", "b'xx' does not begin a package of a server"),
+        (b"rr", "b'rr' does not begin a package of a server"),
         (server() + b"dr" + b"\0\0\0\1" + b"\0\0\0\2", "entry 0 is of variable 2; expected 0 to 1"),
         (b"tr\0\0\0\1" + b"\xff" * 4 + bytes(33) + b"dr\0\0\0\1" + bytes(12), "entry 0 is of a variable of -1 words"),
     ],

@@ -77,8 +77,8 @@ def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("argv", "said"),
     [
-        (("vars", "a b"), "is no address"),
-        (("vars", "ftp://x"), "unknown kind"),
+        (("vars", "a b"), "invalid address"),
+        (("vars", "ftp://x"), "unknown scheme"),
         (("get", "127.0.0.1:1", "tick"), "connection refused"),
         (("set", "127.0.0.1:1", "tick", "1"), "connection refused"),
         (("watch", "127.0.0.1:1"), "connection refused"),

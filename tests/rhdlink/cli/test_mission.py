@@ -77,7 +77,7 @@ def test_a_mission_that_fails_says_where(run: Run, script: Path) -> None:
 
 
 def test_a_script_is_checked(run: Run, script: Path) -> None:
-    assert run("mission", "--check", str(script)) == (0, "", "rhdlink: way.smr: no mistake found\n")
+    assert run("mission", "--check", str(script)) == (0, "", "rhdlink: way.smr: no mistakes found\n")
     script.write_text("fwd 1 2\nfwd x\n")
     status, out, _ = run("mission", "--check", str(script))
     assert status == 1
@@ -95,10 +95,10 @@ def test_a_script_is_checked(run: Run, script: Path) -> None:
     ("arguments", "status", "said"),
     [
         (["gone.smr", "--turtle"], 1, "gone.smr: No such file"),
-        (["--turtle"], 2, "a script is needed"),
-        (["{script}", "--serve"], 2, "takes its commands from clients"),
+        (["--turtle"], 2, "no script was given"),
+        (["{script}", "--serve"], 2, "takes commands from clients"),
         (["{script}", "--robot", "localhost:1"], 1, "localhost:1"),
-        (["{script}", "--svg", "x.svg"], 2, "are for a --turtle"),
+        (["{script}", "--svg", "x.svg"], 2, "need --turtle"),
         (["{script}", "--turtle", "--svg", "x.gif"], 1, "a picture is an .svg or a .png"),
         (["{script}", "--turtle", "--floor", "none.svg"], 1, "none.svg: No such file"),
         (["{script}", "--turtle", "--start", "1,2"], 2, "expected X,Y,DEG"),

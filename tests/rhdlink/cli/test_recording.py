@@ -108,7 +108,7 @@ def test_play_as_json_and_at_speed(run: Run, recording: Path) -> None:
     [
         ([], "realtime", (), "holds no rhd; it holds realtime"),
         ([b"nothing"], "rhd", (), "cannot begin a package"),
-        ([robot().encode_handshake("r")], "rhd", ("speedl", "--rate", "max"), "holds no variable 'speedl'"),
+        ([robot().encode_handshake("r")], "rhd", ("speedl", "--rate", "max"), "contains no variable 'speedl'"),
     ],
 )
 def test_what_cannot_be_played(
@@ -205,7 +205,7 @@ def test_a_disk_that_fails_costs_the_recording_and_not_the_connection(
         monkeypatch.setattr(RecordingWriter, "write", full)
         robot.sync()
         robot.sync()
-        assert caplog.text.count("the disk is full; the connection goes on without it") == 1
+        assert caplog.text.count("the disk is full; the connection continues without recording") == 1
         with pytest.raises(rhdlink.BadRecording):
             robot.close()
         robot.close()

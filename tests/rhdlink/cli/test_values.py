@@ -91,7 +91,7 @@ def test_get_with_a_type(run: Run) -> None:
         assert run("get", host.address, "bearing", "--as", "float64", "--order", "big")[1] != "bearing 0.25 -1e-07\n"
         status, out, err = run("get", host.address, "flags", "--as", "float64")
         assert (status, out) == (1, "")
-        assert "flags has 3 words; a float64 takes 2" in err
+        assert "flags has 3 words; a value of float64 needs 2" in err
 
 
 def test_get_says_what_is_missing(run: Run, address: str) -> None:
@@ -128,7 +128,7 @@ def test_set_while_there_is_a_master(run: Run, address: str) -> None:
     with rhdlink.connect(address, access="w"):
         status, _, err = run("set", address, "cmdrotvel", "1")
     assert status == 1
-    assert "it has a master already" in err
+    assert "it already has a master" in err
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ def test_lines_with_units_and_rates(run: Run, address: str) -> None:
     assert status == 0
     watched, step = err.splitlines()
     assert re.fullmatch(r"rhdlink: watched for \d\.\d s; \d+ syncs \(\d+\.\d/s\), 0 reconnects", watched)
-    assert step == f"rhdlink: next: rhdlink record {address} drive.urlog records what the robot sends"
+    assert step == f"rhdlink: next: rhdlink record {address} drive.urlog records the robot's data"
     first, second = out.splitlines()
     assert re.match(r"\d\d:\d\d:\d\d CONNECTED \| 127\.0\.0\.1:\d+ \| ", first)
     assert "| rotpos 0 = 0 rad" in first

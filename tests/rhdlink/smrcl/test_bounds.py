@@ -24,10 +24,10 @@ PROFILES = pytest.mark.parametrize("profile", [SOUND, MRC], ids=lambda profile: 
 @pytest.mark.parametrize(
     ("source", "reason"),
     [
-        ('label "a"\ngoto "a"\n', "a loop that takes no time: 2000 lines in one cycle"),
-        ('n=0\nlabel "a"\nn=n+1\nif (1) "a"\n', "a loop that takes no time: 2000 lines in one cycle"),
-        ("\n" * 3000, "a loop that takes no time: 2000 lines in one cycle"),
-        ('label "a"\ncall "a"\n', "more than 500 calls within each other"),
+        ('label "a"\ngoto "a"\n', "endless loop without a wait: 2000 lines in one cycle"),
+        ('n=0\nlabel "a"\nn=n+1\nif (1) "a"\n', "endless loop without a wait: 2000 lines in one cycle"),
+        ("\n" * 3000, "endless loop without a wait: 2000 lines in one cycle"),
+        ('label "a"\ncall "a"\n', "more than 500 nested calls"),
         ('array "q" 10000\n', "there is no room for an array of 10000.000000 values; "),
         ('array "q" -1\n', "there is no room for an array of -1.000000 values; "),
         ('label "a"\narray "q" 1000\ngoto "a"\n', "there is no room for an array of 1000.000000 values; "),
@@ -95,7 +95,7 @@ def test_a_line_of_a_thousand_operators_is_a_mistake() -> None:
 def test_variables_have_an_end() -> None:
     bench = Bench("velomega", options={"limits": MissionLimits(lines=30_000)})
     bench.run("".join(f"v{number}x = 1\n" for number in range(10_001)))
-    assert bench.reason == "there is no room for further variables"
+    assert bench.reason == "there is no room for more variables"
 
 
 @pytest.mark.slow

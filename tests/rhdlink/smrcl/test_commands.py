@@ -64,7 +64,7 @@ def one_text(effects: MissionEffects, text: str) -> Outcome:
 )
 def test_a_row_whose_function_does_not_take_its_parameters_is_refused(options: dict[str, object]) -> None:
     assert ScriptCommand("one", one_text, (ParameterKind.TEXT,)).most == 1
-    with pytest.raises(TypeError, match=r"^one takes .*, and its function does not: "):
+    with pytest.raises(TypeError, match=r"^one takes .*, but its function does not: "):
         ScriptCommand("one", one_text, **options)  # type: ignore[arg-type]
 
 

@@ -115,7 +115,7 @@ def test_a_script_comes_from_a_file(tmp_path: Path) -> None:
 @pytest.mark.real_time
 def test_a_run_that_takes_too_long_ends_and_the_robot_stands() -> None:
     robot = turtle()
-    with pytest.raises(LinkTimeout, match="not over in time"):
+    with pytest.raises(LinkTimeout, match="did not end in time"):
         Mission("drive : ($drivendist > 900)\n", robot).run(timeout=0.5)
     assert robot.world.odometry.x > 0.0
     assert stands(robot)
@@ -261,7 +261,7 @@ def test_sensors_and_variables_are_provided() -> None:
 )
 def test_a_provider_that_provides_nothing_sensible_ends_the_mission(name: str, provider: Callable[[], float]) -> None:
     robot = turtle()
-    with pytest.raises(MissionFailed, match=f"what provides '{name}' raised"):
+    with pytest.raises(MissionFailed, match=f"the provider of '{name}' raised"):
         Mission("fwd 1\n", robot).provide(name, provider).run()
     assert stands(robot)
 
@@ -319,7 +319,7 @@ def test_a_log_that_nobody_wants_is_told_of(caplog: pytest.LogCaptureFixture) ->
     with caplog.at_level(logging.WARNING):
         Mission('log "$odox"\nfwd 0.1\ncontrol "savelog" "way.txt"\n', turtle()).run()
     assert "'way.txt' is not saved" in caplog.text
-    with pytest.raises(MissionFailed, match="cannot be written"):
+    with pytest.raises(MissionFailed, match="cannot write the log"):
         Mission('control "savelog" "way.txt"\n', turtle(), log_folder="/no/such/folder").run()
 
 

@@ -81,7 +81,7 @@ def test_calibrations_stand_beside_the_file(tmp_path: Path) -> None:
         ('<mrc><odometry ts="0"/></mrc>', "ts has to be above 0"),
         ('<mrc><odometry w="x"/></mrc>', "w"),
         ('<mrc><linesensor size="99"/></mrc>', "size"),
-        ("<mrc><varscale/></mrc>", 'needs name="..."'),
+        ("<mrc><varscale/></mrc>", 'missing name="..."'),
     ],
 )
 def test_a_file_that_cannot_be_read_says_why(text: str, said: str) -> None:
@@ -96,7 +96,8 @@ def test_a_file_that_cannot_be_opened_is_no_configuration(path: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "text", "said"), [("ls", "1 2 3", "has 3 numbers; expected 16"), ("odo", "a b c", "could not convert")]
+    ("kind", "text", "said"),
+    [("ls", "1 2 3", "contains 3 numbers; expected 16"), ("odo", "a b c", "could not convert")],
 )
 def test_a_calibration_that_cannot_be_read_says_why(tmp_path: Path, kind: str, text: str, said: str) -> None:
     (tmp_path / "robot.conf").write_text("<mrc/>")
@@ -131,7 +132,7 @@ def test_what_is_not_calibrated_is_logged(tmp_path: Path, caplog: pytest.LogCapt
     calibrated(tmp_path, "smr1")
     assert read_robot_conf(tmp_path).width == RobotConf().width
     assert "odometry, line sensors, infrared sensors not calibrated" in caplog.text
-    assert "there are calibrations of smr1, which `calibration` takes" in caplog.text
+    assert "there are calibrations of smr1, which you can select with `calibration`" in caplog.text
 
 
 @pytest.mark.simulated_time

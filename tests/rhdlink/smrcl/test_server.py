@@ -178,7 +178,7 @@ def test_no_client_ends_the_server(compat: str, tmp_path: Path) -> None:
         with contextlib.closing(Client(server)) as another:
             assert another.ask("eval 1+1") == "2.000000 "
         assert server.failure is None
-        assert any("cannot be saved as '../x'" in failure.reason for failure in server.failures)
+        assert any("cannot save a log as '../x'" in failure.reason for failure in server.failures)
 
 
 def test_exit_ends_the_client_or_under_mrc_s_profile_the_server(client: Client, turtle: Turtle) -> None:
@@ -233,7 +233,7 @@ def test_a_server_that_cannot_begin_says_why(turtle: Turtle, server: MissionServ
         MissionServer(turtle, inactivity_timeout=-1.0)
     with pytest.raises(BadValue, match="expected 'sound', 'mrc'"):
         MissionServer(turtle, compat="loud")
-    with pytest.raises(Closed, match="does not run"):
+    with pytest.raises(Closed, match="is not running"):
         _ = MissionServer(turtle).port
     with pytest.raises(ConnectFailed):
         MissionServer("localhost:1", port=0).start()

@@ -320,7 +320,7 @@ def test_signals_are_checked() -> None:
         signals.set_digital_output(18, True)
     with pytest.raises(BadValue, match="0 to 3"):
         signals.set_analog_input(4, 1.0)
-    with pytest.raises(BadValue, match="0 and 1"):
+    with pytest.raises(BadValue, match="output 0 or 1"):
         signals.set_analog_output(0, math.inf)
 
 

@@ -134,7 +134,7 @@ def test_names_of_remote_methods_contain_dots(run: Run, server: SimpleXMLRPCServ
         ('h = rpc_factory("xmlrpc", "127.0.0.1:40404")', "is no address such as"),
         ("h = 5\nh.method()", "int has no method 'method'"),
         ('h = rpc_factory("xmlrpc", "http://127.0.0.1:29999/")\nh.method()', "does not answer as a server of XML-RPC"),
-        ("x = tool_pose()", "tool_pose: what it gives is not known, and it is not modelled"),
+        ("x = tool_pose()", "tool_pose: its result is unknown, and it is not modelled"),
         ('eip_reader_factory("x", 1)', "eip_reader_factory: EtherNet/IP is not modelled"),
     ],
 )
@@ -195,7 +195,7 @@ def test_modbus_registers_that_are_read_and_written_are_lists(controller: Contro
     assert axes.written == (7, 65535)
     controller.modbus["axes"] = [4, 5, 6]
     assert run(read) == ("[4,5,6]",)
-    for value, error in (([1, 2], "takes no"), (7, "takes no"), ([1, 2, 65536], "from 0 to 65535")):
+    for value, error in (([1, 2], "cannot be"), (7, "cannot be"), ([1, 2, 65536], "from 0 to 65535")):
         with pytest.raises(BadValue, match=error):
             controller.modbus["axes"] = value
     with pytest.raises(urlink.ScriptFailed, match="register_value is from 0 to 65535"):

@@ -509,7 +509,7 @@ def test_a_fieldbus_reserves_the_lower_registers(fieldbus: str) -> None:
     assert peer.inputs("input_int_register_24", "input_double_register_24")[1] == ["INT32", "DOUBLE"]
     sim.fieldbus = None
     assert peer.inputs("input_int_register_23")[1] == ["INT32"]
-    with pytest.raises(BadValue, match="EtherNet/IP or PROFINET"):
+    with pytest.raises(BadValue, match="expected None or one of EtherNet/IP, PROFINET"):
         sim.fieldbus = "CANopen"
 
 

@@ -122,7 +122,7 @@ def test_the_adapter_for_the_ending_of_the_file_opens_it(monkeypatch: pytest.Mon
 
 def test_without_an_adapter_it_is_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch, table: Path) -> None:
     entry_points(monkeypatch)
-    with pytest.raises(urlink.LocalError, match=r"table\.xml is installed: pip install urlink-mujoco"):
+    with pytest.raises(urlink.LocalError, match=r"table\.xml is installed; use pip install urlink-mujoco"):
         Controller(scene=table)
     with pytest.raises(urlink.LocalError, match="pip install urlink-mujoco"):
         urlink.connect(f"sim://ur5e?scene={table}")
@@ -132,5 +132,5 @@ def test_without_an_adapter_it_is_refused_with_what_to_install(monkeypatch: pyte
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(urlink.BadValue, match=r"nowhere\.xml' is no file"):
+    with pytest.raises(urlink.BadValue, match=r"nowhere\.xml' is not a file"):
         Controller(scene=tmp_path / "nowhere.xml")

@@ -58,7 +58,7 @@ def test_the_file_makes_the_simulator_that_arm(samples: Samples, tmp_path: Path)
 
 def test_a_file_of_another_arm_is_refused(tmp_path: Path) -> None:
     planted().write(tmp_path / "arm.json")
-    with pytest.raises(BadValue, match="a UR10e is not like a UR5e"):
+    with pytest.raises(BadValue, match="model='UR10e'; expected 'UR5e'"):
         Controller("UR10e", like=read_arm_file(tmp_path / "arm.json"))
     whole = json.loads((tmp_path / "arm.json").read_text())
     shorter = whole | {"parameters": {"rotor_inertia": []}}

@@ -1,1 +1,1 @@
-"""The motions of a robot: one class for each, and the state that they share."""
+"""The motions of a robot: one class for each motion, and the state that all of them share."""

@@ -1,6 +1,8 @@
-"""Motions without a place to reach: `fwd`, `drive`, `motorcmds`, `stop`, `align`, and the test signals of `funcgen`.
+"""Motions without a goal pose, and test signals.
 
-`idle` is in `control`.
+The commands are `fwd`, `drive`, `motorcmds`, `stop`, `align` and `funcgen`.
+
+The motion of `idle` is in `control`.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ class Stop(ControlledMotion):
     """`stop`: hold the heading of the target."""
 
     def update(self, control: MotionControl) -> None:
-        """Turn back by the error of the heading."""
+        """Turn back by the heading error."""
         error = normalize_angle(control.target.th - control.pose.th)
         steering = control.parameters.gain * error
         if control.drive is DriveKind.VELOMEGA and control.profile.stop_stands:
@@ -24,18 +26,21 @@ class Stop(ControlledMotion):
             control.left = control.right = 0.0
             control.omega = limited(steering, -limit, limit)
         else:
-            # A velocity-omega robot takes the left one for its speed.
+            # A velocity-omega robot takes the speed of the left wheel as its own speed.
             control.left, control.right = -steering, steering
 
     def is_done(self, control: MotionControl) -> bool:
-        """At once."""
+        """Return True: the motion is done immediately."""
         return True
 
 
 class Align(ControlledMotion):
-    """`align`: press the robot against an obstacle. A wheel that has stopped gets 4 m/s; its motor limits that."""
+    """`align`: press the robot against an obstacle.
 
-    #: m/s below which a wheel has stopped, and its speed then.
+    A stopped wheel gets 4 m/s, which its motor limits.
+    """
+
+    #: Speed in m/s below which a wheel counts as stopped, and the speed that it then gets.
     STOPPED = 0.01
     PRESSING = 4.0
 
@@ -49,14 +54,17 @@ class Align(ControlledMotion):
 
 
 class FunctionGenerator(ControlledMotion):
-    """`funcgen`: a signal for a variable of the robot that `routeoutput` names; the speeds stay what they are.
+    """`funcgen`: generate a signal for the robot's variable in `routeoutput`.
+
+    The speeds do not change.
 
     Args:
-        parameters: 0 for a step (then height, s until it begins, s that it lasts), 1 for a square wave and 2 for a sine
-            (amplitude, Hz, s), 3 for a sweep (rate of change, Hz at the begin and at the end in rad/s, s).
+        parameters: Kind of signal, and its numbers. 0 is a step (height, s until it begins, s that it lasts). 1 is a
+            square wave and 2 a sine (amplitude, Hz, s). 3 is a sweep (rate of change, Hz at the beginning and at the
+            end in rad/s, s).
 
     Attributes:
-        output: the present value.
+        output: Current value of the signal.
     """
 
     _PERIOD = 0.01
@@ -67,7 +75,7 @@ class FunctionGenerator(ControlledMotion):
         self._is_over = False
 
     def update(self, control: MotionControl) -> None:
-        """The next value."""
+        """Compute the next value."""
         kind, first, second, third, fourth = self._parameters
         number, cycles, period = truncate(kind), control.cycles, self._PERIOD
         if number == 0:
@@ -83,7 +91,7 @@ class FunctionGenerator(ControlledMotion):
             if number == 1:
                 half = divide(1.0, second) * 0.5
                 halves = divide(cycles * period, half) - 0.5
-                # C's round: halves away from zero.
+                # As `round` in C: halves are rounded away from zero.
                 is_odd = math.isfinite(halves) and math.floor(abs(halves) + 0.5) % 2 == 1
                 self.output = first if is_odd else -first
             elif number == 2:
@@ -93,25 +101,25 @@ class FunctionGenerator(ControlledMotion):
                 self.output = sine(second * cycles * period + (third - second) / 2 * first * squared)
 
     def is_done(self, control: MotionControl) -> bool:
-        """When the signal is over."""
+        """Whether the signal has ended."""
         return self._is_over
 
 
 class Forward(ControlledMotion):
-    """`fwd`: straight on along the target heading, to a target that is moved on by the distance.
+    """`fwd`: drive straight to a target that is moved forward along its heading.
 
-    The target is moved, not the pose, so that errors do not add up. Near its end the robot slows down, and the line
-    ends 5 mm before the target; the robot goes on to it unless another motion begins.
+    The distance is added to the target instead of the pose, so that errors do not add up. The robot slows down near the
+    end. The line ends 5 mm before the target, and the robot continues to the target unless another motion begins.
     """
 
-    #: m before the target at which the line ends.
+    #: Distance before the target at which the line ends, in m.
     TOLERANCE = 0.005
 
     def __init__(self, distance: float) -> None:
         self._distance = distance
 
     def begin(self, control: MotionControl) -> None:
-        """Move the target on."""
+        """Move the target forward."""
         control.distance = self._distance
         control.reached = abs(control.velocity)
         target = control.target
@@ -137,20 +145,22 @@ class Forward(ControlledMotion):
         control.remaining = remaining
 
     def is_done(self, control: MotionControl) -> bool:
-        """5 mm before the target, or beyond it."""
+        """Whether the robot is 5 mm before the target, or beyond it."""
         return sign(control.distance) * control.remaining < self.TOLERANCE
 
     def progress(self, control: MotionControl) -> float:
-        """By the distance that remains."""
+        """Finished part, from the remaining distance."""
         return 1.0 - control.remaining / self._distance if self._distance else 1.0
 
 
 class FollowDirection(ControlledMotion):
-    """`drive` and its kin: along the line through the reference, in its direction, without an end.
+    """`drive` and its variants: drive along the line through the reference.
+
+    The motion has no end. Its direction is the direction of the reference.
 
     Args:
-        keeps_speed: begins at the commanded speed (`driveon`) rather than at the robot's.
-        is_world: the reference is in world coordinates (`drivew`, `driveonw`).
+        keeps_speed: Whether to begin at the commanded speed (`driveon`) instead of the robot's speed.
+        is_world: Whether the reference is in world coordinates (`drivew`, `driveonw`).
     """
 
     def __init__(self, *, keeps_speed: bool = False, is_world: bool = False) -> None:
@@ -158,11 +168,11 @@ class FollowDirection(ControlledMotion):
         self._is_world = is_world
 
     def begin(self, control: MotionControl) -> None:
-        """Take over the speed."""
+        """Set the speed to start from."""
         control.reached = control.speed if self._keeps_speed else control.velocity
 
     def update(self, control: MotionControl) -> None:
-        """Steer by the distance to the line and the angle to its direction."""
+        """Steer according to the distance to the line and the angle to its direction."""
         parameters, pose, reference = control.parameters, control.pose, control.reference
         control.target = pose.copy()
         control.ramp()
@@ -175,10 +185,10 @@ class FollowDirection(ControlledMotion):
         c, s = cosine(th), sine(th)
         control.remaining = (x - pose.x) * c + (y - pose.y) * s
         error = normalize_angle(th - pose.th)
-        # The line in normal form: the distance to it counts to the left.
+        # The line in normal form: the distance to it is positive on the left.
         offset = (pose.x * -s + pose.y * c + -(-s * x + c * y)) + control.distance
         if parameters.drive_kdist > 0.0:
-            # So far off the robot drives straight towards the line.
+            # At this distance from the line or more, the robot drives straight towards the line.
             most = abs(parameters.drive_kangle * math.pi / 2 / parameters.drive_kdist)
             if abs(offset) > most:
                 offset = most * sign(offset)
@@ -186,21 +196,21 @@ class FollowDirection(ControlledMotion):
         rate = -parameters.drive_kdist * offset + parameters.drive_kangle * error
         if control.drive is DriveKind.DIFFERENTIAL:
             rate *= parameters.width
-        # The same limit for a turn rate and for a wheel: a velocity-omega robot turns far slower here.
+        # The limit is the same for a turn rate and for a wheel speed, so a velocity-omega robot turns much slower here.
         control.set_velocity(control.reached, limited(rate, -parameters.limit, parameters.limit))
 
 
 class Wheels(ControlledMotion):
-    """`motorcmds`: the speeds of the wheels, as they are given."""
+    """`motorcmds`: set the given speeds of the wheels."""
 
     def __init__(self, left: float, right: float) -> None:
         self._left, self._right = left, right
 
     def update(self, control: MotionControl) -> None:
-        """Set them."""
+        """Set the speeds."""
         control.target = control.pose.copy()
         control.set_wheels(self._left, self._right)
 
     def is_done(self, control: MotionControl) -> bool:
-        """At once."""
+        """Return True: the motion is done immediately."""
         return True

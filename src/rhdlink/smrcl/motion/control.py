@@ -1,9 +1,9 @@
 """Motion control: the state that all motions share, and its cycle.
 
-In each cycle a motion turns the pose, the speed and the sensors into the speeds of the wheels, or of a velocity-omega
-robot into speed and turn rate. MRC keeps one large structure that its motions read and write; what one of them leaves
-there changes the next (the target pose after an interrupted `fwd`, the turn rate after `stop`). So it is here: a motion
-is an object, but targets, speeds and outputs belong to `MotionControl`.
+In each cycle, a motion computes the wheel speeds from the pose, the speed and the sensors. For a velocity-omega robot,
+it computes a speed and a turn rate. MRC keeps one large structure that its motions read and write. Values that one
+motion leaves there affect the next motion (the target pose after an interrupted `fwd`, the turn rate after `stop`).
+This module does the same: a motion is an object, but targets, speeds and outputs belong to `MotionControl`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..profile import Profile
 
 
 class DriveKind(enum.Enum):
-    """How a robot is driven."""
+    """Kind of drive of a robot."""
 
     DIFFERENTIAL = "differential"
     VELOMEGA = "velomega"
@@ -27,23 +27,25 @@ class DriveKind(enum.Enum):
 
 @dataclass
 class MotionParameters:
-    """What `robot.conf` says of a robot's motion control, and `setpar` changes; the defaults are MRC's without a file.
+    """Settings of motion control, from `robot.conf` and `setpar`.
+
+    The defaults are MRC's without a file.
 
     Attributes:
-        period: of a cycle, s.
-        width: between the wheels, m.
-        kp: 1/s, of the remaining distance: bounds the speed near the end of `fwd` and `turn`.
-        gain: of the heading error, m/s (of a wheel) or rad/s, for 1 rad.
-        limit: of what the heading error adds to a wheel, m/s, or to the turn rate, rad/s.
-        stop_distance: m at which the robot stands before an obstacle.
-        alarm_distance: m before that, within which the motion status says that there is one.
-        drive_kdist, drive_kangle: of `drive`: rad/s for 1 m, and for 1 rad.
-        line_gain, line_tau: of `followline`: m/s for 1 cm, and for 1 rad of heading since the last cycle.
-        no_line_distance: m that `followline` drives on without a line.
-        wall_gain, wall_tau, wall_alfa: of `followwall`: its PD controller, rad/s for 1 m.
-        wall_angle_gain, wall_input_mode: m for 1 rad of the angle to the wall, where the mode is 1.
-        wall_table: for `followwall2`: angle gain, distance gain and reference gain for each 0.01039 m/s of speed.
-        evaluation: how `drivetopoint` chooses: 0 the shortest path, 1 the shortest without driving backward.
+        period: Duration of a cycle, in s.
+        width: Distance between the wheels, in m.
+        kp: Gain of the remaining distance, in 1/s. It limits the speed near the end of `fwd` and `turn`.
+        gain: Gain of the heading error, in m/s (of a wheel) or rad/s, for 1 rad.
+        limit: Largest part of a wheel speed (m/s) or of the turn rate (rad/s) that the heading error can add.
+        stop_distance: Distance to an obstacle at which the robot stops, in m.
+        alarm_distance: Distance before the stop distance at which the motion status reports an obstacle, in m.
+        drive_kdist, drive_kangle: Gains of `drive`, in rad/s for 1 m and for 1 rad.
+        line_gain, line_tau: Gains of `followline`, in m/s for 1 cm, and for 1 rad of heading since the last cycle.
+        no_line_distance: Distance that `followline` drives without a line, in m.
+        wall_gain, wall_tau, wall_alfa: Settings of the PD controller of `followwall`, in rad/s for 1 m.
+        wall_angle_gain, wall_input_mode: m for 1 rad of the angle to the wall; used if the mode is 1.
+        wall_table: Gains of `followwall2` for angle, distance and reference, for each 0.01039 m/s of speed.
+        evaluation: Choice of `drivetopoint`: 0 is the shortest path, 1 the shortest path without driving backward.
     """
 
     period: float = 0.01
@@ -68,67 +70,73 @@ class MotionParameters:
 
 
 class ControlledMotion:
-    """One motion. `begin` is called in the cycle in which its line is executed, `update` from that cycle on."""
+    """One motion.
+
+    `begin` is called in the cycle that executes its line, and `update` in that cycle and all later ones.
+    """
 
     def begin(self, control: MotionControl) -> None:
-        """Take over from the motion before."""
+        """Start from the state that the previous motion left."""
 
     def update(self, control: MotionControl) -> None:
         """Set the speeds for one cycle."""
 
     def is_done(self, control: MotionControl) -> bool:
-        """Whether the line of the script ends by itself: the default end. False for what only a condition ends."""
+        """Whether the line of the script has ended on its own.
+
+        False for motions that only a condition ends.
+        """
         return False
 
     def progress(self, control: MotionControl) -> float:
-        """How much of it is behind the robot, 0 to 1; 0 for what has no end."""
+        """Finished part of the motion, 0 to 1; 0 for a motion without an end."""
         return 0.0
 
 
 class Standing(ControlledMotion):
-    """The motors at zero: `idle`, and what a robot does before its first command."""
+    """Motors at zero: the motion of `idle`, and of a robot before its first command."""
 
     def update(self, control: MotionControl) -> None:
-        """No speed."""
+        """Set all speeds to zero."""
         control.left = control.right = control.omega = 0.0
 
     def is_done(self, control: MotionControl) -> bool:
-        """At once."""
+        """Return True: the motion is done immediately."""
         return True
 
 
 @dataclass
 class MotionControl:
-    """The state that all motions share.
+    """State that all motions share.
 
     Attributes:
-        parameters: gains and limits.
-        drive: how the robot is driven.
-        profile: as MRC does it, or sound.
-        speed: m/s, set by ``@v``.
-        acceleration: m/s2, set by ``@a``.
-        pose: where the robot is, in this cycle.
-        velocity: of the robot, m/s; `left_velocity` and `right_velocity` are its wheels'.
-        obstacle_front, obstacle_back: m to the next obstacle.
-        ir_left, ir_right: m to the walls.
-        wall_angle_left, wall_angle_right: rad, of the walls to the robot, where something measures them.
-        line_position: of the line to be followed, cm to the left; asked for when it is needed.
-        line_is_missing: no line is seen.
-        reference: what `drive` follows: a point and a direction, in odometry or world coordinates.
-        world: the pose of the world's origin in odometry coordinates, for `drivew`.
-        distance: of the last `fwd`, m.
-        target: where motions aim at; what `fwd` and `turn` move on.
-        before: the target before the present motion.
-        heading_error: of `turn`'s end, rad.
-        remaining: `$targetdist`: m to the target, or 0 and 1 for arcs.
-        is_blocked: an obstacle is near: `$motionstatus`.
-        ignores_obstacles: the present motion is not slowed down by them.
-        cycles: since the motion began.
-        left, right: m/s, the speeds of the wheels, or of a velocity-omega robot twice its speed.
-        omega: rad/s, the turn rate of a velocity-omega robot.
-        say: is given what MRC prints about a motion.
-        motion: the one that is under way.
-        reached: the speed that it has reached, m/s.
+        parameters: Gains and limits.
+        drive: Kind of drive.
+        profile: Profile of the mission, like MRC or sound.
+        speed: Commanded speed in m/s, set by ``@v``.
+        acceleration: Acceleration in m/s2, set by ``@a``.
+        pose: Pose of the robot in this cycle.
+        velocity: Speed of the robot, in m/s. `left_velocity` and `right_velocity` are the speeds of its wheels.
+        obstacle_front, obstacle_back: Distance to the next obstacle, in m.
+        ir_left, ir_right: Distances to the walls, in m.
+        wall_angle_left, wall_angle_right: Angles of the walls to the robot, in rad, if a sensor measures them.
+        line_position: Function that returns the position of the followed line, in cm to the left.
+        line_is_missing: Whether no line is detected.
+        reference: Point and direction that `drive` follows, in odometry or world coordinates.
+        world: Pose of the world's origin in odometry coordinates, for `drivew`.
+        distance: Distance of the last `fwd`, in m.
+        target: Target pose of motions, which `fwd` and `turn` move.
+        before: Target before the current motion.
+        heading_error: Remaining angle of `turn`, in rad.
+        remaining: Value of `$targetdist`: m to the target; for arcs 1 until the end, and then 0.
+        is_blocked: Whether an obstacle is near: `$motionstatus`.
+        ignores_obstacles: Whether the current motion does not slow down before obstacles.
+        cycles: Number of cycles since the motion began.
+        left, right: Wheel speeds in m/s; for a velocity-omega robot, both are its speed.
+        omega: Turn rate of a velocity-omega robot, in rad/s.
+        say: Function that receives the text that MRC prints about a motion.
+        motion: Current motion.
+        reached: Speed that the motion has reached, in m/s.
     """
 
     parameters: MotionParameters
@@ -171,15 +179,15 @@ class MotionControl:
         self._finishing: int | None = None
 
     def start(self, motion: ControlledMotion) -> None:
-        """Begin `motion` in this cycle; of several the last counts."""
+        """Begin `motion` in this cycle. If there are several calls, the last one counts."""
         self._next = motion
 
     def ignore_obstacles(self) -> None:
-        """The next motion is not slowed down by obstacles."""
+        """Let the next motion ignore obstacles."""
         self._ignores_next = True
 
     def update(self) -> None:
-        """One cycle."""
+        """Perform one cycle."""
         motion = self._next
         if motion is not None:
             self.motion, self._next = motion, None
@@ -190,27 +198,30 @@ class MotionControl:
         self.is_blocked = False
         self.motion.update(self)
         if self._finishing is not None:
-            # The script sees the end of a motion one cycle late, and its next line begins in the one after that.
+            # The script notices the end of a motion one cycle late, and its next line begins in the cycle after that.
             self._finishing -= 1
             if self._finishing < 0:
                 self.rest()
         self.cycles += 1
 
     def finish(self) -> None:
-        """The present motion has come to its end: stand, unless another one begins within the next two cycles."""
+        """End the current motion: stop, unless another motion begins within the next two cycles."""
         if self._finishing is None:
             self._finishing = 2
 
     def rest(self) -> None:
-        """Stand from this cycle on."""
+        """Stop the motors, beginning with this cycle."""
         self.motion = Standing()
         self._finishing = None
         self.motion.update(self)
 
-    # -- what motions are made of ------------------------------------------------------------------
+    # -- helpers for motions -----------------------------------------------------------------------
 
     def set_velocity(self, velocity: float, steering: float) -> None:
-        """A speed, m/s, and what a heading controller adds: m/s for each wheel, or rad/s of turn rate."""
+        """Set a speed in m/s, and the steering of a heading controller.
+
+        The steering is in m/s for each wheel, or in rad/s of turn rate.
+        """
         if self.drive is DriveKind.VELOMEGA:
             self.left = self.right = velocity
             self.omega = steering
@@ -219,19 +230,19 @@ class MotionControl:
             self.right = velocity + steering
 
     def set_wheels(self, left: float, right: float) -> None:
-        """The speeds of the wheels, m/s, by a motion that knows of nothing else."""
+        """Set the wheel speeds in m/s, for motions that compute only wheel speeds."""
         self.left, self.right = left, right
         if self.drive is DriveKind.VELOMEGA and self.profile.velomega_steers:
             self.left = self.right = (left + right) / 2
             self.omega = (right - left) / self.parameters.width
 
     def heading_control(self, error: float) -> float:
-        """What `set_velocity` takes as steering for a heading that is off by `error` rad."""
+        """Compute the steering for `set_velocity` from a heading error in rad."""
         limit = self.parameters.limit
         return limited(self.parameters.gain * normalize_angle(error), -limit, limit)
 
     def ramp(self) -> None:
-        """Bring `reached` nearer to the speed that is commanded, as obstacles allow."""
+        """Change `reached` towards the commanded speed, as far as obstacles allow."""
         velocity = ramped(self.speed, self.reached, self.acceleration * self.parameters.period)
         most = root(2.0 * self.clearance(velocity > 0.0) * self.acceleration) * sign(velocity)
         if abs(most) < abs(velocity) and not self.ignores_obstacles:
@@ -239,7 +250,10 @@ class MotionControl:
         self.reached = velocity
 
     def clearance(self, is_ahead: bool) -> float:
-        """m to where the robot has to stand before an obstacle, ahead or behind; notes whether that is near."""
+        """Distance in m, ahead or behind, to the point where the robot must stop.
+
+        Sets `is_blocked` if it is near.
+        """
         free = (self.obstacle_front if is_ahead else self.obstacle_back) - self.parameters.stop_distance
         free = max(free, 0.0)
         if free < self.parameters.alarm_distance:
@@ -248,17 +262,17 @@ class MotionControl:
 
 
 def limited(value: float, least: float, most: float) -> float:
-    """`value` between two bounds; nan stays nan."""
+    """Limit `value` to two bounds; nan stays nan."""
     return max(min(value, most), least)
 
 
 def ramped(wanted: float, now: float, step: float) -> float:
-    """`wanted`, or as far towards it from `now` as one `step` goes."""
+    """`wanted`, or the value one `step` from `now` towards it if it is further away."""
     if wanted > now + step:
         return now + step
     return now - step if wanted < now - step else wanted
 
 
 def root(value: float) -> float:
-    """The square root; nan of what is negative."""
+    """Square root; nan for a negative value."""
     return math.sqrt(value) if value >= 0.0 else NAN

@@ -1,4 +1,4 @@
-"""The motions that follow a line or a wall: `followline`, `followwall` and `followwall2`."""
+"""Motions that follow a line or a wall: `followline`, `followwall` and `followwall2`."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from .control import ControlledMotion, MotionControl, limited
 
 
 class FollowLine(ControlledMotion):
-    """`followline`: steer towards the line; without one go on as before, and stand after `no_line_distance`."""
+    """`followline`: steer towards the line.
 
-    #: m/s that a wheel gets at most beyond the speed.
+    Without a line, continue and stop after `no_line_distance`.
+    """
+
+    #: Largest difference of a wheel speed from the speed of the robot, in m/s.
     LIMIT = 0.15
 
     def __init__(self) -> None:
@@ -20,13 +23,13 @@ class FollowLine(ControlledMotion):
         self._steering = 0.0
 
     def begin(self, control: MotionControl) -> None:
-        """Take over the speed."""
+        """Start from the current speed."""
         self._seen = control.pose.copy()
         control.target = control.pose.copy()
         control.reached = control.velocity
 
     def update(self, control: MotionControl) -> None:
-        """Steer by the position of the line, damped by the turn since the last cycle."""
+        """Steer according to the position of the line, damped by the turn since the last cycle."""
         parameters, pose = control.parameters, control.pose
         turned = pose.th - control.target.th
         control.target = pose.copy()
@@ -42,14 +45,16 @@ class FollowLine(ControlledMotion):
 
 
 class FollowWall(ControlledMotion):
-    """`followwall`: keep a distance to the wall on one side, by a PD controller that turns the target heading.
+    """`followwall`: keep a distance to a wall.
+
+    A PD controller turns the target heading.
 
     Args:
-        is_left: on which side.
-        distance: m.
+        is_left: Whether the wall is on the left.
+        distance: Distance to the wall, in m.
     """
 
-    #: m/s that a wheel gets at most beyond the speed: half of this.
+    #: Limit of the steering, in m/s. Each wheel differs from the speed of the robot by at most half of it.
     LIMIT = 0.2
 
     def __init__(self, is_left: bool, distance: float) -> None:
@@ -58,23 +63,23 @@ class FollowWall(ControlledMotion):
         self._gain = self._state = self._proportional = self._feedback = 0.0
 
     def begin(self, control: MotionControl) -> None:
-        """Set up the controller: a lead filter by the bilinear transform."""
+        """Set up the controller, a lead filter that is discretised with the bilinear transform."""
         parameters = control.parameters
         lag = 2 * parameters.wall_alfa * parameters.wall_tau + parameters.period
         self._proportional = divide(2 * parameters.wall_tau + parameters.period, lag)
         self._feedback = divide(2 * parameters.period, lag)
-        # `setpar` changes the gain of the next motion, not of this one.
+        # A `setpar` of the gain affects the next motion, but not this one.
         self._gain = parameters.wall_gain
         self._state = self._gain * self._error(control)
         control.target = control.pose.copy()
         control.reached = control.velocity
 
     def _error(self, control: MotionControl) -> float:
-        """m, positive where the robot has to turn left."""
+        """Error of the distance in m; positive if the robot must turn left."""
         return control.ir_left - self._distance if self._is_left else self._distance - control.ir_right
 
     def update(self, control: MotionControl) -> None:
-        """Turn the target heading by what the controller says, and steer to it."""
+        """Turn the target heading by the output of the controller, and steer to it."""
         parameters, pose, target = control.parameters, control.pose, control.target
         target.x, target.y = pose.x, pose.y
         control.ramp()
@@ -93,14 +98,17 @@ class FollowWall(ControlledMotion):
 
 
 class FollowWallTable(ControlledMotion):
-    """`followwall2`: keep a distance to a wall along the x axis, by state feedback whose gains stand in a table.
+    """`followwall2`: keep a distance to a wall along the x axis.
+
+    State feedback takes its gains from a table.
 
     Args:
-        is_left: on which side.
-        distance: m.
+        is_left: Whether the wall is on the left.
+        distance: Distance to the wall, in m.
     """
 
-    #: m/s from row to row of the table; m from the middle of the robot to its side sensors.
+    #: Speed step from row to row of the table, in m/s; then the distances in m from the middle of the robot to its side
+    #: sensors.
     SPEED_STEP = 0.01039
     SIDE, AHEAD = 0.13, 0.21
 
@@ -109,11 +117,11 @@ class FollowWallTable(ControlledMotion):
         self._distance = distance
 
     def begin(self, control: MotionControl) -> None:
-        """Take over the speed."""
+        """Start from the current speed."""
         control.reached = control.velocity
 
     def update(self, control: MotionControl) -> None:
-        """Steer by the distance and the heading; only ever by a faster wheel."""
+        """Steer according to the distance and the heading. Only ever speed up one wheel."""
         parameters, pose = control.parameters, control.pose
         c, s = cosine(pose.th), sine(pose.th)
         if self._is_left:

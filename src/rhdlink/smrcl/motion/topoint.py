@@ -1,9 +1,12 @@
-"""`drivetopoint`: to a pose, along an arc, a straight line and an arc, each forward or backward.
+"""`drivetopoint`: drive to a pose along an arc, a straight line and an arc.
 
-Both arcs have the same radius. The first circle touches the start pose on its left or right, the last one the goal;
-a common tangent joins them, and each arc goes round to either side. Of all these paths the shortest is taken; one that
-comes later has to be 1 mm shorter, so the order of the enumeration is part of the result and that of MRC
-(drivetopoint_generate.c and drivetopoint_evaluate.c by J. M. Bruun and O. Corradi).
+Each piece is driven forward or backward.
+
+Both arcs have the same radius. The first circle touches the start pose on its left or right, and the last circle
+touches the goal in the same way. A common tangent joins the circles, and each arc can go either way round its circle.
+The shortest of all these paths is chosen. A later path replaces the best one only if it is at least 1 mm shorter. So
+the order of the enumeration affects the result, and it is the order of MRC (drivetopoint_generate.c and
+drivetopoint_evaluate.c by J. M. Bruun and O. Corradi).
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from .basic import FollowDirection, Forward
 from .control import ControlledMotion, MotionControl
 from .turning import ArcTurn
 
-#: m, or rad, below which something is nothing while paths are made, and while they are compared.
+#: Lengths in m, or angles in rad, below which a value counts as zero while paths are made, and while they are compared.
 _EXACT, _NEGLIGIBLE = 1e-6, 1e-3
 
 
@@ -27,10 +30,10 @@ class ArcPath:
     """A path to a pose.
 
     Attributes:
-        first, last: angle of the arcs, rad; positive where the centre is on the left.
-        first_direction, last_direction: 1 forward, -1 backward.
-        straight: m between them.
-        straight_direction: 1, -1, or 0 where there is no straight piece.
+        first, last: Angles of the arcs in rad; positive if the centre is on the left.
+        first_direction, last_direction: 1 for forward, -1 for backward.
+        straight: Length of the straight piece, in m.
+        straight_direction: 1 for forward, -1 for backward, or 0 without a straight piece.
     """
 
     first: float
@@ -41,17 +44,20 @@ class ArcPath:
     last_direction: int
 
     def length(self, radius: float) -> float:
-        """m, with arcs of `radius`."""
+        """Length of the path in m, with arcs of `radius`."""
         return radius * (abs(self.first) + abs(self.last)) + self.straight
 
     @property
     def goes_backward(self) -> bool:
-        """Whether any piece does."""
+        """Whether any piece is driven backward."""
         return min(self.first_direction, self.straight_direction, self.last_direction) < 0
 
 
 def choose_path(goal: PlanarPose, radius: float, *, forward_only: bool = False) -> ArcPath | None:
-    """The shortest path from the origin to `goal`; None if there is none: `forward_only`, or the goal is nan or inf."""
+    """Choose the shortest path from the origin to `goal`.
+
+    None if the goal is nan or inf, or if `forward_only` excludes all paths.
+    """
     best: ArcPath | None = None
     for path in ways(goal, radius):
         if forward_only and path.goes_backward:
@@ -67,14 +73,14 @@ def _cleared(value: float) -> float:
 
 
 def relative(goal: PlanarPose, start: PlanarPose) -> PlanarPose:
-    """`goal` as it is seen from `start`; the heading is not normalised."""
+    """Convert `goal` to coordinates of `start`. The heading is not normalised."""
     x, y = goal.x - start.x, goal.y - start.y
     c, s = cosine(start.th), sine(start.th)
     return PlanarPose(x * c + y * s, y * c - x * s, goal.th - start.th)
 
 
 def ways(goal: PlanarPose, radius: float) -> Iterator[ArcPath]:
-    """Every path from the origin to `goal`."""
+    """Yield every path from the origin to `goal`."""
     if radius < _EXACT:
         # Turn on the spot, drive, turn on the spot.
         heading = math.atan2(goal.y, goal.x)
@@ -100,7 +106,7 @@ def _direction(a: _Point, b: _Point) -> float:
 
 
 def _tangents(start: _Point, end: _Point, radius: float, *, is_same_side: bool) -> Iterator[tuple[_Point, _Point]]:
-    """Where the tangents leave one circle and arrive at the other: outer ones on the same side, else inner ones."""
+    """Yield both end points of each tangent: outer tangents on the same side, otherwise inner ones."""
     apart, between = _distance(start, end), _direction(start, end)
     if is_same_side:
         if apart > _EXACT:
@@ -122,7 +128,7 @@ def _tangents(start: _Point, end: _Point, radius: float, *, is_same_side: bool) 
 def _around(
     start: _Point, end: _Point, leave: _Point, arrive: _Point, goal: PlanarPose, radius: float, side: int
 ) -> Iterator[ArcPath]:
-    """The paths along one tangent: round each circle to either side."""
+    """Yield the paths along one tangent, in both directions round each circle."""
     straight = _distance(leave, arrive)
     if straight < _EXACT:
         straight, direction = 0.0, 0
@@ -149,7 +155,7 @@ def _around(
 
 
 def _both_ways(angle: float) -> Iterator[float]:
-    """An angle round a circle: the shorter way, and the longer one unless that is a full turn."""
+    """Yield an angle round a circle: the shorter one, then the longer one unless it is a full turn."""
     short = _wrapped(0.0 if abs(angle) < _EXACT else angle)
     yield short
     if abs(short) >= _EXACT:
@@ -166,40 +172,41 @@ def _sign(value: float) -> int:
     return (value > 0.0) - (value < 0.0)
 
 
-#: m before the end at which the straight piece ends; that of an arc is when the angle is exceeded.
+#: Distance before the end at which the straight piece ends, in m. An arc ends when its angle is exceeded.
 _TOLERANCE = 0.0005
 
 
 class NoWay(ValueError):
-    """There is no path to the goal, or none that does not go backward."""
+    """There is no path to the goal, or every path goes backward."""
 
 
 class DriveToPoint(ControlledMotion):
-    """Three motions in a row, planned when the motion begins and driven without looking at the goal again.
+    """Three motions in a row, planned once and driven without checking the goal again.
 
-    It ends at full speed unless the last piece changes the direction, a few centimetres and degrees off.
+    The motion ends at full speed unless the last piece changes the direction. It ends a few centimetres and degrees
+    away from the goal.
 
     Args:
-        goal: m, m, rad.
-        radius: of the arcs, m.
-        is_absolute: the goal is in odometry coordinates, else seen from the robot.
+        goal: Goal pose in m, m and rad.
+        radius: Radius of the arcs, in m.
+        is_absolute: Whether the goal is in odometry coordinates; otherwise it is relative to the robot.
     """
 
     def __init__(self, goal: PlanarPose, radius: float, *, is_absolute: bool = False) -> None:
         self._goal = goal
         self._radius = radius
         self._is_absolute = is_absolute
-        # Of the arc, the line and the arc, m.
+        # Lengths of the arc, the line and the arc, in m.
         self._lengths = [0.0, 0.0, 0.0]
-        # Those that are not driven yet, each with its direction; None for one that is not there.
+        # Pieces that are not driven yet, each with its direction; None for a missing piece.
         self._pieces: list[tuple[ControlledMotion | None, float]] = []
         self._is_begun = False
 
     def begin(self, control: MotionControl) -> None:
-        """Plan.
+        """Plan the path.
 
         Raises:
-            NoWay: `evaluation` is 1, and every path goes backward; or the goal is not a number.
+            NoWay: If `evaluation` is 1 and every path goes backward, or if the goal is not a number.
         """
         control.say("\ndtp: Generating feasible paths...")
         goal = relative(self._goal, control.pose) if self._is_absolute else self._goal
@@ -208,7 +215,7 @@ class DriveToPoint(ControlledMotion):
         control.say(f"\ndtp_evalmethod = DTP_EVAL_SHORTEST{'_NOBACK' * forward_only}")
         path = choose_path(goal, self._radius, forward_only=forward_only)
         if path is None:
-            raise NoWay("there is no way to the goal" + " without driving backward" * forward_only)
+            raise NoWay("there is no path to the goal" + " without driving backward" * forward_only)
         control.say("\ndtp: Starting movement...")
         control.target = control.pose.copy()
         self._lengths = [self._radius * abs(path.first), path.straight, self._radius * abs(path.last)]
@@ -216,8 +223,8 @@ class DriveToPoint(ControlledMotion):
         straight: ControlledMotion = (
             Forward(path.straight_direction * path.straight) if turns_back else FollowDirection()
         )
-        # A piece and the direction of the speed in it. Slowing down before the path turns back is left to `fwd`, which
-        # has its direction in its distance.
+        # Each piece, and the direction of its speed. If the path turns back, the straight piece is a `fwd`, which slows
+        # down before the turning point and has its direction in its distance.
         self._pieces = [
             (ArcTurn(self._radius, path.first, is_piece=True) if path.first else None, path.first_direction),
             (straight if path.straight else None, 1 if turns_back else path.straight_direction),
@@ -226,12 +233,12 @@ class DriveToPoint(ControlledMotion):
         self._is_begun = False
 
     def update(self, control: MotionControl) -> None:
-        """Drive on along the present piece."""
+        """Continue along the current piece."""
         if not self._pieces:
             return
         piece, direction = self._pieces[0]
         if piece is None:
-            # A cycle goes by for a piece that is not there.
+            # A missing piece takes one cycle.
             self._pieces.pop(0)
             self._check_end(control)
             return
@@ -266,11 +273,11 @@ class DriveToPoint(ControlledMotion):
             control.finish()
 
     def is_done(self, control: MotionControl) -> bool:
-        """When all three are driven."""
+        """Whether all three pieces are driven."""
         return not self._pieces
 
     def progress(self, control: MotionControl) -> float:
-        """By the lengths of the pieces."""
+        """Finished part, from the lengths of the pieces."""
         lengths = self._lengths
         whole = sum(lengths)
         if not self._pieces or not whole:

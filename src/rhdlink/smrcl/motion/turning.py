@@ -1,4 +1,4 @@
-"""`turn`, `turnr` and `turnc`: on the spot, along an arc, and along an arc with clothoids."""
+"""`turn`, `turnr` and `turnc`: turn on the spot, along an arc, and along an arc of clothoids."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ import math
 from ..arithmetic import NAN, cosine, divide, normalize_angle, power, sign, sine
 from .control import ControlledMotion, DriveKind, MotionControl, limited, ramped, root
 
-#: m of radius below which the turn rate of a velocity-omega robot no longer grows.
+#: Radius in m below which the turn rate of a velocity-omega robot no longer grows.
 _LEAST_RADIUS = 0.1
-#: Half the distance between the wheels that MRC's clothoids are made for, m, and their period, s.
+#: Half the distance between the wheels, in m, for which MRC's clothoids were made, and their period, in s.
 _HALF_WIDTH = 0.13
 _CLOTHOID_PERIOD = 0.01
-#: m/s2 of a wheel beyond which MRC warns of a clothoid.
+#: Acceleration of a wheel in m/s2 above which MRC warns about a clothoid.
 _SHARPEST = 1.0
-#: rad/s for 1 rad: how `turnc` steers.
+#: Steering gain of `turnc`: rad/s for 1 rad.
 _CLOTHOID_GAIN = 3.0
 
 
 class Turn(ControlledMotion):
-    """`turn`: on the spot, relative to the target heading, so that errors do not add up.
+    """`turn`: turn on the spot, relative to the target heading, so that errors do not add up.
 
     Args:
-        angle: rad, to the left.
+        angle: Angle in rad; positive to the left.
     """
 
-    #: rad before the end at which the line ends.
+    #: Angle before the end at which the line ends, in rad.
     TOLERANCE = 0.01
 
     def __init__(self, angle: float) -> None:
@@ -53,7 +53,7 @@ class Turn(ControlledMotion):
             wanted = control.reached - step
         most = control.reached = wanted
         remaining = self._angle - self._so_far(control)
-        # The speed of a wheel, by which the turn can still be braked.
+        # Wheel speed from which the turn can still brake.
         wheel = root(abs(remaining) * parameters.width * 2.0 * acceleration)
         if remaining < 0.0:
             wheel = -wheel
@@ -68,11 +68,11 @@ class Turn(ControlledMotion):
         if profile.full_turns:
             control.heading_error = remaining
         else:
-            # Not normalised: where the heading wraps the error jumps by a full turn.
+            # Not normalised, so the error jumps by a full turn when the heading wraps.
             control.heading_error = control.target.th - control.pose.th
 
     def _so_far(self, control: MotionControl) -> float:
-        """rad, from the target heading before."""
+        """Angle turned so far from the previous target heading, in rad."""
         heading = control.pose.th
         if control.profile.full_turns:
             self._turned += normalize_angle(heading - self._heading)
@@ -86,21 +86,24 @@ class Turn(ControlledMotion):
         return turned
 
     def is_done(self, control: MotionControl) -> bool:
-        """Within 0.01 rad."""
+        """Whether the heading is within 0.01 rad of the end."""
         return abs(control.heading_error) < self.TOLERANCE
 
     def progress(self, control: MotionControl) -> float:
-        """By the angle that remains."""
+        """Finished part, from the remaining angle."""
         return 1.0 - abs(control.heading_error / self._angle) if self._angle else 1.0
 
 
 class ArcTurn(ControlledMotion):
-    """`turnr`: along a circle round a centre beside the target pose, until the robot has turned by the angle.
+    """`turnr`: drive along a circle until the robot has turned by the angle.
+
+    The centre is beside the target.
 
     Args:
-        radius: m.
-        angle: rad; the centre is on the left of a positive one. Backward the heading turns to the other side.
-        is_piece: of `drivetopoint`, which goes on behind it.
+        radius: Radius in m.
+        angle: Angle in rad. The centre is on the left if it is positive. Driving backward turns the heading the other
+            way.
+        is_piece: Whether it is a piece of `drivetopoint`, which continues after it.
     """
 
     def __init__(self, radius: float, angle: float, *, is_piece: bool = False) -> None:
@@ -126,7 +129,7 @@ class ArcTurn(ControlledMotion):
         target.th = normalize_angle(target.th + sign(control.speed) * self._angle)
 
     def update(self, control: MotionControl) -> None:
-        """Ramp up, and keep the heading along the tangent at the place where the robot is."""
+        """Ramp up, and keep the heading along the tangent at the position of the robot."""
         pose = control.pose
         control.target.x, control.target.y = pose.x, pose.y
         self._turned += normalize_angle(pose.th - self._heading)
@@ -136,7 +139,7 @@ class ArcTurn(ControlledMotion):
         side = sign(self._angle)
         tangent = math.atan2(pose.y - self._centre[1], pose.x - self._centre[0]) + side * math.pi / 2
         steering = control.heading_control(tangent - pose.th)
-        # Also of a velocity-omega robot the wheels' speeds are ramped, for the next motion.
+        # Ramp the wheel speeds of a velocity-omega robot as well, for the next motion.
         left, right = self._wheels(control, side)
         if control.drive is DriveKind.VELOMEGA:
             control.left = control.right = control.reached
@@ -153,7 +156,7 @@ class ArcTurn(ControlledMotion):
     def _is_over(self, control: MotionControl) -> bool:
         turned = abs(self._turned)
         if self._is_piece and control.profile.topoint_is_signed:
-            # A robot that still rolls in the other direction has turned to the other side.
+            # While the robot still rolls in the other direction, it turns to the other side.
             turned = self._turned * sign(self._angle) * sign(control.speed)
         return abs(self._angle) - turned < 0.0
 
@@ -171,22 +174,25 @@ class ArcTurn(ControlledMotion):
         return left, right
 
     def is_done(self, control: MotionControl) -> bool:
-        """When it has turned far enough."""
+        """Whether the robot has turned far enough."""
         return abs(control.remaining) < 0.005
 
     def progress(self, control: MotionControl) -> float:
-        """By the angle that it has turned."""
+        """Finished part, from the angle turned so far."""
         return abs(self._turned / self._angle) if self._angle else 1.0
 
 
 class Clothoid(ControlledMotion):
-    """`turnc`: an arc whose curvature grows up to its middle and shrinks again; ends by the distance driven.
+    """`turnc`: drive an arc whose curvature grows up to its middle and then shrinks.
 
-    Between two tangents that a circle of the radius would touch a pair of clothoids of the same angle is laid.
+    The driven distance ends the motion.
+
+    The path is a pair of clothoids with the same angle. It joins the two tangents that a circle of the radius would
+    touch.
 
     Args:
-        radius: m.
-        angle: rad.
+        radius: Radius in m.
+        angle: Angle in rad.
     """
 
     def __init__(self, radius: float, angle: float) -> None:
@@ -209,7 +215,7 @@ class Clothoid(ControlledMotion):
         # Length of the tangents from their intersection.
         tangent = divide(power(radius * c, 2.0) + power(radius * s + radius, 2.0), 2 * radius * c)
         across, along = _fresnel(math.sqrt(angle / math.pi))
-        #: Curvature for 1 m of the path, 1/m2.
+        # Curvature per metre of the path, in 1/m2.
         opened = across + along * (math.tan(angle / 2) if angle < math.inf else NAN)
         self._sharpness = power(divide(1.0, tangent), 2.0) * math.pi * power(opened, 2.0)
         self._half = root(divide(angle, self._sharpness))
@@ -219,7 +225,10 @@ class Clothoid(ControlledMotion):
             control.say("Warning to sharp turn")
 
     def update(self, control: MotionControl) -> None:
-        """Open the wheels' speeds up to the middle and close them after it, and steer to the planned heading."""
+        """Set the wheel speeds, and steer to the planned heading.
+
+        The speeds move apart up to the middle, and together after it.
+        """
         pose, target = control.pose, control.target
         self._driven += root(power(pose.x - target.x, 2.0) + power(pose.y - target.y, 2.0))
         target.x, target.y = pose.x, pose.y
@@ -252,18 +261,18 @@ class Clothoid(ControlledMotion):
             control.finish()
 
     def is_done(self, control: MotionControl) -> bool:
-        """When it has driven the whole path."""
+        """Whether the robot has driven the whole path."""
         return abs(control.remaining) < 0.005
 
     def progress(self, control: MotionControl) -> float:
-        """By the distance driven."""
+        """Finished part, from the driven distance."""
         return self._driven / (2 * self._half) if self._half > 0.0 else 1.0
 
 
 def _fresnel(x: float) -> tuple[float, float]:
-    """The Fresnel integrals C(x) and S(x), of cos and sin of ``pi/2 t**2``, by their power series.
+    """Fresnel integrals C(x) and S(x), of cos and sin of ``pi/2 t**2``, from their power series.
 
-    `x` is at most 5 here; a turn of pi has 1. The series converge to the last digit up to about 3.
+    Here `x` is at most 5, and a turn of pi has 1. The series converge to the last digit for `x` up to about 3.
     """
     z = math.pi / 2 * x * x
     across = along = 0.0

@@ -1,4 +1,4 @@
-"""The faults of a simulated controller: of its arm, its connections and the bytes on them."""
+"""Faults of a simulated controller: of its arm, its connections, and the bytes on them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""`Faults`, whose methods are the faults of a controller, and `FAULTS`, the list of those that a text can name.
+"""Faults of a controller: `Faults` has a method for each, and `FAULTS` lists them by name.
 
-Faults of the arm change its modes, as on a real controller. Faults of the link change bytes or connections, while the
-controller itself runs on. All methods may be called from any thread; the fault has happened when they return.
+`FAULTS` contains only the faults that a text can name. Faults of the arm change its modes, as on a real controller.
+Faults of the link change bytes or connections, while the controller itself keeps running. Any thread may call all
+methods. When a method returns, the fault has happened.
 """
 
 from __future__ import annotations
@@ -26,82 +27,82 @@ from .link import LinkFaults
 
 
 def port_names(port: str | None) -> tuple[str, ...]:
-    """The one port of that name, or all of them.
+    """Return the port of that name, or all ports.
 
     Raises:
-        BadValue: there is no such port.
+        BadValue: If there is no such port.
     """
     if port is None:
         return tuple(PORTS)
     if port not in PORTS:
-        raise BadValue(f"no port is called {port!r}; there are {', '.join(PORTS)}")
+        raise BadValue(f"no port is called {port!r}; expected one of {', '.join(PORTS)}")
     return (port,)
 
 
 def package_ports(port: str | None) -> tuple[str, ...]:
-    """Those of `port_names` whose packages have a type.
+    """Return the ports of `port_names` whose packages have a type.
 
     Raises:
-        BadValue: none of them.
+        BadValue: If there are none.
     """
     names = tuple(name for name in port_names(port) if interface_of(name) in ("primary", "secondary"))
     if not names:
-        raise BadValue(f"{port} has no packages with types")
+        raise BadValue(f"port={port!r} has no packages with types; expected a primary or secondary port")
     return names
 
 
 def type_byte(kind: int) -> int:
-    """The type of a package.
+    """Check the type of a package.
 
     Raises:
-        BadValue: it is not 0 to 255.
+        BadValue: If it is not 0 to 255.
     """
     if kind not in range(256):
-        raise BadValue(f"a type is a byte, not {kind!r}")
+        raise BadValue(f"package type {kind!r}; expected 0 to 255")
     return kind
 
 
 def request_byte(letter: str) -> int:
-    """The type of a request of an RTDE client, by its letter.
+    """Return the type of an RTDE client's request, given its letter.
 
     Raises:
-        BadValue: none of those that are answered.
+        BadValue: If the simulator answers no such request.
     """
     if len(letter) != 1 or letter not in "VvOISP":
-        raise BadValue(f"a request is V, v, O, I, S or P, not {letter!r}")
+        raise BadValue(f"request {letter!r}; expected V, v, O, I, S or P")
     return ord(letter)
 
 
 def checked_seconds(seconds: float) -> float:
-    """A time.
+    """Check a time.
 
     Raises:
-        BadValue: it is negative or not finite.
+        BadValue: If it is negative or not finite.
     """
     if not 0.0 <= seconds < math.inf:
-        raise BadValue(f"a time is zero or more seconds, not {seconds!r}")
+        raise BadValue(f"time {seconds!r}; expected a finite number of seconds, 0 or more")
     return float(seconds)
 
 
 def checked_sizes(sizes: Sequence[int]) -> tuple[int, ...]:
-    """Segment sizes that can be cut.
+    """Check the sizes of segments.
 
     Raises:
-        BadValue: none, or not all of them whole numbers of at least one byte.
+        BadValue: If there are none, or a size is not a whole number of at least one byte.
     """
     if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes):
-        raise BadValue(f"segment sizes are whole numbers of bytes, at least 1, not {sizes!r}")
+        raise BadValue(f"segment sizes {sizes!r}; expected whole numbers of bytes, at least 1")
     return tuple(sizes)
 
 
 @dataclass(frozen=True)
 class FaultArgument:
-    """The argument of a fault in a text such as ``"stall=2.5@10"``.
+    """Argument of a fault in a text such as ``"stall=2.5@10"``.
 
     Attributes:
-        read: makes the value of its text.
-        meaning: what it is, for messages and help.
-        is_optional: whether it can be left out.
+        read: Function that converts the text to the value.
+        meaning: Description of the argument, used in messages and help.
+        is_optional: Whether the argument can be omitted.
     """
 
     read: Callable[[str], Any]
@@ -109,7 +110,7 @@ class FaultArgument:
     is_optional: bool
 
 
-#: The faults that a text can name -> the argument of each; None for a fault that takes none.
+#: Faults that a text can name -> the argument of each; None for a fault without an argument.
 FAULTS: dict[str, FaultArgument | None] = {}
 
 _Method = TypeVar("_Method", bound=Callable[..., None])
@@ -118,7 +119,7 @@ _Method = TypeVar("_Method", bound=Callable[..., None])
 def _listed(
     read: Callable[[str], Any] | None = None, meaning: str = "", *, optional: bool = False
 ) -> Callable[[_Method], _Method]:
-    """Add a method of `Faults` to `FAULTS`, and how its argument is read."""
+    """Add a method of `Faults` to `FAULTS`, with the function that reads its argument."""
 
     def add(method: _Method) -> _Method:
         FAULTS[method.__name__] = None if read is None else FaultArgument(read, meaning, optional)
@@ -153,18 +154,18 @@ def _request(text: str) -> str:
 
 
 class Faults(StrictAttributes):
-    """The faults of one controller.
+    """Faults of one controller.
 
-    In every method `port` is the name of the one port that is affected (`"realtime"`, `"primary_readonly"`, ...), or
-    None for all of them.
+    In every method, `port` is the name of the affected port (`"realtime"`, `"primary_readonly"`, ...), or None for all
+    ports.
 
     Args:
-        state: of the controller.
-        runner: of its programs.
-        link: the faults of its connections.
-        rtde: the RTDE interface.
-        seed: of random garbage.
-        call: calls a function in the thread that owns the controller, and waits until it returns.
+        state: State of the controller.
+        runner: Runner of its programs.
+        link: Faults of its connections.
+        rtde: RTDE interface.
+        seed: Seed of random garbage.
+        call: Function that calls a function in the thread that owns the controller, and waits until it returns.
     """
 
     def __init__(
@@ -188,16 +189,21 @@ class Faults(StrictAttributes):
 
     @_listed()
     def protective_stop(self) -> None:
-        """The arm brakes and stands still with its motors on; its program pauses. Ends with `clear`."""
+        """Cause a protective stop, until `clear`.
+
+        The arm brakes and comes to rest with its motors on. Its program pauses.
+        """
         self._do(lambda: self._state.modes.protective_stop())
 
     @_listed()
     def safeguard_stop(self, resumes: bool = True) -> None:
-        """The arm brakes and stands still with its motors on; its program pauses. Ends with `clear`.
+        """Cause a safeguard stop, until `clear`.
+
+        The arm brakes and comes to rest with its motors on. Its program pauses. Both values of `resumes` are settings
+        of the safety inputs on a real controller.
 
         Args:
-            resumes: whether the program then goes on by itself; else it has to be played. Both are settings of the
-                safety inputs on a real controller.
+            resumes: Whether the program then continues automatically. If False, `play` must continue it.
         """
 
         def stop() -> None:
@@ -208,39 +214,47 @@ class Faults(StrictAttributes):
 
     @_listed()
     def emergency_stop(self) -> None:
-        """The arm brakes, stands still and loses its power; its program stops. Ends with `clear`, then `power_on`."""
+        """Cause an emergency stop, until `clear` and then `power_on`.
+
+        The arm brakes, comes to rest and loses its power. Its program stops.
+        """
         self._do(lambda: self._state.modes.emergency_stop())
 
     @_listed()
     def clear(self) -> None:
-        """Unlock a protective stop, or end a safeguard stop, after which the motion goes on from rest; or release the
-        emergency stop button, after which the power is still off."""
+        """Unlock a protective stop, end a safeguard stop, or release the emergency stop button.
+
+        After a safeguard stop, the motion continues from rest. After an emergency stop, the power is still off.
+        """
         self._do(lambda: self._state.modes.clear())
 
     @_listed()
     def power_off(self) -> None:
-        """The arm brakes, stands still and loses its power."""
+        """Switch the arm off: it brakes, comes to rest and loses its power."""
         self._do(lambda: self._state.modes.power_off())
 
     @_listed()
     def power_on(self) -> None:
-        """Power the arm up and release its brakes; the motion begins again. No effect in an emergency stop."""
+        """Power the arm and release its brakes, after which the motion begins again.
+
+        No effect in an emergency stop.
+        """
         self._do(lambda: self._state.modes.power_on())
 
     # -- connections ---------------------------------------------------------------------------------
 
-    @_listed(Firmware.parse, "the firmware to come back with", optional=True)
+    @_listed(Firmware.parse, "the firmware after the reboot", optional=True)
     def reboot(self, firmware: Firmware | str | None = None, downtime: float = 1.0) -> None:
-        """Reset all connections, refuse new ones for `downtime` seconds, then come back with the time at 0.
+        """Reset all connections, refuse new ones for a time, then come back with the time at 0.
 
-        The controller comes back running; a real one waits to be powered on.
+        The controller comes back running. A real controller waits until it is powered on.
 
         Args:
-            firmware: to come back with; None for the present one.
-            downtime: seconds.
+            firmware: Firmware after the reboot; None for the current one.
+            downtime: Time without connections, in s.
 
         Raises:
-            BadValue: the firmware does not go with the model, or the time is negative or not finite.
+            BadValue: If the firmware does not run on the model, or the time is negative or not finite.
         """
         chosen = None if firmware is None else firmware_for(self._state.model, firmware)
         wait = checked_seconds(downtime)
@@ -252,16 +266,18 @@ class Faults(StrictAttributes):
 
     @_listed(_port, "the port", optional=True)
     def cut(self, port: str | None = None) -> None:
-        """Reset the connections; new ones are accepted at once."""
+        """Reset the connections; new ones are accepted immediately."""
         names = port_names(port)
         self._do(lambda: self._link.cut(names))
 
     @_listed(_seconds, "seconds")
     def stall(self, seconds: float, port: str | None = None) -> None:
-        """Stay connected and silent for this time. Packets of that time are lost; new clients wait.
+        """Stay connected and silent for this time.
+
+        Packets of this time are lost. New clients are connected, but served only afterwards.
 
         Raises:
-            BadValue: the time is negative or not finite.
+            BadValue: If the time is negative or not finite.
         """
         names, cycles = port_names(port), self._cycles(seconds)
         self._do(lambda: self._link.stall(names, cycles))
@@ -272,12 +288,11 @@ class Faults(StrictAttributes):
     def split(self, sizes: Sequence[int] | int, port: str | None = None) -> None:
         """Cut the stream of each connection into segments of these sizes, in turn, until `heal`.
 
-        The rest of a packet that does not fill a segment waits for the next packet, so packets arrive in parts.
-        `split(1460)` is what a real capture shows. The receiver may get segments joined again if it does not read in
-        time.
+        If the rest of a packet does not fill a segment, it waits for the next packet, so packets arrive in parts. A
+        real capture shows `split(1460)`. The receiver might get segments joined again if it does not read in time.
 
         Raises:
-            BadValue: a size is not a whole number of at least 1.
+            BadValue: If a size is not a whole number of at least 1.
         """
         checked = checked_sizes([sizes] if isinstance(sizes, int) else list(sizes))
         self._segment(port, checked, 1)
@@ -287,7 +302,7 @@ class Faults(StrictAttributes):
         """Send `count` packets at a time as one segment, until `heal`.
 
         Raises:
-            BadValue: `count` is not a whole number of at least 1.
+            BadValue: If `count` is not a whole number of at least 1.
         """
         self._segment(port, (), checked_sizes([count])[0])
 
@@ -299,31 +314,32 @@ class Faults(StrictAttributes):
 
     @_listed(_size, "number of bytes")
     def garbage(self, data: bytes | int, port: str | None = None, *, inside: bool = False) -> None:
-        """Send bytes that belong to no packet, once: before the next packet of a port, or in the middle of it.
+        """Send bytes that belong to no packet once, before a port's next packet or inside it.
 
         Args:
-            data: the bytes, or a number of random ones, which depend on the controller's seed.
-            inside: in the middle of the next packet, whose size does not count them.
+            data: The bytes, or a number of random bytes, which depend on the controller's seed.
+            inside: Whether the bytes are inserted in the middle of the next packet; the size field of the packet does
+                not count them.
 
         Raises:
-            BadValue: a number of bytes that is not at least 1.
+            BadValue: If the number of bytes is less than 1.
         """
         garbage, names = self._bytes(data), port_names(port)
         self._do(lambda: self._link.insert(names, garbage, inside))
 
     @_listed(_size, "number of bytes")
     def append(self, tail: bytes | int, port: str | None = None) -> None:
-        """Append bytes that no known layout explains to packets, as a newer release does; until `heal`.
+        """Append bytes of no known layout to packets, as a newer release does; until `heal`.
 
-        Real-time packets grow by the tail, robot states by one tail per sub-package, and their size fields say so.
-        Messages stay as they are.
+        Real-time packets grow by the tail, and robot states by one tail per sub-package. Their size fields count the
+        tails. Messages do not change.
 
         Args:
-            tail: the bytes, or how many random ones. A newer release appends whole cells of 8 bytes to a real-time
+            tail: The bytes, or a number of random bytes. A newer release appends whole cells of 8 bytes to a real-time
                 packet.
 
         Raises:
-            BadValue: a number of bytes that is not at least 1.
+            BadValue: If the number of bytes is less than 1.
         """
         appended, names = self._bytes(tail), port_names(port)
         self._do(lambda: self._link.append(names, appended))
@@ -333,17 +349,17 @@ class Faults(StrictAttributes):
         """Send a package of this type once, on the primary and secondary ports.
 
         Raises:
-            BadValue: the type is not 0 to 255, or the port is neither.
+            BadValue: If the type is not 0 to 255, or `port` is not a primary or secondary port.
         """
         made, names = package(type_byte(kind), payload), package_ports(port)
         self._do(lambda: self._link.insert(names, made))
 
     @_listed(_type, "the type", optional=True)
     def unknown_sub_package(self, kind: int = 77, payload: bytes = b"unknown", port: str | None = None) -> None:
-        """Let robot states end in a sub-package of this type, until `heal`.
+        """Append a sub-package of this type to robot states, until `heal`.
 
         Raises:
-            BadValue: the type is not 0 to 255, or the port is neither.
+            BadValue: If the type is not 0 to 255, or `port` is not a primary or secondary port.
         """
         byte, names = type_byte(kind), package_ports(port)
         self._do(lambda: self._link.add_sub_package(names, byte, payload))
@@ -354,87 +370,92 @@ class Faults(StrictAttributes):
         """Send a text message to all RTDE clients, once.
 
         Args:
-            text: of at most 255 bytes, or it is cut.
-            source: sender of the text, as shown in the message.
-            level: 0 exception, 1 error, 2 warning, 3 info.
+            text: Text of the message. It is cut after 255 bytes.
+            source: Sender of the text, as shown in the message.
+            level: Level of the message: 0 exception, 1 error, 2 warning, 3 info.
         """
         self._do(lambda: self._rtde.send_text(text, source, MessageLevel(level)))
 
     @_listed()
     def rtde_hello(self, text: str = "SafetySetup has not been confirmed yet") -> None:
-        """Begin each RTDE connection with a text, as a PolyScope X whose safety was not confirmed; until `heal`.
+        """Send a text at the beginning of each RTDE connection, until `heal`.
 
-        The control interface of ur_rtde cannot connect then.
+        A PolyScope X whose safety was not confirmed does this. The control interface of ur_rtde then cannot connect.
         """
         self._disturb(hello=text)
 
     @_listed()
     def rtde_refuse_protocol_2(self) -> None:
-        """Accept protocol 1 alone; until `heal`."""
+        """Accept only protocol 1, until `heal`."""
         self._disturb(protocols=(1,))
 
     @_listed(_request, "the letter of the request", optional=True)
     def rtde_text_before_reply(self, request: str = "S", text: str = "a text before the reply") -> None:
-        """Send a text before each reply to one kind of request; until `heal`.
+        """Send a text before each reply to one kind of request, until `heal`.
 
         Args:
-            request: its letter: V, v, O, I, S or P.
-            text: of at most 255 bytes, or it is cut.
+            request: Letter of the request: V, v, O, I, S or P.
+            text: Text of the message. It is cut after 255 bytes.
 
         Raises:
-            BadValue: there is no such request.
+            BadValue: If there is no such request.
         """
         kind = request_byte(request)
         self._do(lambda: self._rtde.disturbance.text_before.update({kind: text}))
 
     @_listed(_request, "the letter of the request", optional=True)
     def rtde_text_instead_of_reply(self, request: str = "S", text: str = "a text in place of the reply") -> None:
-        """Answer the next request of one kind with a text, once; the reply is not sent.
+        """Send a text instead of the reply to the next request of one kind, once.
 
         Raises:
-            BadValue: there is no such request.
+            BadValue: If there is no such request.
         """
         self._instead(request, lambda session: session.send_text(text))
 
     @_listed()
     def rtde_data_before_start(self) -> None:
-        """Send a data package before each reply to a start, as PolyScope X sometimes does; until `heal`."""
+        """Send a data package before each reply to a start, until `heal`.
+
+        PolyScope X sometimes does this.
+        """
         self._disturb(data_before_start=True)
 
     @_listed()
     def rtde_refuse_start(self) -> None:
-        """Refuse to start; until `heal`."""
+        """Reject requests to start, until `heal`."""
         self._disturb(refuses_start=True)
 
     @_listed()
     def rtde_no_data(self) -> None:
-        """Accept a start, but send no data packages; until `heal`."""
+        """Accept a start, but send no data packages, until `heal`."""
         self._disturb(sends_no_data=True)
 
     @_listed(_seconds, "seconds")
     def rtde_late_data(self, seconds: float) -> None:
-        """Send data packages this much later than they were made; until `heal`.
+        """Send data packages this much later than they were made, until `heal`.
 
         Raises:
-            BadValue: the time is negative or not finite.
+            BadValue: If the time is negative or not finite.
         """
         self._disturb(late=self._cycles(seconds))
 
     @_listed(_seconds, "seconds")
     def rtde_stale_inputs(self, seconds: float) -> None:
-        """Keep the inputs of connections that end held for this time, as real controllers do; until `heal`.
+        """Keep the inputs of ended connections held for this time, until `heal`.
+
+        Real controllers do this.
 
         Raises:
-            BadValue: the time is negative or not finite.
+            BadValue: If the time is negative or not finite.
         """
         self._disturb(stale=self._cycles(seconds))
 
     @_listed(_request, "the letter of the request", optional=True)
     def rtde_reboot_at_request(self, request: str = "O", downtime: float = 1.0) -> None:
-        """Reboot instead of answering the next request of one kind: in the middle of a handshake.
+        """Reboot instead of answering the next request of one kind, in the middle of a handshake.
 
         Raises:
-            BadValue: there is no such request, or the time is negative or not finite.
+            BadValue: If there is no such request, or the time is negative or not finite.
         """
         wait = checked_seconds(downtime)
         self._instead(request, lambda session: self._reboot(None, wait))
@@ -443,7 +464,10 @@ class Faults(StrictAttributes):
 
     @_listed()
     def heal(self) -> None:
-        """End all faults of the link (stalls, segments, garbage, tails, unknown sub-packages) and of RTDE."""
+        """End all faults of the link and of RTDE.
+
+        Faults of the link are stalls, segments, garbage, tails and unknown sub-packages.
+        """
 
         def heal() -> None:
             self._link.heal()

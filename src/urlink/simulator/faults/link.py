@@ -1,7 +1,7 @@
-"""Faults of the connections: silence, cut connections, segments, and bytes that should not be there.
+"""Faults of the connections: silence, cut connections, segments, and unexpected bytes.
 
-The server gets from it what a port sends instead of each packet; the bytes look like those of a newer controller, of a
-broken one, or of a bad network. The controller itself runs on.
+They give the server the bytes that a port sends instead of each packet. The bytes look like those from a newer
+controller, a broken controller, or a bad network. The controller itself keeps running.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from itertools import cycle
 from ...protocol.ports import PORTS, interface_of
 from ..interfaces.interface import package
 
-#: How many pieces of garbage wait for the next packet of a port; the newest ones.
+#: Maximum number of pieces of garbage that are queued for the next packet of a port; the newest are kept.
 _WAITING = 16
 
 
 def with_tail(packet: bytes, tail: bytes) -> bytes:
-    """A real-time packet as of a newer release that appends `tail` to it."""
+    """Return a real-time packet of a newer release, which appends `tail` to it."""
     return (len(packet) + len(tail)).to_bytes(4, "big") + packet[4:] + tail
 
 
 def with_tails(state: bytes, tail: bytes) -> bytes:
-    """A robot state in which every sub-package has grown by `tail`."""
+    """Return a robot state in which every sub-package has grown by `tail`."""
     parts = []
     offset = 5
     while offset < len(state):
@@ -34,12 +34,15 @@ def with_tails(state: bytes, tail: bytes) -> bytes:
 
 
 def with_sub_package(state: bytes, kind: int, payload: bytes) -> bytes:
-    """A robot state with one more sub-package at its end."""
+    """Return a robot state with one more sub-package at its end."""
     return package(state[4], state[5:] + package(kind, payload))
 
 
 def with_garbage_inside(packet: bytes, garbage: bytes) -> bytes:
-    """A packet with bytes in its middle that its size does not count: the fields after them are shifted."""
+    """Return a packet with bytes in its middle that its size field does not count.
+
+    The fields after these bytes are shifted.
+    """
     half = len(packet) // 2
     return packet[:half] + garbage + packet[half:]
 
@@ -52,9 +55,9 @@ class Segmenter:
     ([b'abcd'], [b'ef', b'ghij'], b'')
 
     Args:
-        sizes: the stream is cut into segments of these sizes, in turn. The rest of a packet that does not fill one
-            waits, so the cuts move through the packets.
-        count: this many packets make one segment. Not together with `sizes`.
+        sizes: Sizes of the segments, used in turn. If the rest of a packet does not fill a segment, it waits for the
+            next packet, so the cuts move through the packets.
+        count: Number of packets that make one segment. Not together with `sizes`.
     """
 
     def __init__(self, sizes: Sequence[int] = (), count: int = 1) -> None:
@@ -65,7 +68,7 @@ class Segmenter:
         self._held = b""
 
     def put(self, packet: bytes) -> list[bytes]:
-        """Add a packet; returns the segments that can be sent."""
+        """Add a packet, and return the segments that can be sent."""
         self._held += packet
         if self._sizes is None:
             self._waiting += 1
@@ -80,19 +83,19 @@ class Segmenter:
         return ready
 
     def rest(self) -> bytes:
-        """The bytes that were kept back, to be sent unchanged."""
+        """Return and remove the buffered bytes, to be sent unchanged."""
         held, self._held, self._waiting = self._held, b"", 0
         return held
 
 
 class LinkFaults:
-    """The faults of the links of one controller; used only in the thread that owns the controller.
+    """Faults of the links of one controller; used only in the thread that owns the controller.
 
     Args:
-        cycle: the number of the present cycle.
+        cycle: Function that returns the number of the current cycle.
 
     Attributes:
-        segments_changed: a number that changes when the segments of any port do.
+        segments_changed: Number that changes whenever the segments of any port change.
     """
 
     def __init__(self, cycle: Callable[[], int]) -> None:
@@ -103,7 +106,7 @@ class LinkFaults:
         self._segments: dict[str, tuple[tuple[int, ...], int]] = {}
         self._tails: dict[str, bytes] = {}
         self._sub_packages: dict[str, tuple[int, bytes]] = {}
-        # Bounded, since a port without a client sends nothing that they could come before.
+        # The queues are bounded, because a port without a client sends no packet that would empty them.
         self._before: dict[str, deque[bytes]] = {name: deque(maxlen=_WAITING) for name in PORTS}
         self._inside: dict[str, deque[bytes]] = {name: deque(maxlen=_WAITING) for name in PORTS}
 
@@ -118,7 +121,7 @@ class LinkFaults:
         self._stalled_until.update(dict.fromkeys(ports, self._cycle() + cycles))
 
     def segment(self, ports: Iterable[str], sizes: tuple[int, ...], count: int) -> None:
-        """Cut or join what these ports send; see `Segmenter`."""
+        """Cut or join the bytes that these ports send; see `Segmenter`."""
         self._segments.update(dict.fromkeys(ports, (sizes, count)))
         self.segments_changed += 1
 
@@ -149,26 +152,26 @@ class LinkFaults:
     # -- for the server ----------------------------------------------------------------------------
 
     def is_stalled(self, port: str) -> bool:
-        """Whether this port is silent at present."""
+        """Whether this port is currently silent."""
         return self._cycle() < self._stalled_until.get(port, 0)
 
     @property
     def is_any_stalled(self) -> bool:
-        """Whether some port is silent at present."""
+        """Whether any port is currently silent."""
         return self._cycle() < max(self._stalled_until.values(), default=0)
 
     def take_cuts(self) -> set[str]:
-        """The ports whose connections are to be reset now."""
+        """Return the ports whose connections must be reset now."""
         cuts, self._cuts = self._cuts, set()
         return cuts
 
     def segmenter(self, port: str) -> Segmenter | None:
-        """A new segmenter for a connection to this port; None if packets are sent as they are."""
+        """Return a new segmenter for a connection to this port; None if packets are sent unchanged."""
         rule = self._segments.get(port)
         return None if rule is None else Segmenter(*rule)
 
     def lasting(self, port: str, packet: bytes) -> bytes:
-        """A packet with the faults that last: tails and unknown sub-packages."""
+        """Return a packet with the faults that last: tails and unknown sub-packages."""
         tail = self._tails.get(port)
         if interface_of(port) == "realtime":
             return packet if tail is None else with_tail(packet, tail)
@@ -180,7 +183,10 @@ class LinkFaults:
         return packet if added is None else with_sub_package(packet, *added)
 
     def on_the_wire(self, port: str, packet: bytes) -> bytes:
-        """The bytes that this port sends instead of a packet. Faults that happen once are used up."""
+        """Return the bytes that this port sends instead of a packet.
+
+        Faults that happen only once are then used up.
+        """
         packet = self.lasting(port, packet)
         inside, before = self._inside[port], self._before[port]
         if inside:

@@ -1,4 +1,4 @@
-"""Faults at given times: as text for a command line, and the schedule of one controller."""
+"""Faults at given times: their text form for a command line, and a controller's schedule."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class ScheduledFault:
     """A fault, and the time at which it happens.
 
     Attributes:
-        name: method of `Faults`.
-        arguments: of that method.
-        at: seconds since the controller was made; a reboot does not reset them.
+        name: Name of a method of `Faults`.
+        arguments: Arguments of that method.
+        at: Time since the controller was made, in s. A reboot does not reset it.
     """
 
     name: str
@@ -32,15 +32,18 @@ class ScheduledFault:
     at: float
 
     def happen(self, faults: Faults) -> None:
-        """Make it happen now."""
+        """Cause the fault now."""
         getattr(faults, self.name)(*self.arguments)
 
 
 def parse_fault(text: str) -> ScheduledFault:
-    """``"protective_stop@5"``, ``"reboot=5.12@10"``, ``"split=100+200@0"``: NAME[=ARGUMENT]@SECONDS.
+    """Parse NAME[=ARGUMENT]@SECONDS, such as ``"protective_stop@5"`` or ``"split=100+200@0"``.
+
+    The fault in ``"reboot=5.12@10"`` has an optional argument.
 
     Raises:
-        BadValue: no such fault, an argument too many, missing or unreadable, or no time. The message says which.
+        BadValue: If there is no such fault, its argument is missing, superfluous or unreadable, or there is no time.
+            The message names the cause.
 
     >>> parse_fault("stall=2.5@10")
     ScheduledFault(name='stall', arguments=(2.5,), at=10.0)
@@ -54,7 +57,7 @@ def parse_fault(text: str) -> ScheduledFault:
         raise BadValue(f"{text!r}: {when!r} is not a number of seconds") from None
     name, equals, argument = what.partition("=")
     if name not in FAULTS:
-        raise BadValue(f"{text!r}: no fault is called {name!r}; there are {', '.join(FAULTS)}")
+        raise BadValue(f"{text!r}: no fault is called {name!r}; expected one of {', '.join(FAULTS)}")
     takes = FAULTS[name]
     if takes is None:
         if equals:
@@ -62,36 +65,36 @@ def parse_fault(text: str) -> ScheduledFault:
         return ScheduledFault(name, (), at)
     if not equals:
         if not takes.is_optional:
-            raise BadValue(f"{text!r}: {name} needs {takes.meaning}, as in {name}=...@{when}")
+            raise BadValue(f"{text!r}: {name} needs {takes.meaning}; expected {name}=...@{when}")
         return ScheduledFault(name, (), at)
     try:
         value = takes.read(argument)
     except (ValueError, LocalError) as error:
-        raise BadValue(f"{text!r}: {argument!r} does not do as {takes.meaning} ({error})") from None
+        raise BadValue(f"{text!r}: invalid argument {argument!r}; expected {takes.meaning} ({error})") from None
     return ScheduledFault(name, (value,), at)
 
 
 def checked(faults: Iterable[str | ScheduledFault], model: Model) -> list[ScheduledFault]:
-    """The faults, with texts parsed, checked for an arm.
+    """Parse the texts among the faults, and check all of them for an arm.
 
     Raises:
-        BadValue: a text that `parse_fault` cannot read, no such fault, or a reboot into firmware that does not run on
-            the model.
+        BadValue: If `parse_fault` cannot read a text, a fault does not exist, or a reboot names firmware that does not
+            run on the model.
     """
     parsed = [parse_fault(fault) if isinstance(fault, str) else fault for fault in faults]
     for fault in parsed:
         if fault.name not in FAULTS:
-            raise BadValue(f"no fault is called {fault.name!r}; there are {', '.join(FAULTS)}")
+            raise BadValue(f"no fault is called {fault.name!r}; expected one of {', '.join(FAULTS)}")
         if fault.name == "reboot" and fault.arguments and fault.arguments[0] is not None:
             firmware_for(model, fault.arguments[0])
     return parsed
 
 
 class FaultSchedule:
-    """The faults that are to happen to one controller.
+    """The faults that are scheduled for one controller.
 
     Args:
-        faults: makes them happen.
+        faults: Faults of the controller.
     """
 
     def __init__(self, faults: Faults) -> None:
@@ -99,19 +102,20 @@ class FaultSchedule:
         self._faults: list[ScheduledFault] = []
 
     def add(self, faults: Iterable[ScheduledFault]) -> None:
-        """Add faults, each at its time."""
+        """Add faults to the schedule."""
         self._faults = sorted([*self._faults, *faults], key=lambda fault: fault.at)
 
     def next_cycle(self, rate: float) -> int | None:
-        """The cycle in which the next one happens; None if there is none."""
+        """Return the cycle of the next fault; None if there is none."""
         return math.ceil(self._faults[0].at * rate) if self._faults else None
 
     def advance(self, cycle: int, rate: float) -> None:
-        """Make the faults happen that are due in this cycle."""
+        """Cause the faults that are due in this cycle."""
         while (due := self.next_cycle(rate)) is not None and due <= cycle:
             fault = self._faults.pop(0)
             try:
                 fault.happen(self._do)
             except LocalError as error:
-                # Made by hand, with arguments that its method does not have; the controller goes on.
-                _log.warning("%s did not happen: %s", fault, error)
+                # The fault was not parsed but made with arguments that its method does not accept. The controller
+                # continues.
+                _log.warning("%s: could not happen: %s", fault, error)

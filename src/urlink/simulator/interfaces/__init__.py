@@ -1,1 +1,1 @@
-"""The interfaces of a simulated controller, one handler for each: bytes in, packets out, no sockets."""
+"""Interfaces of a simulated controller: handlers without sockets, bytes in, packets out."""

@@ -1,18 +1,18 @@
-"""The dashboard server of a simulated controller: a line in, a line out.
+"""Dashboard server of a simulated controller: it answers each line with a line.
 
-Facts and their evidence: docs/protocols/dashboard.md. Which firmware has which command, and the form of the replies, is
-in `urlink.protocol.dashboard.commands`. Commands act through the controller. All of these are guesses:
+For facts and their evidence, see docs/protocols/dashboard.md. `urlink.protocol.dashboard.commands` contains the
+commands of each firmware, and the form of the replies. Commands act through the controller. The following is assumed:
 
-- the reply to a command that is unknown, not on this firmware, or followed by text that it does not take; and to one
-  that lacks its text, but for `addToLog` and `setUserRole`;
-- that commands which have nothing to do (`power on` with the power on, `close popup` without a popup, `unlock
-  protective stop` without a stop) are answered as if they had;
-- that `power on` and `brake release` in an emergency stop are answered with a yes, although nothing happens;
-- that a `power on` or `brake release` that comes before `power off` has been carried out is carried out after it;
-- that a paused program does not count as running, and one that is being stopped as stopped;
-- `Robotmode: ` before the number that a CB2 controller says;
-- the date of the software, the ids and names of reports, and that these are done at once;
-- that `shutdown` only stops the program and switches the arm off: the simulated controller goes on.
+- The reply to an unknown command, to a command that this firmware lacks, and to a command with an unexpected argument.
+- The reply to a command without its required text, except `addToLog` and `setUserRole`.
+- Commands that have nothing to do get the usual reply. Examples are `power on` with the power on, `close popup` without
+  a popup, and `unlock protective stop` without a stop.
+- `power on` and `brake release` get a positive reply in an emergency stop, although nothing happens.
+- If `power on` or `brake release` arrives before `power off` is complete, it is executed afterwards.
+- A paused program does not count as running, and a program that is being stopped counts as stopped.
+- The prefix `Robotmode: ` before the number that a CB2 controller sends.
+- The date of the software, and the ids and names of reports. Reports are complete immediately.
+- `shutdown` only stops the program and switches the arm off. The simulated controller keeps running.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from ..robot.modes import StopState
 from ..state import ControllerState
 from .interface import Interface, InterfaceClient, LineReceiver
 
-#: Seconds for which a protective stop cannot be unlocked.
+#: Seconds after a protective stop before it can be unlocked.
 UNLOCK_AFTER = 5.0
-#: Lines that the log keeps.
+#: Maximum number of lines in the log.
 LOG_LINES = 1000
 
 _TOO_EARLY = (
@@ -49,20 +49,21 @@ _STATES = {
 }
 _UNNAMED = "<unnamed>"
 
-# The longest first: `load installation` is not `load` with an argument.
+# The longest names come first, because `load installation` is not `load` with an argument.
 _BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
 
 
 class DashboardInterface(Interface):
-    """The dashboard server of one controller: answers the lines of all its clients.
+    """Dashboard server of one controller, which answers the lines of all its clients.
 
-    state: of the controller.
-    pendant: the commands press its buttons.
+    Args:
+        state: State of the controller.
+        pendant: Pendant whose buttons the commands press.
 
     Attributes:
-        user_role: what the pendant of a CB3 allows its user, in lower case.
-        operational_mode: that of an e-Series, in lower case.
-        installation: path of the installation that was loaded last, or None.
+        user_role: Role of the user on the pendant of a CB3, in lower case.
+        operational_mode: Operational mode of an e-Series, in lower case.
+        installation: Path of the installation that was loaded last, or None.
     """
 
     def __init__(self, state: ControllerState, pendant: Pendant) -> None:
@@ -72,7 +73,8 @@ class DashboardInterface(Interface):
         self.user_role = "none"
         self.operational_mode = "none"
         self.installation: str | None = None
-        # The methods have the names of the commands; a command without one fails here, and not when it is sent.
+        # The methods have the names of the commands. A command without a method must fail here rather than when it
+        # arrives.
         self._actions: dict[str, Callable[[str], str | None]] = {
             name: getattr(self, f"_{name.replace(' ', '_').lower()}") for name in COMMANDS
         }
@@ -93,11 +95,12 @@ class DashboardInterface(Interface):
         return LineReceiver(client, self._state.counters, answer)
 
     def reply(self, line: str) -> str | None:
-        """The reply to a line, without the line's end; None: send `Disconnected`, and close the connection.
+        """Return the reply to a line, without its line ending.
 
-        Upper and lower case are alike, as the vendor says.
+        None means: send `Disconnected`, and close the connection. Upper and lower case are equivalent, according to the
+        vendor.
         """
-        # Of the separators of lines only one ends a line on the wire; the others must not look as if they did.
+        # Only a newline ends a line on the wire. Replace all other line separators, so that the reply is one line.
         text = " ".join(line.splitlines()).strip()
         found = _find(text)
         if found is None or not found[0].is_on(self._state.firmware):
@@ -106,7 +109,7 @@ class DashboardInterface(Interface):
         return self.carry_out(command.name, argument)
 
     def carry_out(self, name: str, argument: str) -> str | None:
-        """Execute a command of the table, on any firmware; returns its reply as `reply` does."""
+        """Execute a command of the table, on any firmware, and return its reply; see `reply`."""
         if COMMANDS[name].needs_remote_control and self._state.is_local:
             return NOT_IN_REMOTE_CONTROL
         return self._actions[name](argument)
@@ -151,7 +154,8 @@ class DashboardInterface(Interface):
         return "Pausing program" if self._pendant.pause() else "Failed to execute: pause"
 
     def _stop(self, _: str) -> str:
-        # Also where nothing runs: two clients send it then, and take any other answer for a failure.
+        # Reply in the same way if no program runs: two clients then send `stop`, and treat any other reply as a
+        # failure.
         self._pendant.stop()
         return "Stopped"
 
@@ -193,7 +197,7 @@ class DashboardInterface(Interface):
         state = self._state
         if state.modes.stop is StopState.PROTECTIVE:
             since = state.stopped_since
-            # One that no cycle has seen yet has just begun. PolyScope X does not make its client wait.
+            # A stop that no cycle has processed yet has just begun. PolyScope X does not make its client wait.
             is_early = since is None or state.time - since < UNLOCK_AFTER
             if is_early and not state.firmware.is_polyscope_x:
                 return _TOO_EARLY
@@ -255,7 +259,7 @@ class DashboardInterface(Interface):
         del log[:-LOG_LINES]
         return "Added log message"
 
-    # -- who it is, and reports ------------------------------------------------------------------------
+    # -- identity, and reports -------------------------------------------------------------------------
 
     def _polyscopeversion(self, _: str) -> str:
         return f"URSoftware {self._version('')} (Jan 01 2024)"
@@ -270,7 +274,7 @@ class DashboardInterface(Interface):
         return self._state.model.name.removesuffix("e")
 
     def _generate_flight_report(self, kind: str) -> str:
-        # The vendor's own client sends no kind; that it then gets the report of the system is a guess.
+        # The vendor's own client sends no kind. It is assumed that it then gets the report of the system.
         if kind and kind.lower() not in COMMANDS["generate flight report"].choices:
             return _not_understood(f"generate flight report {kind}")
         self._reports += 1
@@ -285,7 +289,10 @@ class DashboardInterface(Interface):
 
 
 def _find(text: str) -> tuple[DashboardCommand, str] | None:
-    """The command at the beginning of a line, and its argument; None if there is none, or if it takes no argument."""
+    """Return the command at the beginning of a line, and its argument.
+
+    Returns None if there is no such command, or if it takes no argument but has one.
+    """
     for command in _BY_LENGTH:
         name, rest = text[: len(command.name)], text[len(command.name) :]
         if name.lower() == command.name.lower() and (not rest or rest.startswith(" ")):
@@ -295,7 +302,7 @@ def _find(text: str) -> tuple[DashboardCommand, str] | None:
 
 
 def _not_understood(text: str) -> str:
-    # Shortened, so that a reply is a short line whatever was sent.
+    # Shorten the text, so that the reply is a short line whatever the client sent.
     return f"{COULD_NOT_UNDERSTAND}: '{text[:200]}'"
 
 

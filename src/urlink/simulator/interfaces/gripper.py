@@ -1,6 +1,7 @@
-"""The gripper interface, 63352: the Robotiq URCap, which answers lines about the gripper that is mounted.
+"""Gripper interface, port 63352: the Robotiq URCap, which answers lines about the gripper.
 
-It answers as public clients and programs of the URCap expect it: `ack` comes without a newline, a value with one.
+The replies have the form that public clients and programs of the URCap expect: `ack` has no newline, and a value has
+one.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ class GripperInterface(Interface):
     """Serves the gripper of one controller.
 
     Args:
-        state: of the controller.
-        gripper: that is mounted; None for no such URCap.
+        state: State of the controller.
+        gripper: Mounted gripper. None if this URCap is not installed.
     """
 
     def __init__(self, state: ControllerState, gripper: SimulatedGripper | None) -> None:
@@ -23,12 +24,12 @@ class GripperInterface(Interface):
         self._gripper = gripper
 
     def is_offered(self) -> bool:
-        # URCaps came with CB3.
+        # URCaps were introduced with CB3.
         return self._gripper is not None and not self._state.firmware.is_cb2
 
     def receiver(self, client: InterfaceClient) -> LineReceiver:
         gripper = self._gripper
-        assert gripper is not None, "the interface is not offered without one"
+        assert gripper is not None, "the interface is not offered without a gripper"
 
         def answer(line: str) -> None:
             reply = gripper.reply(line)

@@ -1,8 +1,10 @@
-"""An interface of the controller, as the server uses it, and what several interfaces share: receivers and packets.
+"""Base class of the controller's interfaces, and their common receivers and packets.
 
-An `Interface` is sans-IO. The server reads from it in which cycle it has something to send, and the packets; and passes
-what a client sends to the `InterfaceReceiver` that the interface has made for this client. A `Form` is a packet laid
-out once, by its schema in `urlink.protocol`, and filled in many times: a controller packs hundreds of them a second.
+An `Interface` is sans-IO. It tells the server when it has something to send, and returns the packets. It
+makes an `InterfaceReceiver` for each client, and the server passes the client's bytes to it.
+
+A `Form` is a packet that is laid out once, according to its schema in `urlink.protocol`, and filled in many times. This
+matters because a controller packs hundreds of packets per second.
 """
 
 from __future__ import annotations
@@ -19,25 +21,25 @@ from urlink.protocol.headers import PACKAGE
 from ..programs.loader import LineAssembler
 from ..state import Counters
 
-#: Names of fields -> plain numbers, or lists of them.
+#: Field names -> plain numbers, or lists of them.
 Fields = Mapping[str, Any]
 
 
 class Form:
-    """A packet of one layout and of fixed size, filled in and packed many times.
+    """A packet of one layout and fixed size that is filled in and packed many times.
 
-    Gives the bytes of `Layout.encode` in a tenth of the time: values stay where they were put, and one `struct` packs
-    them. Values are plain numbers and lists of them, checked only by `struct`.
-    The first packet has to name every field.
+    It returns the bytes of `Layout.encode` in a tenth of the time, because unchanged values are kept and one `struct`
+    packs all of them. Values are plain numbers and lists of them. Only `struct` checks them. The first packet must name
+    every field.
     """
 
     def __init__(self, layout: Layout) -> None:
         codes: list[str] = [""] * sum(place.count or 1 for place in layout.places.values())
-        self._layout: Layout | None = layout  # until the first packet has named every field
+        self._layout: Layout | None = layout  # None after the first packet, which names every field
         self._values: list[Any] = [0] * len(codes)
         self._at: dict[str, int | slice] = {}
         for name, place in layout.places.items():
-            assert place.number is not None, f"{layout.name} is of no fixed size"
+            assert place.number is not None, f"{layout.name} has no fixed size"
             code = place.number.code
             at = self._at[name] = place.at
             if isinstance(at, slice):
@@ -50,10 +52,12 @@ class Form:
         self._header = header
 
     def pack(self, fields: Fields) -> bytes:
-        """The packet with these fields, others unchanged; fields that are not in the layout are skipped.
+        """Return the packet with these fields.
+
+        Other fields keep their values. Fields that are not in the layout are skipped.
 
         Raises:
-            BadValue: this is the first packet, and a field has no value.
+            BadValue: If this is the first packet, and a field has no value.
         """
         if self._layout is not None:
             self._layout.check_complete(fields.keys())
@@ -67,11 +71,11 @@ class Form:
 
 
 def package(kind: int, body: bytes) -> bytes:
-    """A package or sub-package of the primary and secondary interface."""
+    """Return a package or sub-package of the primary and secondary interface."""
     return PACKAGE.pack(size=PACKAGE.width + len(body), type=kind) + body
 
 
-#: Bytes of a line from a client; longer ones are discarded.
+#: Maximum number of bytes in a line from a client; longer lines are discarded.
 LONGEST_LINE = 1 << 16
 
 
@@ -84,16 +88,16 @@ class InterfaceClient(Protocol):
 
     @property
     def pending(self) -> int:
-        """Bytes that were sent, but not taken by the network, because the client does not read."""
+        """Number of sent bytes that are still buffered, because the client does not read."""
 
     def send(self, packet: bytes) -> None:
         """Send a packet or a reply."""
 
     def finish(self) -> None:
-        """Close it when the bytes that were sent have been taken."""
+        """Close the connection when all sent bytes have been accepted."""
 
     def drop(self) -> None:
-        """Close it now, by a reset."""
+        """Close the connection now, with a reset."""
 
 
 class InterfaceReceiver(ABC):
@@ -101,7 +105,7 @@ class InterfaceReceiver(ABC):
 
     @abstractmethod
     def feed(self, data: bytes) -> None:
-        """Handle bytes, as they came."""
+        """Handle bytes as they arrive, in chunks of any size."""
 
     def end(self) -> None:
         """Handle the end of the connection."""
@@ -109,30 +113,33 @@ class InterfaceReceiver(ABC):
 
 
 class Interface(ABC):
-    """One interface of the controller. Unless a subclass differs, every firmware has it, and it only answers."""
+    """One interface of the controller.
+
+    By default, every firmware has the interface, and it only answers. Subclasses change this.
+    """
 
     def is_offered(self) -> bool:
-        """Whether the present firmware has this interface; without it connections are refused."""
+        """Whether the current firmware has this interface; if not, connections are refused."""
         return True
 
     def greeting(self) -> list[bytes]:
-        """The packets at the beginning of a connection."""
+        """Return the packets at the beginning of a connection."""
         return []
 
     def next_cycle(self, cycle: int) -> int | None:
-        """The first cycle after this one with packets for all clients; None if that is not known."""
+        """Return the first cycle after this one with packets for all clients; None if unknown."""
         return None
 
     def packets(self, cycle: int) -> list[bytes]:
-        """The packets for all clients that have become due since the last call, as of this cycle.
+        """Return the packets for all clients that have become due since the last call.
 
-        Called in each cycle while a client is connected, but for those that are far too late. If clients are sent
-        different packets, the interface sends them itself, and returns none.
+        The server calls this in each cycle while a client is connected, except in cycles that are far too late. If
+        clients need different packets, the interface sends them itself and returns none.
         """
         return []
 
     def skip(self) -> None:
-        """No client is connected in this cycle: discard what would have been sent in it."""
+        """Discard the packets of this cycle, because no client is connected."""
         return None
 
     @abstractmethod
@@ -141,7 +148,7 @@ class Interface(ABC):
 
 
 class ReadOnlyReceiver(InterfaceReceiver):
-    """The receiver of the read-only ports: bytes are counted, and have no effect."""
+    """Receiver of the read-only ports, which counts bytes and otherwise ignores them."""
 
     def __init__(self, counters: Counters) -> None:
         self._counters = counters
@@ -151,12 +158,12 @@ class ReadOnlyReceiver(InterfaceReceiver):
 
 
 class LineReceiver(InterfaceReceiver):
-    """Cuts received bytes into lines.
+    """Splits received bytes into lines.
 
     Args:
-        client: what comes after it was closed is ignored.
-        counters: count the bytes of lines that are too long.
-        on_line: called with each line, without its end.
+        client: Client that sends the bytes. After it was closed, they are ignored.
+        counters: Counters of discarded bytes, for lines that are too long.
+        on_line: Function that is called with each line, without its line ending.
     """
 
     def __init__(self, client: InterfaceClient, counters: Counters, on_line: Callable[[str], object]) -> None:
@@ -189,13 +196,14 @@ class LineReceiver(InterfaceReceiver):
 
 
 class ScriptReceiver(LineReceiver):
-    """Makes programs of the received lines, for the primary, secondary and real-time interface.
+    """Assembles programs from the lines of a primary, secondary or real-time client.
 
     Args:
-        client: the sender.
-        counters: count the text that is discarded.
-        on_line: called with each line.
-        on_program: called with the text of each whole program; returns False if it was discarded.
+        client: Client that sends the lines.
+        counters: Counters of discarded bytes.
+        on_line: Function that is called with each line.
+        on_program: Function that is called with the text of each whole program. It returns False if it discarded the
+            program.
     """
 
     def __init__(

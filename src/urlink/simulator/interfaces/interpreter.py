@@ -1,7 +1,7 @@
-"""Interpreter mode, 30020: takes a URScript statement, and answers with its status.
+"""Interpreter mode, port 30020: accepts URScript statements, and replies with their status.
 
-Assumed: nothing is sent on connecting, statements are discarded in local control, and without a program all numbers
-are 0.
+Assumptions: nothing is sent on connecting, statements are discarded in local control, and all numbers are 0 if no
+program runs.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ SINCE = Since("5.10")
 
 
 class InterpreterInterface(Interface):
-    """Passes statements to the program that runs.
+    """Passes statements to the running program.
 
     Args:
-        state: of the controller.
-        runner: of its programs.
+        state: State of the controller.
+        runner: Runner of its programs.
     """
 
     def __init__(self, state: ControllerState, runner: ProgramRunner) -> None:
@@ -40,8 +40,8 @@ class InterpreterInterface(Interface):
         return LineReceiver(client, self._state.counters, answer)
 
     def reply(self, line: str) -> str:
-        """The reply to a line, without the line's end; empty for an empty line."""
-        # Of the separators of lines only one ends a line on the wire; the others must not look as if they did.
+        """Return the reply to a line, without its line ending; empty for an empty line."""
+        # Only a newline ends a line on the wire. Replace all other line separators, so that the reply is one line.
         text = " ".join(line.splitlines()).strip()
         if not text:
             return ""

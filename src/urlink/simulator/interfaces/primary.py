@@ -1,7 +1,7 @@
-"""The primary and secondary interface, 30001 and 30002: a robot state ten times a second, and messages on the first.
+"""Primary and secondary interface, ports 30001 and 30002: ten robot states per second.
 
-Sizes and order of the sub-packages: docs/protocols/primary.md, Robot state. Comments say which values were read off
-captures.
+The primary interface also sends messages. For sizes and order of the sub-packages, see docs/protocols/primary.md, Robot
+state. Comments mark the values that were read from captures.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from ..rtde_variables import ROBOT_VOLTAGE, robot_current
 from ..state import ControllerState
 from .interface import Fields, Form, Interface, InterfaceClient, ScriptReceiver, package
 
-#: Robot states a second.
+#: Robot states per second.
 STATE_RATE = 10
 
 
 class StatePackages:
-    """The robot states of one controller, which both interfaces send.
+    """Robot states of one controller, which both interfaces send.
 
     Args:
-        state: of the controller.
+        state: State of the controller.
     """
 
     def __init__(self, state: ControllerState) -> None:
@@ -39,18 +39,18 @@ class StatePackages:
         self._first_only: frozenset[int] = frozenset()
         self._forms: dict[int, Form] = {}
         self._unchanging: dict[int, bytes] = {}
-        # The packet that both interfaces send in one cycle, and the cycle.
+        # Cycle, and the packet that both interfaces send in it.
         self._made: tuple[int, bytes] = (-1, b"")
-        # The safety mode of the latest packet.
+        # Safety mode of the latest packet.
         self._shown: SafetyMode | None = None
 
     def next_cycle(self, cycle: int) -> int:
-        """The first cycle after this one in which a state is sent."""
+        """Return the first cycle after this one that sends a state."""
         rate = self._state.rate
         return -(-(cycle * STATE_RATE // rate + 1) * rate // STATE_RATE)
 
     def of_cycle(self, cycle: int) -> bytes:
-        """The state of this cycle, the same bytes for both interfaces."""
+        """Return the state of this cycle, with the same bytes for both interfaces."""
         if self._made[0] != cycle:
             self._made = cycle, self.package()
             self._shown = self._state.modes.safety_mode
@@ -62,9 +62,13 @@ class StatePackages:
         return self._shown is not self._state.modes.safety_mode
 
     def package(self, first: bool = False) -> bytes:
-        """The state of this cycle; with `first`, that of a new connection, with kinematics and configuration."""
+        """Return the state of this cycle.
+
+        Args:
+            first: Whether to return the state for a new connection, which includes kinematics and configuration.
+        """
         state = self._state
-        if self._firmware is not state.firmware:  # at first, and after a reboot into another one
+        if self._firmware is not state.firmware:  # initially, and after a reboot into another firmware
             self._lay_out(state.firmware)
         parts = []
         for kind, form in self._forms.items():
@@ -79,7 +83,7 @@ class StatePackages:
         self._first_only = frozenset(release.first_state_only)
         self._forms.clear()
         for kind, size in release.state.items():
-            # If a number had two meanings, the size distinguishes them.
+            # If a type number had two meanings, the size distinguishes them.
             for cls in SUB_PACKAGES[kind]:
                 layouts = [layout for layout in cls.LAYOUTS.all if layout.size == size]
                 if layouts:
@@ -90,12 +94,12 @@ class StatePackages:
 
 
 class SecondaryInterface(Interface):
-    """The secondary interface of one controller.
+    """Secondary interface of one controller.
 
     Args:
-        state: of the controller.
-        states: the states to send.
-        receiver: makes the receiver of a client, for an interface of this name.
+        state: State of the controller.
+        states: Robot states to send.
+        receiver: Function that makes the receiver of a client, given the name of the interface.
     """
 
     _NAME = "secondary"
@@ -106,7 +110,7 @@ class SecondaryInterface(Interface):
         self._state = state
         self._states = states
         self._make_receiver = receiver
-        # The latest cycle in which a client was sent what was due.
+        # Latest cycle that sent all due packets to the clients.
         self._served: int | None = None
 
     def greeting(self) -> list[bytes]:
@@ -127,14 +131,14 @@ class SecondaryInterface(Interface):
 
 
 class PrimaryInterface(SecondaryInterface):
-    """The primary interface of one controller: as the secondary one, with robot messages."""
+    """Primary interface of one controller: the secondary interface, plus robot messages."""
 
     _NAME = "primary"
 
     def packets(self, cycle: int) -> list[bytes]:
-        # Messages come after the state that they speak of, so a change of the safety mode brings one of its own: the
-        # vendor's primary client takes the message for the sign that the state it holds shows the stop. How a real
-        # controller orders the two is not known.
+        # Send the state before the messages about it: a change of the safety mode also sends an extra state. The
+        # vendor's primary client takes the message as a sign that its latest state shows the stop. The order of the two
+        # on a real controller is unknown.
         messages, states = self._state.outbox.take(), super().packets(cycle)
         if messages and not states and self._states.is_outdated:
             states = [self._states.of_cycle(cycle)]
@@ -151,7 +155,7 @@ class PrimaryInterface(SecondaryInterface):
 def _robot_mode(state: ControllerState) -> Fields:
     modes, firmware = state.modes, state.firmware
     playing = modes.program_state.name
-    # Captured CB2 stamps are too small for microseconds; that they are milliseconds is a guess.
+    # Captured CB2 stamps are too small for microseconds; milliseconds are assumed.
     unit = 1e3 if firmware.is_cb2 else 1e6
     return {
         "timestamp": round(state.time * unit),
@@ -173,7 +177,7 @@ def _robot_mode(state: ControllerState) -> Fields:
 
 def _joint_data(state: ControllerState) -> Fields:
     s = state.arm.sample
-    # Captures: the electronics of CB joints are some 20 K warmer than the motors; the e-Series sends zeros.
+    # Captures show that the electronics of CB joints are about 20 K warmer than the motors. The e-Series sends zeros.
     micro = [0.0] * 6 if state.firmware.is_e_series else [t + 22.0 for t in s.T_motor]
     return {
         "q_actual": s.q_actual,
@@ -227,7 +231,7 @@ def _masterboard(state: ControllerState) -> Fields:
         "master_on_off_state": modes.master_on_off_state,
         "safety_mode": modes.safety_mode,
         "reserved_checksum": _CHECKSUM,
-        # As in the captures of simulated e-Series controllers.
+        # These values are from captures of simulated e-Series controllers.
         "operational_mode_selector_input": 1,
         "three_position_enabling_device_input": 1,
         "reserved": 1,
@@ -243,21 +247,23 @@ def _cartesian(state: ControllerState) -> Fields:
 
 def _kinematics(state: ControllerState) -> Fields:
     table = np.array([getattr(state.kinematics.table, name) for name in DhTable._fields])
-    # All ones: not calibrated, as simulated controllers send it. What is in the checksum is not known; this is a guess.
+    # All ones means not calibrated, as simulated controllers send it. The real computation of the checksum is unknown;
+    # this one is assumed.
     is_calibrated = state.kinematics.is_calibrated
     checksum = [zlib.crc32(row.tobytes()) for row in table.T] if is_calibrated else [0xFFFFFFFF] * 6
     return {
         "checksum": checksum,
         **dict(zip(DhTable._fields, table.tolist(), strict=True)),
         "calibration_status": 0,  # assumed
-        # The oldest firmware has its laser pointer here; these are the bytes of the one capture.
+        # The oldest firmware stores the pose of its laser pointer here. These are the bytes of the only capture.
         "pointer": [1000.0] * 3,
     }
 
 
 def _configuration(state: ControllerState) -> Fields:
     model = state.model
-    # What a controller reports is wider than the manual by its safety tolerance; an endless joint is a guess.
+    # A controller reports limits that are wider than in the manual by its safety tolerance. The value for an endless
+    # joint is assumed.
     margin, faster = (0.0523599, 0.2) if state.firmware.is_e_series else (0.0, 0.0)
     lowest, highest = (side.clip(-1e3, 1e3).tolist() for side in model.position_limits.T)
     return {
@@ -265,7 +271,7 @@ def _configuration(state: ControllerState) -> Fields:
         "joint_max_limit": [limit + margin for limit in highest],
         "joint_max_speed": [speed + faster for speed in model.max_speed.tolist()],
         "joint_max_acceleration": model.max_acceleration.tolist(),
-        # The same in the captures of both generations.
+        # The values are the same in the captures of both generations.
         "v_joint_default": 1.0471975511965976,
         "a_joint_default": 1.3962634015954636,
         "v_tool_default": 0.25,
@@ -288,7 +294,7 @@ def _force_mode(state: ControllerState) -> Fields:
 
 
 def _additional(state: ControllerState) -> Fields:
-    # The bytes of the captures.
+    # These are the bytes of the captures.
     return {
         "ctrl_bits": 0x00014007,
         "teach_button": 1,
@@ -320,11 +326,11 @@ def _tool_mode(state: ControllerState) -> Fields:
     }
 
 
-#: Of the safety configuration: one made-up number in both places where captures show the same one twice.
+#: Checksum of the safety configuration: one invented number, in both places that have the same number in captures.
 _CHECKSUM = 0x5AFE0001
 
-# Along the axis of the shoulder, and radius; m. Read off a simulated UR5e and UR3e; on CB3 both are zero in the one
-# capture there is. The larger e-Series arms are a guess.
+# Distance along the axis of the shoulder, and radius, in m. Read from a simulated UR5e and UR3e. On CB3, both are zero
+# in the only capture. The values of the larger e-Series arms are assumed.
 _ELBOW_SPHERE = {"UR5e": (0.093, 0.13), "UR3e": (0.080, 0.1)}
 _ELBOW_SPHERE_ELSE = {"CB": (0.0, 0.0), "e": (0.1, 0.15)}
 
@@ -343,5 +349,5 @@ _UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     5: _kinematics,
     6: _configuration,
     8: _additional,
-    9: lambda state: dict.fromkeys(CalibrationData.FIELDS, 0.0),  # internal to the vendor; a guess
+    9: lambda state: dict.fromkeys(CalibrationData.FIELDS, 0.0),  # internal to the vendor; assumed
 }

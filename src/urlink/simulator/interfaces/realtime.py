@@ -1,4 +1,7 @@
-"""The real-time interface, 30003: one packet in each cycle, and no greeting (docs/protocols/realtime.md)."""
+"""Real-time interface, port 30003: one packet per cycle and no greeting.
+
+See docs/protocols/realtime.md.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,11 @@ from .interface import Fields, Form, Interface, InterfaceClient, ScriptReceiver
 
 
 class RealtimeInterface(Interface):
-    """The real-time interface of one controller.
+    """Real-time interface of one controller.
 
     Args:
-        state: of the controller.
-        receiver: makes the receiver of a client, for an interface of this name.
+        state: State of the controller.
+        receiver: Function that makes the receiver of a client, given the name of the interface.
     """
 
     def __init__(self, state: ControllerState, receiver: Callable[[str, InterfaceClient], ScriptReceiver]) -> None:
@@ -36,9 +39,9 @@ class RealtimeInterface(Interface):
         return self._make_receiver("realtime", client)
 
     def packet(self) -> bytes:
-        """The packet of this cycle."""
+        """Return the packet of this cycle."""
         firmware = self._state.firmware
-        if self._form is None or self._firmware is not firmware:  # there was a reboot into another one
+        if self._form is None or self._firmware is not firmware:  # after a reboot into another firmware
             self._form, self._firmware = Form(RealtimeState.LAYOUTS.of(firmware)), firmware
         return self._form.pack(_fields(self._state))
 
@@ -83,7 +86,7 @@ def _fields(state: ControllerState) -> Fields:
         "payload_mass": arm.payload,
         "payload_cog": arm.payload_cog,
         "payload_inertia": arm.payload_inertia,
-        # Internal to the vendor, or unused: zero is a guess.
+        # These fields are internal to the vendor, or unused; zero is assumed.
         "test_value": 0.0,
         "unused": [0.0] * 15,
         "reserved_a": [0.0] * 6,

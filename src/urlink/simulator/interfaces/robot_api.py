@@ -1,12 +1,18 @@
-"""The Robot API of a simulated PolyScope X: one HTTP request, one answer in JSON, and the connection ends.
+"""Robot API of a simulated PolyScope X: one HTTP request and one JSON answer per connection.
 
-Its requests are in the table of `urlink.protocol.dashboard.robot_api`; each does what the dashboard's command of that
-name does. By the vendor's integration tests, programs are uploaded in local control too, a new one whose name is there
-is refused with 400, and a protective stop is unlocked at once. All of these are guesses: status and body of the other
-answers that refuse (400 if it cannot be read, 403 in local control, 404 if nothing is there, 405 for another method,
-409 if it cannot be done now); that actions are answered at once; the version of the API before 10.12; the name of the
-control mode that is not REMOTE; that an uploaded program is sent back unchanged; and the dates and the state of a
-program in the list.
+The requests are in the table of `urlink.protocol.dashboard.robot_api`. Each does the same as the dashboard command of
+that name. The vendor's integration tests show three facts. Programs can be uploaded even in local control. A new
+program whose name exists is rejected with 400. A protective stop can be unlocked immediately.
+
+Assumptions:
+
+- Status and body of other rejections. The status is 400 if the request cannot be read, and 403 in local control. It is
+  404 if the object does not exist, 405 for another method, and 409 if the action is currently impossible.
+- Actions are answered immediately.
+- The version of the API before 10.12.
+- The name of the control mode other than REMOTE.
+- An uploaded program is sent back unchanged.
+- The dates and the state of a program in the list.
 """
 
 from __future__ import annotations
@@ -28,27 +34,28 @@ from ..state import ControllerState
 from .dashboard import DashboardInterface
 from .interface import Interface, InterfaceClient, InterfaceReceiver
 
-#: Commands of the dashboard that the API has under another name.
+#: Commands of the API -> commands of the dashboard with another name.
 _COMMANDS = {"resume": "play"}
 
 
 class RobotApiInterface(Interface):
-    """The Robot API of one controller.
+    """Robot API of one controller.
 
     Args:
-        state: of the controller.
-        dashboard: executes the commands.
-        pendant: has the programs.
+        state: State of the controller.
+        dashboard: Dashboard, which executes the commands.
+        pendant: Pendant, which stores the programs.
 
     Attributes:
-        operational_mode: "AUTOMATIC" or "MANUAL".
+        operational_mode: Operational mode, "AUTOMATIC" or "MANUAL".
     """
 
     def __init__(self, state: ControllerState, dashboard: DashboardInterface, pendant: Pendant) -> None:
         self._state = state
         self._pendant = pendant
         self._dashboard = dashboard
-        # Name of an uploaded program -> ms since the controller came up: when it was first stored, and replaced.
+        # Name of an uploaded program -> time of its first upload and of its last replacement, in ms since the
+        # controller came up.
         self._created: dict[str, int] = {}
         self._modified: dict[str, int] = {}
         self.operational_mode = "AUTOMATIC"
@@ -60,10 +67,10 @@ class RobotApiInterface(Interface):
         return _Exchange(self, client)
 
     def respond(self, request: HttpRequest) -> HttpResponse:
-        """The answer to a request."""
+        """Return the answer to a request."""
         path = request.target.partition("?")[0]
         if path == f"{BASE}/openapi.json":
-            # Of the first two by the vendor's client, which asks for them.
+            # The vendor's client, which requests the version, confirms the first two entries.
             versions = {(10, 14): "5.0.107", (10, 12): "3.1.4", (10, 11): "3.0.0"}
             version = next(text for since, text in versions.items() if self._state.firmware >= since)
             return _answer(200, {"openapi": "3.0.3", "info": {"title": "Robot API", "version": version}})
@@ -81,7 +88,7 @@ class RobotApiInterface(Interface):
         return self._change(fitting, request.body)
 
     def _programs(self, request: HttpRequest, name: str) -> HttpResponse:
-        """The programs at the pendant: list, download, upload."""
+        """Answer requests about the programs on the pendant: list, download, upload."""
         files = self._pendant.files
         if name:
             wanted = unquote(name)
@@ -115,7 +122,10 @@ class RobotApiInterface(Interface):
         return round(1000 * self._state.time)
 
     def _described(self, name: str) -> dict[str, str | int | None]:
-        """A program in the list: strings and numbers are never null, but for a date of what never happened."""
+        """Describe a program for the list.
+
+        Strings and numbers are never null, except the date of an event that never happened.
+        """
         created, modified = self._created.get(name, 0), self._modified.get(name)
         is_loaded = self._state.loaded == name
         return {
@@ -167,7 +177,7 @@ class RobotApiInterface(Interface):
 
 
 class _Exchange(InterfaceReceiver):
-    """The one request of a connection."""
+    """The only request of a connection."""
 
     def __init__(self, interface: RobotApiInterface, client: InterfaceClient) -> None:
         self._interface = interface

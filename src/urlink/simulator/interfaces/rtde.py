@@ -1,18 +1,24 @@
-"""RTDE, 30004: variables by name, for many clients at once, each with recipes of its own (docs/protocols/rtde.md).
+"""RTDE, port 30004: variables by name, for many clients, each with its own recipes.
 
-Known from the vendor's documents and from clients that run against real controllers:
+See docs/protocols/rtde.md. The following is known from the vendor's documents, and from clients that run against real
+controllers:
 
-- names are trimmed, and what follows a trailing comma is not a name; unknown names read NOT_FOUND, held inputs IN_USE,
-  and such a recipe is refused with the number 0, or under protocol 1 with the word alone;
-- output packages come in every floor(rate / frequency)-th cycle; a second output recipe replaces the first;
-- input recipes count from 1 in the order of the requests, refused ones too (a client counts on that); there are 255;
-- data packages are taken before a start and without an output recipe; those that are longer than their recipe as far
-  as it goes, and packages that do not fit otherwise do no harm;
-- the controller drops data packages rather than queue them, and closes the connection of a client that does not read.
+- Names are trimmed, and the text after a trailing comma is not a name. Unknown names have the type NOT_FOUND, and held
+  inputs IN_USE. A recipe with such a name is rejected with the number 0, or, with protocol 1, with the word only.
+- Output packages are sent in every floor(rate / frequency)-th cycle. A second output recipe replaces the first.
+- Input recipes are numbered from 1 in the order of the requests, including rejected ones, because a client relies on
+  this. The maximum is 255.
+- Data packages are accepted before a start and without an output recipe. A package that is longer than its recipe is
+  read up to the length of the recipe. Other invalid packages do no harm.
+- The controller drops data packages instead of queuing them, and closes the connection of a client that does not read.
 
-Guesses: requests that are not of their size, unknown types and text messages are left without an answer; a package that
-says it is shorter than its own header ends the connection; changing the protocol ends the output recipe; names beyond
-the limit, no names at all and frequencies of no more than zero refuse a recipe; how long a client may not read.
+Assumptions:
+
+- Requests of a wrong size, unknown types and text messages get no reply.
+- A package whose size field is smaller than its own header ends the connection.
+- A change of the protocol ends the output recipe.
+- A recipe is rejected if it has no names, too many bytes of names, or a frequency of zero or less.
+- A client is disconnected if it does not read for `UNREAD` seconds.
 """
 
 from __future__ import annotations
@@ -59,34 +65,34 @@ from .interface import Form, Interface, InterfaceClient, InterfaceReceiver
 
 _log = logging.getLogger("urlink.simulator")
 
-#: The first firmware with RTDE. Sources say 3.2 to 3.4; 3.3 is that of the oldest variables.
+#: First firmware with RTDE. Sources name 3.2 to 3.4; the oldest variables are from 3.3.
 SINCE = Since("3.3/5.0")
-#: Data packages a second under protocol 1.
+#: Data packages per second with protocol 1.
 RATE_1 = 125
-#: Data packages a second below which a client asks for none that it could wait for: one in a year.
+#: Frequency, in Hz, below which a client effectively requests no data packages: one per year.
 LEAST_FREQUENCY = 3e-8
-#: The source of the simulator's text messages.
+#: Sender of the simulator's text messages.
 SOURCE = "simulator"
-#: Bytes of names in one request (vendor's documents).
+#: Maximum number of bytes of names in one request (vendor's documents).
 MOST_NAMES = 2048
-#: Seconds after which a client whose data packages are all dropped is disconnected.
+#: Seconds until a client is disconnected if all of its data packages are dropped.
 UNREAD = 2.0
 
 
 @dataclass
 class Disturbance:
-    """The faults of this interface at present; see `urlink.simulator.Faults`.
+    """Current faults of this interface; see `urlink.simulator.Faults`.
 
     Attributes:
-        hello: text that each connection begins with; "" for none.
-        protocols: the accepted versions.
-        text_before: type of a request -> text that is sent before each reply to it.
-        data_before_start: whether a data package is sent before each reply to a start.
-        instead: type of a request -> what happens instead of the next reply to it, once.
-        refuses_start: whether a start is refused.
-        sends_no_data: whether nothing is sent after an accepted start.
-        late: cycles by which data packages are late.
-        stale: cycles for which the inputs of a connection that is over stay held.
+        hello: Text at the beginning of each connection; "" for none.
+        protocols: Accepted protocol versions.
+        text_before: Type of a request -> text that is sent before each reply to it.
+        data_before_start: Whether a data package is sent before each reply to a start.
+        instead: Type of a request -> function that is called once, instead of sending the next reply to it.
+        refuses_start: Whether requests to start are rejected.
+        sends_no_data: Whether no data packages are sent after an accepted start.
+        late: Delay of data packages, in cycles.
+        stale: Number of cycles that the inputs of an ended connection stay held.
     """
 
     hello: str = ""
@@ -104,12 +110,12 @@ class RtdeInterface(Interface):
     """RTDE of one controller.
 
     Args:
-        state: of the controller.
-        on_text: called with each text message of a client.
+        state: State of the controller.
+        on_text: Function that is called with each text message of a client.
 
     Attributes:
-        disturbance: the present faults.
-        sessions: the connections.
+        disturbance: Current faults.
+        sessions: Current connections.
     """
 
     def __init__(self, state: ControllerState, on_text: Callable[[str], object]) -> None:
@@ -130,7 +136,7 @@ class RtdeInterface(Interface):
         return min(wanted, default=None)
 
     def packets(self, cycle: int) -> list[bytes]:
-        """Empty: each client is sent the outputs of its own recipes."""
+        """Send each client the outputs of its own recipes; returns no packets for all clients."""
         for session in list(self.sessions):
             session.advance(cycle)
         return []
@@ -147,10 +153,10 @@ class RtdeInterface(Interface):
 
 
 class _Outputs:
-    """The output recipe of a client, and the period of its packages.
+    """Output recipe of a client, and the period of its packages.
 
     Attributes:
-        step: cycles from one package to the next.
+        step: Number of cycles from one package to the next.
     """
 
     def __init__(self, recipe: Recipe, step: int) -> None:
@@ -163,11 +169,13 @@ class _Outputs:
 
 
 class RtdeSession(InterfaceReceiver):
-    """One connection: its protocol, its recipes and whether it is started. Sans-IO: bytes and cycles, no socket.
+    """One connection: its protocol, its recipes, and whether it is started.
+
+    It is sans-IO: it uses bytes and cycles, but no socket.
 
     Attributes:
-        protocol: 1, until the client requests 2.
-        is_started: whether data packages are sent.
+        protocol: Protocol version: 1, until the client requests 2.
+        is_started: Whether data packages are sent.
     """
 
     def __init__(self, interface: RtdeInterface, client: InterfaceClient) -> None:
@@ -180,7 +188,7 @@ class RtdeSession(InterfaceReceiver):
         self._outputs: _Outputs | None = None
         self._inputs: dict[int, Recipe] = {}
         self._requests = 0
-        self._due = 0  # the cycle in which data are
+        self._due = 0  # cycle of the next data package
         self._unread_since: int | None = None
         self._late: deque[tuple[int, bytes]] = deque()
         self._answers: dict[type[State], Callable[[Any], bytes | None]] = {
@@ -197,12 +205,12 @@ class RtdeSession(InterfaceReceiver):
     # -- input ---------------------------------------------------------------------------------------
 
     def feed(self, data: bytes) -> None:
-        """Handle bytes, as they came."""
+        """Handle bytes as they arrive, in chunks of any size."""
         self._buffer += data
         while len(self._buffer) >= HEADER.width and self._client.is_open:
             size = int.from_bytes(self._buffer[:2], "big")
             if size < HEADER.width:
-                _log.info("RTDE client closed: a package of %d bytes", size)
+                _log.info("RTDE client: closed: received a package with a size of %d bytes", size)
                 self._client.drop()
                 return
             if len(self._buffer) < size:
@@ -212,7 +220,7 @@ class RtdeSession(InterfaceReceiver):
             self._take(package)
 
     def end(self) -> None:
-        """Handle the end of the connection: its inputs are free again, at once or later."""
+        """Handle the end of the connection, which frees its inputs, immediately or later."""
         self._interface.sessions.remove(self)
         claims, stale = self._state.claims, self._interface.disturbance.stale
         if stale:
@@ -241,7 +249,7 @@ class RtdeSession(InterfaceReceiver):
 
     def _ignore(self, why: str) -> None:
         self._state.counters.ignored_packages += 1
-        _log.info("RTDE package ignored: %s", why)
+        _log.info("RTDE package: ignored: %s", why)
 
     # -- handshake -----------------------------------------------------------------------------------
 
@@ -264,13 +272,13 @@ class RtdeSession(InterfaceReceiver):
         return self._reply(OutputsReply, recipe=int(self._outputs is not None), types=join_names(types))
 
     def _step(self, frequency: float | None) -> int | None:
-        """Cycles from one package to the next; None if the frequency is invalid."""
+        """Return the cycles from one package to the next; None if the frequency is invalid."""
         rate = self._state.rate
         if frequency is None:
             return rate // RATE_1
         if not 0.0 < frequency < math.inf:
             return None
-        # The quotient of a frequency such as 5e-324 is infinite.
+        # The quotient is infinite for a frequency such as 5e-324.
         return max(1, math.floor(rate / max(frequency, LEAST_FREQUENCY)))
 
     def _set_up_inputs(self, request: InputsRequest) -> bytes:
@@ -289,7 +297,7 @@ class RtdeSession(InterfaceReceiver):
         return state.claims.holder(name, state.cycle) not in (None, self)
 
     def _looked_up(self, text: str, table: Mapping[str, Variable]) -> tuple[Sequence[str], Sequence[str]]:
-        """The names, and a type or a refusal for each."""
+        """Return the names, and for each a type or a reason for its rejection."""
         if len(text.encode()) > MOST_NAMES:
             return (), ()
         names = split_names(text)
@@ -323,11 +331,11 @@ class RtdeSession(InterfaceReceiver):
     def _write(self, package: DataPackage) -> None:
         recipe = self._inputs.get(package.recipe or 0)
         if recipe is None:
-            self._ignore(f"data of the unknown recipe {package.recipe}")
+            self._ignore(f"data package for the unknown recipe {package.recipe}")
             return
         try:
-            # The rest of one that is longer is not read: ur_rtde sends 104 bytes for a recipe of 56, and waits for the
-            # result of its command.
+            # Ignore the rest of a longer package: ur_rtde sends 104 bytes for a recipe of 56, and waits for the result
+            # of its command.
             values = recipe.decode(bytes(package)[: recipe.size])
         except PacketError as error:
             self._ignore(str(error))
@@ -346,11 +354,11 @@ class RtdeSession(InterfaceReceiver):
         self._client.send(_text(self.protocol, text, source, level))
 
     def next_cycle(self, cycle: int) -> int:
-        """The first cycle after this one in which something is due."""
+        """Return the first cycle after this one that has something to send."""
         return cycle + 1 if self._late else max(self._due, cycle + 1)
 
     def advance(self, cycle: int) -> None:
-        """Send what has become due by this cycle."""
+        """Send the packages that have become due by this cycle."""
         while self._late and self._late[0][0] <= cycle:
             self._client.send(self._late.popleft()[1])
         outputs = self._outputs
@@ -375,7 +383,7 @@ class RtdeSession(InterfaceReceiver):
             self._client.send(package)
 
     def _drop(self, cycle: int) -> None:
-        """Handle a package that cannot be sent, because older ones still wait for the client."""
+        """Handle a package that cannot be sent, because older packages are still queued."""
         self._state.counters.unread += 1
         if self._unread_since is None:
             self._unread_since = cycle
@@ -385,7 +393,7 @@ class RtdeSession(InterfaceReceiver):
 
 
 def _text(protocol: Protocol, text: str, source: str = SOURCE, level: MessageLevel = MessageLevel.INFO) -> bytes:
-    """A text message. Under protocol 2 its length is one byte."""
+    """Return a text message. With protocol 2, its length field is one byte."""
     message = text if protocol == 1 else text.encode()[:255].decode("utf-8", "ignore")
     return _packed(RtdeMessage, protocol, {"message": message, "source": source, "level": level})
 

@@ -1,7 +1,7 @@
-"""The tool's serial line, 54321: the line of the tool connector, as the vendor's URCap forwards it.
+"""Serial line of the tool connector, port 54321, as the vendor's URCap forwards it.
 
-Assumed: bytes are lost while the line is not enabled, an answer goes to the client that asked, and bytes take no time
-on the line. A baud rate other than the device's is not noticed.
+Assumptions: bytes are lost while the line is not enabled, an answer goes to the client that sent the request, and bytes
+take no time on the line. A baud rate that differs from the device's has no effect.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from collections.abc import Callable
 from ..state import ControllerState
 from .interface import Interface, InterfaceClient, InterfaceReceiver
 
-#: What is mounted: called with the bytes that come, it returns those that it answers with.
+#: Mounted device: a function that receives bytes and returns the bytes of its answer.
 Device = Callable[[bytes], bytes]
 
 
 class ToolSerialInterface(Interface):
-    """Copies bytes between its clients and what is mounted.
+    """Copies bytes between its clients and the mounted device.
 
     Args:
-        state: of the controller.
-        device: what is mounted; None for nothing.
+        state: State of the controller.
+        device: Mounted device; None for none.
 
     Attributes:
-        device: the same; can be set, and is called in the thread of the server.
+        device: Mounted device. It can be set, and is called in the thread of the server.
     """
 
     def __init__(self, state: ControllerState, device: Device | None) -> None:
@@ -37,7 +37,7 @@ class ToolSerialInterface(Interface):
         return _Receiver(self, client)
 
     def exchange(self, data: bytes) -> bytes:
-        """What comes back for bytes that are sent to the line."""
+        """Send bytes to the line, and return the answer of the device."""
         if self.device is None or not self._state.signals.tool_communication.is_enabled:
             return b""
         return self.device(data)

@@ -1,1 +1,1 @@
-"""The programs of a simulated controller: loaded from text, run cycle by cycle, and the pendant that plays them."""
+"""Programs of a simulated controller: loading, running cycle by cycle, and the pendant."""

@@ -1,14 +1,15 @@
-"""From the lines that clients send to programs that run (docs/protocols/urscript.md, Sending a program).
+"""Load programs from the lines of clients, and start them.
 
-A program begins with `def` or `sec` in the first column and ends with `end` in the first column; every other line is a
-program by itself, or one of a few commands that are not URScript.
+See docs/protocols/urscript.md, Sending a program. A program begins with `def` or `sec` in the first column and ends
+with `end` in the first column. Every other line is a program of one line, or one of a few commands that are not
+URScript.
 
-The programs of one client begin in the order in which they came. Short ones are compiled at once, as many in a cycle as
-cost no more than `BUDGET`. A long one can take up to a second, during which the clock would stand still, so it is
-compiled in a thread, and later programs of the same client wait for it. Other clients do not wait, unless their
-programs are long too: one is compiled at a time.
+The programs of one client begin in the order of their arrival. Short programs are compiled immediately, as many in a
+cycle as cost no more than `BUDGET`. A long program can take up to a second, and the clock must not wait for it. So it
+is compiled in a thread, and later programs of the same client wait for it. Other clients do not wait, unless their
+programs are long too: only one is compiled at a time.
 
-Guess: a text is ignored while the arm may not move, and on an e-Series that is in local control.
+Assumption: the controller ignores a text while the arm may not move, and on an e-Series in local control.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ from .runner import ProgramRunner
 
 _log = logging.getLogger("urlink.simulator")
 
-#: Characters of a program; a longer one is discarded, up to its `end`. The compiler's limit is lower.
+#: Maximum length of a program in characters. A longer one is discarded, up to its `end`. The compiler's limit is lower.
 LONGEST_PROGRAM = 1 << 20
-#: Characters above which a program is compiled in a thread: some 20 ms of work.
+#: Length in characters above which a program is compiled in a thread. It takes about 20 ms.
 LONG = 1 << 13
-#: Characters of one client that may wait for their turn.
+#: Maximum number of characters that are queued for one client.
 MOST_WAITING = 1 << 20
-#: Characters of all clients that are compiled in one cycle, up to one program more. A program counts as at least
-#: `LEAST` characters, since compiling and starting one has a cost, however short it is.
+#: Characters of all clients that are compiled in one cycle, plus at most one more program. A program counts as at least
+#: `LEAST` characters, because compiling and starting even a short one has a cost.
 BUDGET, LEAST = 8192, 200
 #: Seconds to wait for the end of a compilation when the controller closes.
 _JOIN_TIMEOUT = 4.0
@@ -49,10 +50,10 @@ _SPEED = re.compile(r"set speed ([0-9]+(?:\.[0-9]+)?|\.[0-9]+)")
 
 
 class LineAssembler:
-    """Makes programs of the lines of one client.
+    """Assembles the lines of one client into programs.
 
     Attributes:
-        refused: characters of programs that were too long.
+        refused: Number of characters in programs that were too long.
     """
 
     def __init__(self) -> None:
@@ -61,7 +62,7 @@ class LineAssembler:
         self._length = 0
 
     def feed(self, line: str) -> str | None:
-        """Add a line; returns the program that it completes, if any."""
+        """Add a line, and return the program that it completes, or None."""
         if not self._length and not _BEGIN.match(line):
             return None if _NOTHING.match(line) else line
         self._length += len(line) + 1
@@ -80,11 +81,12 @@ class LineAssembler:
 
 
 def obey(state: ControllerState, runner: ProgramRunner, line: str) -> bool:
-    """Execute a line that is a command to the controller and not URScript; False if it is not.
+    """Execute a line that is a command to the controller; return False if it is URScript.
 
-    Such lines are known from a forum and from public drivers; the UR Client Library ends programs with `stop program`,
-    which ends whatever runs, whoever started it (docs/protocols/urscript.md, Sending a program). What a real controller
-    answers is not known; this one does not answer. `set robotmode freedrive` is accepted and has no effect.
+    Such commands are known from a forum and from public drivers. The UR Client Library ends programs with
+    `stop program`, which ends every running program, even one that another client started (docs/protocols/urscript.md,
+    Sending a program). The reply of a real controller is unknown; this one does not reply. `set robotmode freedrive` is
+    accepted and has no effect.
     """
     words = " ".join(line.split())
     speed = _SPEED.fullmatch(words)
@@ -107,11 +109,12 @@ def obey(state: ControllerState, runner: ProgramRunner, line: str) -> bool:
 
 
 class _Compilation(threading.Thread):
-    """One long program, being compiled.
+    """Compilation of one long program.
 
     Attributes:
-        queue: that it was taken from.
-        result: the script or the error; None until it is over.
+        queue: Queue from which the program was taken.
+        text: Text of the program.
+        result: Script or error; None until the compilation has ended.
     """
 
     def __init__(self, queue: ProgramQueue, text: str, firmware: Firmware, on_end: Callable[[], object]) -> None:
@@ -133,11 +136,11 @@ class ProgramQueue:
     def __init__(self, loader: ProgramLoader) -> None:
         self._loader = loader
         self.texts: deque[str] = deque()
-        #: characters of them
+        #: Number of their characters.
         self.length = 0
 
     def put(self, text: str) -> bool:
-        """Add a whole program, or a line. False if too much waits, and it is discarded."""
+        """Add a whole program, or a line; return False, and discard it, if the queue is full."""
         if self.length + len(text) > MOST_WAITING:
             return False
         self.texts.append(text)
@@ -146,13 +149,13 @@ class ProgramQueue:
         return True
 
     def take(self) -> str:
-        """Remove the text that is next."""
+        """Remove and return the next text."""
         text = self.texts.popleft()
         self.length -= len(text)
         return text
 
     def clear(self) -> None:
-        """Discard all of them."""
+        """Discard all texts."""
         self.texts.clear()
         self.length = 0
 
@@ -160,43 +163,44 @@ class ProgramQueue:
 class ProgramLoader:
     """Compiles and starts the programs that the clients of one controller have sent.
 
-    Everything except the compilation of long programs runs in the thread that owns the controller.
+    The compilation of long programs runs in another thread. Everything else runs in the thread that owns the
+    controller.
 
     Args:
-        state: of the controller.
-        runner: runs them.
+        state: State of the controller.
+        runner: Runner that runs the programs.
 
     Attributes:
-        on_compiled: called from another thread when `advance` has something to do.
+        on_compiled: Function that is called from another thread when `advance` has work to do.
     """
 
     def __init__(self, state: ControllerState, runner: ProgramRunner) -> None:
         self.on_compiled: Callable[[], object] = lambda: None
         self._state = state
         self._runner = runner
-        # The queues that are not empty; the first one is next.
+        # Queues that are not empty. The first is served next.
         self._queues: deque[ProgramQueue] = deque()
         self._compilation: _Compilation | None = None
-        # Characters compiled in a cycle, and that cycle.
+        # Number of characters compiled in a cycle, and that cycle.
         self._cycle = -1
         self._spent = 0
 
     @property
     def is_waiting(self) -> bool:
-        """Whether programs wait for the next cycle, other than for a compilation."""
+        """Whether programs wait for the next cycle rather than for a compilation."""
         return any(queue.texts and not self._compiles(queue) for queue in self._queues)
 
     def open(self) -> ProgramQueue:
-        """The queue of a new client."""
+        """Return a queue for a new client."""
         return ProgramQueue(self)
 
     def load(self, text: str) -> None:
-        """Compile a whole program, or a line, and start it before this returns."""
+        """Compile a whole program, or a line, and start it before this call returns."""
         if self._may_load(text):
             self._begin(text, _compiled(text, self._state.firmware))
 
     def advance(self) -> None:
-        """Start the programs that have been compiled, and those that have waited for this cycle."""
+        """Start the compiled programs, and the programs that have waited for this cycle."""
         compilation = self._compilation
         if compilation is not None and compilation.result is not None:
             self._compilation = None
@@ -206,7 +210,7 @@ class ProgramLoader:
             self.serve(queue)
 
     def serve(self, queue: ProgramQueue) -> None:
-        """Start the programs of one client, as many as this cycle allows; the rest is started by `advance`."""
+        """Start as many programs of one client as this cycle allows; `advance` starts the rest."""
         if self._cycle != self._state.cycle:
             self._cycle, self._spent = self._state.cycle, 0
         texts = queue.texts
@@ -224,30 +228,30 @@ class ProgramLoader:
             self._queues.append(queue)
 
     def clear(self) -> None:
-        """Discard all programs: the controller goes down."""
+        """Discard all programs, because the controller goes down."""
         for queue in self._queues:
             queue.clear()
         self._queues.clear()
         self._compilation = None
 
     def close(self) -> None:
-        """Discard all programs, and wait for the thread."""
+        """Discard all programs, and wait for the compiling thread."""
         compilation = self._compilation
         self.clear()
         if compilation is not None:
             clock.join(compilation, _JOIN_TIMEOUT)
 
     def _compiles(self, queue: ProgramQueue) -> bool:
-        """Whether a program of this client is being compiled, which its later ones wait for."""
+        """Whether a program of this client is being compiled, so that its later programs must wait."""
         return self._compilation is not None and self._compilation.queue is queue
 
     def _may_load(self, text: str) -> bool:
-        """Whether the text is a program, and the controller accepts programs now; a command is executed."""
+        """Whether the text is a program that the controller accepts now; a command is executed."""
         state = self._state
         if not state.is_up:
-            return self._refuse("down", text)
+            return self._refuse("the controller is down", text)
         if state.is_local:
-            return self._refuse("in local control", text)
+            return self._refuse("the controller is in local control", text)
         return not obey(state, self._runner, text)
 
     def _begin(self, text: str, compiled: Script | ProgramError) -> None:
@@ -256,7 +260,7 @@ class ProgramLoader:
             state.outbox.put(messages.runtime_exception(state, compiled, is_running=False))
         elif compiled.kind == "sec":
             if not self._runner.start_secondary(compiled, len(text)):
-                self._refuse("too many secondary programs wait", text)
+                self._refuse("too many secondary programs are queued", text)
         elif not state.modes.may_move:
             self._refuse("the arm may not move", text)
         else:
@@ -264,7 +268,7 @@ class ProgramLoader:
 
     def _refuse(self, why: str, text: str) -> bool:
         self._state.counters.refused_programs += 1
-        _log.info("ignored, %s: %.60r", why, text)
+        _log.info("program ignored: %s: %.60r", why, text)
         return False
 
 

@@ -20,17 +20,16 @@ _log = logging.getLogger("urlink.simulator")
 
 
 class Pendant:
-    """The pendant of one controller. Its buttons may be pressed only in the thread that owns the controller.
+    """Pendant of one controller. Press its buttons only in the thread that owns the controller.
 
     Args:
-        state: of the controller.
-        runner: of its programs.
-        files: path -> URScript of the programs that can be loaded.
+        state: State of the controller.
+        runner: Runner of its programs.
+        files: Programs that can be loaded: path -> URScript.
 
     Attributes:
-        files: path -> URScript of the programs that can be loaded; a real one loads what was saved at it.
-        directory: directory of the programs, in which relative paths are looked up: ``load("/programs/a.urp")`` loads
-            the file `a.urp`.
+        files: Programs that can be loaded: path -> URScript. A real pendant loads programs that were saved on it.
+        directory: Directory of the programs, for relative paths: ``load("/programs/a.urp")`` loads the file `a.urp`.
     """
 
     def __init__(self, state: ControllerState, runner: ProgramRunner, files: Mapping[str, str]) -> None:
@@ -46,7 +45,7 @@ class Pendant:
 
     @property
     def popup(self) -> str | None:
-        """The text that it shows, or None. Setting it to None closes the popup."""
+        """Text that the pendant shows, or None. Setting it to None closes the popup."""
         return self._state.popup
 
     @popup.setter
@@ -55,11 +54,15 @@ class Pendant:
 
     @property
     def log(self) -> list[str]:
-        """Lines that were added by the dashboard."""
+        """Lines that the dashboard has added."""
         return self._state.log
 
     def load(self, path: str) -> bool:
-        """Load one of the `files`, by its path or by its path in `directory`; False if there is none of that name."""
+        """Load one of the `files`, by its path or by its path in `directory`.
+
+        Returns:
+            False if there is no such file.
+        """
         name = path if path in self.files else path.removeprefix(f"{self.directory}/")
         if name not in self.files:
             return False
@@ -68,7 +71,7 @@ class Pendant:
         return True
 
     def play(self) -> bool:
-        """Continue the paused program, or run the loaded one; False if neither is possible."""
+        """Continue the paused program, or run the loaded one; return False if neither is possible."""
         state = self._state
         if not state.is_up or not state.modes.may_move:
             return False
@@ -81,12 +84,12 @@ class Pendant:
         try:
             self._runner.start(compile_script(self.files[state.loaded], state.firmware))
         except ProgramError as error:
-            _log.info("%s does not compile: %s", state.loaded, error)
+            _log.info("%s: does not compile: %s", state.loaded, error)
             return False
         return True
 
     def pause(self) -> bool:
-        """Pause the program, and stop the arm; False if none plays."""
+        """Pause the program and stop the arm; return False if no program plays."""
         state = self._state
         if state.modes.program_state is not ProgramState.PLAYING:
             return False
@@ -95,16 +98,17 @@ class Pendant:
         return True
 
     def jog(self, q: Sequence[float], speed: float = 0.3) -> bool:
-        """Move the arm to six joint positions, rad, while no program plays, and leave it there.
+        """Move the arm to six joint positions while no program plays, and leave it there.
 
         Args:
-            speed: rad/s of the joint that moves furthest.
+            q: Joint positions, shape (6,), in rad.
+            speed: Speed of the joint that moves furthest, in rad/s.
 
         Returns:
             False if a program plays, or the arm has not come to rest.
 
         Raises:
-            BadValue: not six finite numbers, out of range, or no speed.
+            BadValue: If `q` is not six finite numbers or is out of range, or `speed` is not a valid speed.
         """
         drive = self._drive()
         if drive is None:
@@ -117,7 +121,14 @@ class Pendant:
         return True
 
     def freedrive(self, is_on: bool = True) -> bool:
-        """Let the arm yield to what pushes it while no program plays, or hold it again; False as for `jog`."""
+        """Let the arm yield to external forces while no program plays, or hold it again.
+
+        Args:
+            is_on: Whether the arm yields; False holds it again.
+
+        Returns:
+            False if a program plays, or the arm has not come to rest.
+        """
         if not is_on:
             self._state.by_hand = None
             return True
@@ -129,7 +140,7 @@ class Pendant:
         return True
 
     def _drive(self) -> ArmDrive | None:
-        """What moves the arm by hand; None if it may not."""
+        """Return a drive that moves the arm by hand; None if the arm may not move."""
         state = self._state
         plays = state.source.is_program and not state.is_paused
         if not (state.is_up and state.modes.may_move) or plays or state.arm.is_moving:
@@ -137,5 +148,5 @@ class Pendant:
         return ArmDrive(state.arm, 1.0, state.scaling_parameters)
 
     def stop(self) -> bool:
-        """End what runs; False if nothing does. See `ProgramRunner.stop_all`."""
+        """End the running program; return False if there is none. See `ProgramRunner.stop_all`."""
         return self._runner.stop_all()

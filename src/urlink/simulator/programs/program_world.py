@@ -1,9 +1,11 @@
-"""The controller for one of its programs: the `World` of `urlink.simulator.urscript`, over the state, and its sockets.
+"""The controller as one of its programs sees it, and the sockets of the program.
 
-Programs reach this computer and the computers that are connected to the controller; others only if the controller
-allows them. For a program, 127.0.0.1 is the controller, with the port numbers of a real one, whichever numbers they are
-served at. Names are not looked up, since that could take seconds. Nothing here waits, see
-`linkcore.net.polled`.
+It is the `World` of `urlink.simulator.urscript`.
+
+Programs can reach this computer and the computers that are connected to the controller. They can reach other computers
+only if the controller allows them. For a program, 127.0.0.1 is the controller, with the port numbers of a real one,
+whatever the served port numbers are. Host names are not resolved, because that could take seconds. Nothing here blocks;
+see `linkcore.net.polled`.
 """
 
 from __future__ import annotations
@@ -25,12 +27,12 @@ from ..state import ControllerState
 
 
 class Target(NamedTuple):
-    """Where a connection of a program goes.
+    """Target of a program's connection.
 
     Attributes:
-        host: numeric address.
+        host: Numeric address.
         port: TCP port.
-        source: numeric address of this computer to connect from; None for the one that the system chooses.
+        source: Numeric address of this computer to connect from. None lets the system choose.
     """
 
     host: str
@@ -38,14 +40,14 @@ class Target(NamedTuple):
     source: str | None = None
 
 
-#: Where a connection to a numeric address and a port goes; None if a program may not connect to it.
+#: Returns the target for a numeric address and a port; None if a program may not connect to it.
 Route = Callable[[str, int], Target | None]
 
 T = TypeVar("T")
 
-#: Sockets that a program may have at once; those count that only their peer has closed.
+#: Maximum number of sockets of a program. Sockets that only the peer has closed count too.
 MOST = 16
-#: Bytes that wait for a program; beyond them the peer has to wait.
+#: Maximum number of bytes buffered for a program. If the buffer is full, the peer has to wait.
 MOST_WAITING = 1 << 16
 
 
@@ -53,7 +55,7 @@ class ProgramSockets:
     """The named sockets of one program.
 
     Args:
-        route: where connections go.
+        route: Function that returns the target of each connection.
     """
 
     def __init__(self, route: Route) -> None:
@@ -61,7 +63,7 @@ class ProgramSockets:
         self._connections: dict[str, PolledConnection] = {}
 
     def open(self, name: str, host: str, port: int) -> None:
-        """Begin to connect; a socket with the same name is closed."""
+        """Begin to connect. An existing socket with the same name is closed."""
         self.close(name)
         try:
             address = str(ipaddress.ip_address("127.0.0.1" if host == "localhost" else host))
@@ -74,17 +76,24 @@ class ProgramSockets:
             )
 
     def state(self, name: str) -> State:
-        """The state of a socket; "closed" also if it was refused, or if the program has too many."""
+        """Return the state of a socket.
+
+        It is also "closed" if the socket was refused, or if the program has too many sockets.
+        """
         connection = self._connections.get(name)
         return "closed" if connection is None else connection.state
 
     def send(self, name: str, data: bytes) -> bool:
-        """Send all of it at once. False if it is not open, or if the peer does not take all; then it is closed."""
+        """Send all bytes immediately.
+
+        Returns False if the socket is not open, or if the peer does not accept all bytes. In the second case, the
+        socket is closed.
+        """
         connection = self._connections.get(name)
         return connection is not None and connection.send(data)
 
     def received(self, name: str) -> bytearray:
-        """Bytes that were received and not yet removed; the caller deletes those that it uses."""
+        """Return the bytes that were received and not yet removed. The caller deletes the bytes that it uses."""
         connection = self._connections.get(name)
         return bytearray() if connection is None else connection.receive()
 
@@ -95,23 +104,24 @@ class ProgramSockets:
             connection.close()
 
     def close_all(self) -> None:
-        """Close every one."""
+        """Close all sockets."""
         for name in list(self._connections):
             self.close(name)
 
 
 def _reads(read: Callable[[ProgramWorld], T]) -> T:
-    """A property that only reads."""
+    """Return a read-only property."""
     return cast(T, property(read))
 
 
 class ProgramWorld:
-    """The controller for one of its programs: the `World` of `urlink.simulator.urscript`.
+    """The controller as one of its programs sees it: a `World` of `urlink.simulator.urscript`.
 
     Args:
-        state: of the controller.
-        route: where the connections of programs go.
-        drive: moves the arm for the program; None for a secondary program, which may only read whether the arm moves.
+        state: State of the controller.
+        route: Function that returns the targets of the program's connections.
+        drive: Drive that moves the arm for the program. None for a secondary program, which can only read whether the
+            arm moves.
     """
 
     def __init__(self, state: ControllerState, route: Route, drive: ArmDrive | None = None) -> None:
@@ -150,7 +160,7 @@ class ProgramWorld:
     def set_tcp(self, pose: Sequence[float]) -> None:
         self._state.arm.tcp = list(pose)
         if self._drive is not None:
-            # A movement may follow in the same cycle.
+            # A motion might follow in the same cycle.
             self._drive.generator.tcp = pose
 
     payload = _reads(lambda world: world._state.arm.payload)

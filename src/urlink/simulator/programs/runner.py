@@ -1,16 +1,18 @@
-"""The programs that run on a controller: the one that commands the arm, and the secondary ones beside it.
+"""Run the programs of a controller: the main program and secondary programs.
 
-In each cycle the threads of the program run first; then its motion generator makes one set-point of their commands. The
-arm follows that set-point, and has no access to programs.
+The main program commands the arm. In each cycle, the threads of the program run first. Then its motion generator
+converts their commands to one set-point. The arm follows this set-point, and has no access to programs.
 
 A program whose last statement is `protective_stop()` ends, and its end is reported after the stop. The UR Client
-Library waits for that message before it unlocks the stop.
+Library waits for this message before it unlocks the stop.
 
-Guesses: that a protective stop pauses any other program, which `play` then continues, and that an emergency stop or
-switching off ends it; that secondary programs run on through all of these; that a program which was paused because an
-RTDE input was late has the full time for it again when it is resumed. That the scaling does not begin at 0 again if a
-program replaces another, or takes over while the arm still moves, is inferred: drivers send a program with a speed many
-times a second, and the arm keeps its speed.
+Assumptions:
+
+- A protective stop pauses any other program, and `play` then continues it. An emergency stop or switching off ends it.
+- Secondary programs keep running through all of these.
+- If a program was paused because an RTDE input was late, the input has its full time again when the program resumes.
+- The scaling does not restart at 0 if a program replaces another, or starts while the arm still moves. This is
+  inferred: drivers send a program with a speed many times a second, and the arm keeps its speed.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ from ..state import ControllerState
 from ..urscript import Execution, Script
 from .program_world import ProgramWorld, Route
 
-#: Secondary programs that run at once; others wait. Nearly all of them end within a cycle.
+#: Secondary programs that run at the same time; others are queued. Nearly all of them end within a cycle.
 MOST_SECONDARY = 32
-#: Characters of the secondary programs that wait.
+#: Maximum number of characters of the queued secondary programs.
 MOST_WAITING = 1 << 20
 
 
@@ -36,9 +38,10 @@ class RunningProgram:
     """A program that commands the arm: a source of set-points.
 
     Attributes:
-        name: of the program.
-        is_program: whether it runs. When it is over, a movement is braked, and the arm holds its position.
-        execution: of its script, with the error that ended it, and the statements from clients in interpreter mode.
+        name: Name of the program.
+        is_program: Whether the program runs. When it has ended, a motion is braked, and the arm holds its position.
+        execution: Execution of its script, with the error that ended it and the statements that clients sent in
+            interpreter mode.
     """
 
     def __init__(
@@ -48,12 +51,12 @@ class RunningProgram:
         self.is_program = True
         self._state = state
         self._on_end = on_end
-        # It continues from what moved the arm before, at its speed.
+        # Continue from the speed of the previous source of set-points.
         self._drive = ArmDrive(state.arm, state.scaling, state.scaling_parameters)
         self.execution = Execution(script, ProgramWorld(state, route, self._drive))
 
     def start(self, q: Sequence[float]) -> None:
-        """Continue from rest at six joint positions, rad, to which the arm has braked."""
+        """Continue from rest at six joint positions, in rad, after the arm has braked."""
         self._drive.start(q)
 
     def advance(self, seconds: float) -> Setpoint:
@@ -63,13 +66,13 @@ class RunningProgram:
         if self.is_program:
             generator.tcp = state.arm.tcp
             self.execution.advance()
-            # If the last statement was protective_stop(), the message of the stop comes before that of the end.
+            # If the last statement was protective_stop(), the message of the stop must precede the message of the end.
             if self.execution.is_over and state.modes.may_move:
                 self.end()
         try:
             setpoint = drive.advance(seconds)
             state.control_mode = drive.control_mode
-            # A program that takes over while the arm moves goes on with the scaling of the one before.
+            # A program that starts while the arm moves continues with the scaling of the previous one.
             state.scaling = generator.scaling if self.is_program or not generator.is_standing else 0.0
             return setpoint
         except LimitViolation as violation:
@@ -77,7 +80,7 @@ class RunningProgram:
             return drive.setpoint
 
     def end(self) -> None:
-        """Stop it, if it still runs."""
+        """Stop the program, if it still runs."""
         if self.is_program:
             self.is_program = False
             self.execution.stop()
@@ -86,55 +89,55 @@ class RunningProgram:
 
 
 class ProgramRunner:
-    """Runs the programs of one controller, and gives the set-points for its arm.
+    """Runs the programs of one controller, and returns the set-points for its arm.
 
     Args:
-        state: of the controller.
-        route: where the connections of programs go.
+        state: State of the controller.
+        route: Function that returns the targets of the programs' connections.
 
     Attributes:
-        main: the program that was started last, even if it is over; None before the first.
+        main: Program that was started last, even if it has ended; None before the first program.
     """
 
     def __init__(self, state: ControllerState, route: Route) -> None:
         self.main: RunningProgram | None = None
         self._state = state
         self._route = route
-        # The arm has braked, or will: the source starts again from where the arm stands then.
+        # Whether the arm brakes before the source starts again, from the position of the arm at rest.
         self._begins_anew = False
         self._secondary: list[Execution] = []
         self._waiting: deque[tuple[Script, int]] = deque()
 
     @property
     def program(self) -> RunningProgram | None:
-        """The program that commands the arm, or is paused; None without one."""
+        """The program that commands the arm or is paused; None if there is none."""
         main = self.main  # read once: other threads ask for its name
         return main if main is not None and main.is_program else None
 
     @property
     def is_running(self) -> bool:
-        """Whether a program that was sent runs, so that no cycle may be skipped."""
+        """Whether a program from a client runs, so that no cycle may be skipped."""
         return bool(self._secondary or self._waiting or self.program)
 
     # -- beginning and ending ------------------------------------------------------------------------
 
     def start(self, script: Script) -> None:
-        """Stop the program that runs, and run this one."""
+        """Stop the running program, and run this one."""
         state = self._state
         self.stop()
         state.is_paused = False
         self.main = state.source = RunningProgram(state, script, self._route, self._ended)
-        # It continues from the speed of the arm, even while the arm brakes.
+        # The program continues from the speed of the arm, even while the arm brakes.
         self._begins_anew = False
         state.outbox.put(messages.program_started(state, script.name))
         state.update_modes(0.0)
 
     def start_secondary(self, script: Script, length: int) -> bool:
-        """Run a program beside the others when there is room for it; False if too many wait.
+        """Run a program in addition to the others when there is room; return False if too many wait.
 
         Args:
-            script: to run.
-            length: characters of its text.
+            script: Compiled program.
+            length: Number of characters in its text.
         """
         if sum(waiting for _, waiting in self._waiting) + length > MOST_WAITING:
             return False
@@ -142,14 +145,14 @@ class ProgramRunner:
         return True
 
     def stop(self) -> bool:
-        """End the program that runs. False without one."""
+        """End the running program; return False if there is none."""
         program = self.program
         if program is not None:
             program.end()
         return program is not None
 
     def stop_all(self) -> bool:
-        """End whatever counts as a running program, a demonstration too. False without one."""
+        """End any running program, including a demonstration; return False if there is none."""
         state = self._state
         if not self.stop():
             if not state.source.is_program:
@@ -160,13 +163,13 @@ class ProgramRunner:
         return True
 
     def follow(self, source: SetpointSource) -> None:
-        """End the program that runs, brake if necessary, then follow another source from where the arm stands."""
+        """End the running program, brake if necessary, then follow another source from rest."""
         self.stop()
         self._state.source = source
         self._begins_anew = True
 
     def close(self) -> None:
-        """End all programs: the controller goes down."""
+        """End all programs, because the controller goes down."""
         self.stop()
         for execution in self._secondary:
             execution.stop()
@@ -181,7 +184,7 @@ class ProgramRunner:
         state.outbox.put(messages.program_stopped(state, program.name))
 
     def _report(self, execution: Execution) -> None:
-        """Send the error that has ended a program, if one has."""
+        """Send the error that has ended a program, if there is one."""
         if execution.error is not None:
             self._state.outbox.put(messages.runtime_exception(self._state, execution.error, is_running=True))
 
@@ -191,7 +194,7 @@ class ProgramRunner:
         """Run every program for one cycle.
 
         Returns:
-            The set-point for the arm; None if it must brake and stand still.
+            Set-point for the arm; None if the arm must brake and stay at rest.
         """
         state, modes = self._state, self._state.modes
         state.control_mode = ControlMode.POSITION
@@ -206,7 +209,7 @@ class ProgramRunner:
             elif program is not None:
                 state.is_paused = True
         elif not modes.may_move:
-            # The demonstration may have been paused.
+            # A demonstration might have been paused.
             self.stop()
             state.is_paused = False
         if self._secondary or self._waiting:
@@ -227,7 +230,7 @@ class ProgramRunner:
         return state.source.advance(seconds)
 
     def _by_hand(self, seconds: float) -> Setpoint | None:
-        """The set-point of who moves the arm from the pendant; None if nobody does."""
+        """Return the set-point of the pendant's drive; None if the pendant does not move the arm."""
         state, hand = self._state, self._state.by_hand
         if hand is None:
             return None
@@ -239,7 +242,10 @@ class ProgramRunner:
             return None
 
     def _watch(self) -> None:
-        """Pause or stop the program if an RTDE input with a watchdog is late. While it is paused, none is late."""
+        """Pause or stop the program if an RTDE input with a watchdog is late.
+
+        While the program is paused, no input is late.
+        """
         state = self._state
         if state.is_paused:
             state.watchdogs.restart(state.cycle)

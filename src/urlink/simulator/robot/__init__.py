@@ -1,1 +1,4 @@
-"""The robot of a simulated controller: arm, sensors, modes, inputs and outputs, without programs and interfaces."""
+"""Robot of a simulated controller: arm, sensors, modes, inputs and outputs.
+
+Programs and interfaces are not part of it.
+"""

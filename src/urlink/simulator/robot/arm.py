@@ -1,6 +1,6 @@
-"""The arm: it follows set-points, brakes without them, and has sensors.
+"""Simulated arm: it follows set-points, brakes if there are none, and has sensors.
 
-Following and braking happen in every cycle. Sensor values are computed when a packet needs them; they do not depend on
+Following and braking happen in every cycle. Sensor values are computed when a packet needs them. They do not depend on
 when, or how often, they are read; see `sensors`.
 """
 
@@ -30,24 +30,24 @@ class SimulatedArm:
     """Six joints of a model.
 
     Args:
-        kinematics: of a model, as published or calibrated.
-        setpoint: initial targets.
-        seed: of the noise on its sensors; None for none.
-        surroundings: what acts on its tool.
-        like: what was identified of an arm: motors, sensors, TCP and payload, as far as they are known; None for what
-            is known of the model.
+        kinematics: Kinematics of a model, published or calibrated.
+        setpoint: Initial targets.
+        seed: Seed of the sensor noise; None for no noise.
+        surroundings: Surroundings that act on the tool.
+        like: Identified properties of an arm: motors, sensors, TCP and payload, as far as they are known. None selects
+            the known properties of the model.
 
     Attributes:
-        kinematics: as given.
-        model: geometry as published, masses and limits.
-        motors: in its joints.
-        payload: kg at the flange.
-        payload_cog: (3,) its centre of mass in the flange frame, m.
-        payload_inertia: (6,) kg m²: xx, yy, zz, xy, xz, yz.
-        force_sensor: measures what acts on the tool, and notices an overload.
-        is_powered: whether it has power; without it there is no current and no noise.
-        external_force: at the TCP, N and Nm, as an RTDE client has sent it.
-        uses_external_force: whether that is shown instead of the measured force.
+        kinematics: Kinematics of the arm.
+        model: Model of the arm: its published geometry, masses and limits.
+        motors: Motors of the joints.
+        payload: Mass at the flange, in kg.
+        payload_cog: Centre of mass of the payload in the flange frame, shape (3,), in m.
+        payload_inertia: Inertia of the payload, shape (6,), in kg m²: xx, yy, zz, xy, xz, yz.
+        force_sensor: Sensor that measures the forces on the tool, and detects an overload.
+        is_powered: Whether the arm has power. Without power, there is no current and no noise.
+        external_force: Wrench at the TCP that an RTDE client has sent, in N and Nm.
+        uses_external_force: Whether `external_force` is reported instead of the measured force.
     """
 
     def __init__(
@@ -64,9 +64,9 @@ class SimulatedArm:
         self.payload = 0.0
         self.payload_cog: Sequence[float] = (0.0, 0.0, 0.0)
         self.payload_inertia: Sequence[float] = (0.0,) * 6
-        #: from one payload (mass, centre, inertia) to another, over how many s, and how many of them are over
+        #: Change of the payload (mass, centre, inertia): old and new value, duration, and elapsed time, in s.
         self._transition: tuple[Sequence[float], Sequence[float], float, float] | None = None
-        #: (3,) m/s² in the base frame, upwards: what the controller has been set to
+        #: Gravity that is set on the controller, shape (3,), in m/s² in the base frame; it points upwards.
         self.gravity: Sequence[float] = (0.0, 0.0, GRAVITY)
         self.is_powered = True
         self.external_force: Sequence[float] = _ZERO
@@ -80,7 +80,7 @@ class SimulatedArm:
         self._surroundings = surroundings
         self.force_sensor = ForceSensor(kinematics, surroundings)
         self._is_following = True
-        # Where braking began, the seconds that it takes, and those that are over.
+        # Start of the braking, its duration, and the elapsed time, in s.
         self._brake: tuple[Setpoint, float, float] | None = None
         self._cycle = self._rests = 0
         self._time = 0.0
@@ -92,21 +92,21 @@ class SimulatedArm:
 
     @property
     def setpoint(self) -> Setpoint:
-        """The targets of this cycle."""
+        """Targets of this cycle."""
         return self._setpoint
 
     @property
     def is_moving(self) -> bool:
-        """Whether it follows set-points that move, or brakes."""
+        """Whether the arm follows moving set-points, or brakes."""
         return self._brake is not None or any(self._setpoint.qd)
 
     @property
     def is_standing(self) -> bool:
-        """Whether it neither moves nor follows anything."""
+        """Whether the arm is at rest and follows no set-points."""
         return not self.is_moving and not self._is_following
 
     def advance(self, seconds: float, setpoint: Setpoint | None) -> None:
-        """Advance by one cycle: to this set-point; or, if it is None, slow down, and then stand still."""
+        """Advance by one cycle, to this set-point; None brakes the arm, and then keeps it at rest."""
         self._cycle += 1
         self._time += seconds
         if self._transition is not None:
@@ -125,9 +125,14 @@ class SimulatedArm:
         self.force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
 
     def carry(self, payload: Sequence[float], seconds: float) -> None:
-        """Tell mass, centre and inertia of the payload, kg, m and kg m²; it goes over to that in so many s.
+        """Set mass, centre and inertia of the payload, in kg, m and kg m².
 
-        That this is linear, and shown in the states while it goes on, is a guess (`payload_transition_is_linear`).
+        The payload changes to these values within a time. It is assumed that the change is linear, and that the states
+        show it while it lasts (`payload_transition_is_linear`).
+
+        Args:
+            payload: New mass, centre and inertia, ten numbers.
+            seconds: Duration of the change, in s.
         """
         before = (self.payload, *self.payload_cog, *self.payload_inertia)
         self._go_over(before, payload, seconds, 0.0, 0.0)
@@ -145,14 +150,17 @@ class SimulatedArm:
         if any(self._setpoint.qd):
             limits: list[float] = self.model.max_acceleration.tolist()
             hardest = max(abs(v) / limit for v, limit in zip(self._setpoint.qd, limits, strict=True))
-            # The largest deceleration of the smooth brake path is 3/2 of its mean. It never takes less time than what
-            # one can see at 125 Hz.
+            # The maximum deceleration of the smooth brake path is 3/2 of its mean. Braking lasts at least 0.06 s, so
+            # that it is visible at 125 Hz.
             self._brake = (self._setpoint, max(1.5 * hardest / BRAKING, 0.06), 0.0)
         else:
             self._setpoint = Setpoint(self._setpoint.q, _ZERO, _ZERO)
 
     def _go_on_braking(self, begin: Setpoint, duration: float, past: float, seconds: float) -> None:
-        """Slow all joints down in proportion, so that the brake path continues the direction of the movement."""
+        """Slow all joints down in proportion.
+
+        The brake path then continues in the direction of the motion.
+        """
         past += seconds
         if past >= duration:
             self._brake = None
@@ -173,14 +181,14 @@ class SimulatedArm:
 
     @property
     def tcp(self) -> list[float]:
-        """The tool centre point in the flange frame: m and rotation vector in rad."""
+        """Tool centre point in the flange frame: position in m and rotation vector in rad."""
         return list(self._tcp)
 
     @tcp.setter
     def tcp(self, pose: Sequence[float]) -> None:
         values = [float(value) for value in pose]
         if len(values) != 6 or not all(map(math.isfinite, values)):
-            raise BadValue(f"a TCP is six finite numbers, not {pose!r}")
+            raise BadValue(f"tcp={pose!r}; expected six finite numbers")
         self._tcp = values
         self._sample = None
 
@@ -193,7 +201,10 @@ class SimulatedArm:
             self.payload_cog = [each.value if each.is_known else 0.0 for each in like.estimates["payload_cog"]]
 
     def take_tool_of(self, other: SimulatedArm) -> None:
-        """Take over TCP and payload of another arm: they are in the installation, which a reboot does not change."""
+        """Take over TCP and payload of another arm.
+
+        They are part of the installation, which a reboot does not change.
+        """
         self.tcp = other.tcp
         self.payload = other.payload
         self.payload_cog = other.payload_cog
@@ -203,18 +214,24 @@ class SimulatedArm:
 
     @property
     def wrench(self) -> Sequence[float]:
-        """The force at the TCP that the controller uses: that of `sample`, without noise, N and Nm."""
+        """Wrench at the TCP that the controller uses, in N and Nm.
+
+        It is the force of `sample` without noise.
+        """
         return self.external_force if self.uses_external_force else self.force_sensor.wrench
 
     @property
     def pushed_joints(self) -> Sequence[float]:
-        """Torques that turn the joints from outside, Nm, without the force at the TCP."""
+        """Torques from outside on the joints, in Nm, without the torques from the wrench at the TCP."""
         pushed, touched = self._surroundings.joint_torques, self.force_sensor.torques
         return [a + b for a, b in zip(pushed, touched, strict=True)] if any(touched) else pushed
 
     @property
     def external_torques(self) -> list[float]:
-        """All torques from outside on the joints, Nm: zeroing the force sensor does not change them."""
+        """All torques from outside on the joints, in Nm.
+
+        Zeroing the force sensor does not change them.
+        """
         torques = list(self.pushed_joints)
         if any(self.force_sensor.external):
             across = self.kinematics.jacobian(self._setpoint.q, self._tcp).T @ self.force_sensor.external
@@ -223,12 +240,12 @@ class SimulatedArm:
 
     @property
     def raw_wrench(self) -> list[float]:
-        """The force at the TCP without the offset of `zero_force`, N and Nm in the base frame."""
+        """Wrench at the TCP without the offset of `zero_force`, in N and Nm in the base frame."""
         shown, measured, external = self.sample.force, self.force_sensor.wrench, self.force_sensor.external
         return [f - m + e for f, m, e in zip(shown, measured, external, strict=True)]
 
     def zero_force(self) -> None:
-        """Make the present force at the TCP the new zero."""
+        """Make the current force at the TCP the new zero."""
         self.force_sensor.zero()
         self._sample = None
 
@@ -236,7 +253,7 @@ class SimulatedArm:
 
     @property
     def sample(self) -> Sample:
-        """The values of all sensors in this cycle."""
+        """Values of all sensors in this cycle."""
         if self._sample is None:
             self._sample = self._sensors.sample(
                 self._setpoint,
@@ -255,23 +272,30 @@ class SimulatedArm:
 
     @property
     def q_actual(self) -> list[float]:
-        """The joint positions of `sample`, rad, without computing the rest: programs read them in every cycle."""
+        """Joint positions of `sample`, in rad.
+
+        The other sensors are not computed, because programs read the positions in every cycle.
+        """
         if self._sample is not None:
             return self._sample.q_actual
         return self._sensors.positions(self._setpoint, self._cycle, self._rests, self.is_powered)
 
     @property
     def qd_actual(self) -> list[float]:
-        """The joint speeds of `sample`, rad/s, without computing the rest: a loop with damping reads them as often."""
+        """Joint speeds of `sample`, in rad/s.
+
+        The other sensors are not computed, because a loop with damping reads the speeds in every cycle.
+        """
         if self._sample is not None:
             return self._sample.qd_actual
         return self._sensors.speeds(self._setpoint, self._cycle)
 
     @property
     def dynamics(self) -> Dynamics:
-        """The masses of the published arm, its rotors and its payload, from which the controller computes moments.
+        """Masses of the published arm, its rotors and its payload.
 
-        Calibration has no part in it: the moments of a UR3e are 27 mNm off at rest with its calibration, 1 without.
+        The controller uses them to compute moments. The calibration is not used. At rest, the moments of a UR3e differ
+        by 27 mNm with its calibration, and by 1 mNm without.
         """
         carried = (self.payload,), tuple(self.payload_cog), tuple(self.payload_inertia), tuple(self.gravity)
         if self._dynamics is None or carried != self._carried:
@@ -288,7 +312,7 @@ class SimulatedArm:
 
     @property
     def current_as_torque(self) -> list[float]:
-        """The actual currents of the joints, as the torques that they make, Nm."""
+        """Torques that correspond to the actual joint currents, in Nm."""
         return [i * k for i, k in zip(self.sample.I_actual, self.motors.torque_constants, strict=True)]
 
     @property
@@ -297,7 +321,7 @@ class SimulatedArm:
         q, qd, qdd = self._setpoint
         if not any(qd) and not any(qdd):
             return list(_ZERO)
-        # The derivative of Jacobian times speed, by a central difference.
+        # Compute the derivative of Jacobian times speed with a central difference.
         before, after = (
             self.kinematics.jacobian([p + t * v for p, v in zip(q, qd, strict=True)], self._tcp)
             @ [v + t * a for v, a in zip(qd, qdd, strict=True)]
@@ -308,8 +332,8 @@ class SimulatedArm:
 
     @property
     def dexterity(self) -> float:
-        """The square of the determinant of the flange's Jacobian: 0 in a singular posture.
+        """Square of the determinant of the flange's Jacobian; 0 in a singular posture.
 
-        This is the number that three captured force mode packets hold, to all their digits.
+        Three captured force mode packets contain this number, to all their digits.
         """
         return float(self.kinematics.manipulability(self._setpoint.q)) ** 2

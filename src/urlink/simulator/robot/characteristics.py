@@ -1,8 +1,8 @@
-"""The parameters of a simulated robot: how it scales the speed of programs, and how its arm measures.
+"""Parameters of a simulated robot: its speed scaling, and the behaviour of its sensors.
 
-The facts of scaling and their sources: docs/protocols/urscript.md, Speed scaling. Sensors have lags, offsets, noise and
-steps; noise is Gaussian and independent from cycle to cycle, which real noise is only at rest. What backs each value:
-`urlink.arm.parameters`.
+For the facts about scaling and their sources, see docs/protocols/urscript.md, Speed scaling. Sensors have lags,
+offsets, noise and steps. The noise is Gaussian and independent from cycle to cycle; real noise is so only at rest. For
+the evidence of each value, see `urlink.arm.parameters`.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ScalingParameters:
-    """How a controller scales the motion of programs.
+    """Behaviour of a controller that scales the motions of programs.
 
     Attributes:
-        start_rate: 1/s, with which the scaling rises from 0 at the start of a program.
-        move_rate: 1/s, with which it rises from 0 when a later path move of the program starts from rest.
-        slider_rate: 1/s, with which it follows the speed slider.
-        resume_rate: 1/s, with which it rises from 0 when a program is resumed.
-        servoj_lag_stretches: whether the lag of ``servoj`` lasts longer by 1 / scaling, as all motion does. If not,
-            only the time of the set-points is stretched, and the arm goes on to the last one while the scaling is 0.
+        start_rate: Rate at which the scaling rises from 0 at the start of a program, in 1/s.
+        move_rate: Rate at which it rises from 0 when a later path move of the program starts from rest, in 1/s.
+        slider_rate: Rate at which it follows the speed slider, in 1/s.
+        resume_rate: Rate at which it rises from 0 when a program is resumed, in 1/s.
+        servoj_lag_stretches: Whether the lag of ``servoj`` is stretched by 1 / scaling, like all motion. If False, only
+            the time of the set-points is stretched, and the arm continues to the last set-point while the scaling is 0.
 
     Raises:
-        BadValue: a rate is not above zero.
+        BadValue: If a rate is not above zero.
     """
 
     start_rate: float = number("start_rate")
@@ -51,43 +51,44 @@ class ScalingParameters:
 
 
 def approached(now: float, target: float, most: float) -> float:
-    """A number that has come closer to `target`, by at most `most`."""
+    """Return a number that is closer to `target` than `now`, by at most `most`."""
     return target if abs(target - now) <= most else now + most if target > now else now - most
 
 
-#: rad, of the encoders of the joints.
+#: Resolution of the joint encoders, in rad.
 STEPS = numbers("encoder_step")
-#: degC, s, and by how much each joint is warmer in the end, K.
+#: Ambient temperature in °C, time of warming in s, and final temperature rise of each joint in K.
 AMBIENT, WARMING, TEMPERATURE_RISE = number("ambient_temperature"), number("warming_time"), numbers("temperature_rise")
-#: ms that a cycle takes without a program and with one, on an e-Series.
+#: Time that a cycle takes an e-Series without a program, and with one, in ms.
 EXECUTION_TIME = number("execution_time"), number("execution_time_of_a_program")
-#: V, of the supply of each joint without a current; V/A, by which it falls; V, the steps in which it is measured.
+#: Supply voltage of each joint without current in V, its drop in V/A, and its measuring step in V.
 JOINT_VOLTAGE = number("joint_voltage"), number("joint_voltage_drop"), number("voltage_step")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SensorParameters:
-    """How one arm measures.
+    """Behaviour of the sensors of one arm.
 
     Attributes:
-        lag: s by which the actual joints lag behind their targets.
-        speed_lag: s, the same of the actual joint speeds.
-        position_noise: rad, standard deviation from cycle to cycle.
-        position_offset: rad, standard deviation from rest to rest of what a standing joint is off by.
-        speed_noise: rad/s, of a moving joint.
-        current_noise: A, of a moving joint.
-        current_noise_at_rest: A.
-        stiction: part of the Coulomb friction by which the actual current of a standing joint is off: a standard
-            deviation, from rest to rest.
-        voltage_noise: V.
-        force_noise: N, at the TCP.
-        torque_noise: Nm, at the TCP.
-        force_offset: (6,) N and Nm at the TCP, of a sensor that was not zeroed.
-        accelerometer_noise: m/s².
-        accelerometer_bias: (3,) m/s², in the frame of the tool.
+        lag: Lag of the actual joint positions behind their targets, in s.
+        speed_lag: Lag of the actual joint speeds behind their targets, in s.
+        position_noise: Standard deviation of the joint positions from cycle to cycle, in rad.
+        position_offset: Standard deviation of the position error of a joint at rest, from rest to rest, in rad.
+        speed_noise: Noise of the speed of a moving joint, in rad/s.
+        current_noise: Noise of the current of a moving joint, in A.
+        current_noise_at_rest: Noise of the current of a joint at rest, in A.
+        stiction: Error of the actual current of a joint at rest, as a fraction of its Coulomb friction. It is a
+            standard deviation from rest to rest.
+        voltage_noise: Noise of the joint voltages, in V.
+        force_noise: Noise of the force at the TCP, in N.
+        torque_noise: Noise of the torque at the TCP, in Nm.
+        force_offset: Wrench at the TCP that a sensor shows before it is zeroed, shape (6,), in N and Nm.
+        accelerometer_noise: Noise of the accelerometer, in m/s².
+        accelerometer_bias: Offset of the accelerometer in the frame of the tool, shape (3,), in m/s².
 
     Raises:
-        BadValue: not that many finite numbers, or one that may not be negative is.
+        BadValue: If a vector has the wrong number of values, a number is not finite, or a parameter is negative that
+            must not be.
     """
 
     lag: float = number("tracking_lag")
@@ -111,10 +112,10 @@ class SensorParameters:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not (math.isfinite(value) and value >= 0.0):
-                raise BadValue(f"{field.name} must be a finite number of zero or more, not {value!r}")
+                raise BadValue(f"{field.name}={value!r}; expected a finite number, 0 or more")
 
     def like(self, arm: ArmFile) -> SensorParameters:
-        """These, with what is known of one arm in their place."""
+        """Return these parameters, replaced by the known values of one arm."""
         named = {field.name: field.name for field in dataclasses.fields(self)} | {"lag": "tracking_lag"}
         known = {field: arm.known(name) for field, name in named.items()}
         changed = {field: max(value, 0.0) for field, value in known.items() if value is not None}
@@ -122,6 +123,6 @@ class SensorParameters:
 
     @classmethod
     def of(cls, model: Model) -> SensorParameters:
-        """Those of a model, as far as they are known."""
+        """Return the parameters of a model, as far as they are known."""
         size = force_size(model.name)
         return cls(force_noise=number("force_noise", size), torque_noise=number("torque_noise", size))

@@ -1,13 +1,17 @@
-"""A Robotiq 2F-85 on the flange of a simulated arm: its registers, its fingers, what is between them, its serial line.
+"""Robotiq 2F-85 on a simulated arm: registers, fingers, gripped object and serial line.
 
-Fingers move at constant speed and stop at once. The range of speeds is that of the data sheet (20 to 150 mm/s over a
-stroke of 85 mm). Guesses: that activation closes and opens the fingers at half of the speed; that they go to exactly 0
-and 255; the motor current; that an object is gripped at any force; and that the object status of fingers that were
-stopped is "at the requested position". The gripper is not in the arm's payload.
+The fingers move at constant speed and stop instantly. The range of speeds is from the data sheet (20 to 150 mm/s over a
+stroke of 85 mm). The gripper is not part of the arm's payload. The following is assumed:
 
-On a serial line it answers as slave 9 by Modbus RTU. Registers and bits are those of the maker's manual as public
-drivers use them; the bytes of some of the manual's examples are in the tests. Guesses: that what it does not understand
-gets no answer, and that it answers at once.
+- Activation closes and opens the fingers at half speed.
+- The fingers reach exactly 0 and 255.
+- The motor current.
+- An object is gripped at any force.
+- The object status of fingers that were stopped is "at the requested position".
+
+On a serial line, the gripper answers as slave 9 over Modbus RTU. Registers and bits are from the maker's manual, as
+public drivers use them. The tests contain the bytes of some of the manual's examples. Two more facts are assumed: an
+invalid request gets no answer, and answers are immediate.
 """
 
 from __future__ import annotations
@@ -19,42 +23,42 @@ from linkcore.errors import BadValue
 from linkcore.names import StrictAttributes
 from urlink.protocol.gripper.protocol import READABLE, WRITABLE
 
-#: m between the open fingers.
+#: Distance between the open fingers, in m.
 STROKE = 0.085
-#: Counts a second at speed 0 and 255.
+#: Counts per second at speed 0 and at speed 255.
 _SLOWEST, _FASTEST = 0.020 / STROKE * 255, 0.150 / STROKE * 255
-#: Counts a second at which the fingers move while the gripper is activated.
+#: Counts per second of the fingers while the gripper is being activated.
 _ACTIVATING = _FASTEST / 2
 #: `OBJ`: moving, stopped while opening or closing, at the requested position.
 _MOVING, _STOPPED_OPENING, _STOPPED_CLOSING, _AT_REQUEST = range(4)
-#: `FLT` if something is requested before the gripper is activated.
+#: Value of `FLT` if a motion is requested before the gripper is activated.
 _NOT_ACTIVATED = 7
 
 
 class SimulatedGripper(StrictAttributes):
-    """The gripper of a simulated controller; it comes up reset, with its fingers open.
+    """Gripper of a simulated controller. Initially it is reset, and its fingers are open.
 
     Args:
-        clock: seconds of the controller.
+        clock: Time of the controller, in s.
 
     Attributes:
-        registers: the values that were set, by name; see `urlink.protocol.gripper.protocol`.
-        is_connected: whether the controller is connected to it; if not, it answers `?`.
-        fault: the number of its fault, `FLT`; can be set. Activating clears it.
+        registers: Values that were set, by name; see `urlink.protocol.gripper.protocol`.
+        is_connected: Whether the controller is connected to the gripper. If not, the reply is `?`.
+        fault: Fault number, `FLT`. It can be set; activating the gripper clears it.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.registers = dict.fromkeys(WRITABLE, 0)
         self.is_connected = True
         self.fault = 0
-        # Tests read it while the server's thread answers clients.
+        # Tests read the gripper while the server's thread answers clients.
         self._lock = threading.Lock()
         self._clock = clock
         self._seen = clock()
         self._position = 0.0
         self._object: float | None = None
         self._is_inside = False
-        #: positions that it moves to before it is activated
+        #: Positions that the fingers move to before the gripper is active.
         self._calibration: list[float] = []
         self._is_active = False
         self._stop = _AT_REQUEST
@@ -62,27 +66,29 @@ class SimulatedGripper(StrictAttributes):
     # -- for tests -------------------------------------------------------------------------------------
 
     def place(self, width: float, *, inside: bool = False) -> None:
-        """Put an object between the fingers, which they cannot close upon; with `inside`, around them, which
-        they cannot open against. It replaces an object that was there.
+        """Put an object between the fingers, so that they cannot close beyond it.
+
+        With `inside`, the object surrounds the fingers, so that they cannot open beyond it. The object replaces the
+        previous one.
 
         Args:
-            width: m, of the object from finger to finger, or of the hole in it.
-            inside: whether the fingers grip it from inside.
+            width: Width of the object from finger to finger, or of the hole in it, in m.
+            inside: Whether the fingers grip the object from inside.
 
         Raises:
-            BadValue: wider than the stroke, or negative.
+            BadValue: If the width is negative or exceeds the stroke.
         """
         if not 0.0 <= width <= STROKE:
             raise BadValue(f"width={width!r} m; expected 0 to the stroke of {STROKE:g} m")
         with self._lock:
             self._advance()
             self._object, self._is_inside = 255 * (1.0 - width / STROKE), inside
-            # Fingers in its place are pushed aside, and hold it.
+            # If the fingers are inside the object, push them aside; they then hold it.
             if self._is_blocked_at(self._position):
                 self._position = self._object
 
     def take_away(self) -> None:
-        """Take the object away: the fingers continue to their requested position."""
+        """Remove the object: the fingers continue to their requested position."""
         with self._lock:
             self._advance()
             self._object = None
@@ -91,33 +97,33 @@ class SimulatedGripper(StrictAttributes):
 
     @property
     def position(self) -> int:
-        """Position of the fingers, 0 (open) to 255 (closed)."""
+        """Position of the fingers, from 0 (open) to 255 (closed)."""
         with self._lock:
             self._advance()
             return round(self._position)
 
     @property
     def is_active(self) -> bool:
-        """Whether it has been activated."""
+        """Whether the gripper has been activated."""
         with self._lock:
             self._advance()
             return self._is_active
 
     @property
     def holds_object(self) -> bool:
-        """Whether the fingers press on something."""
+        """Whether the fingers press on an object."""
         with self._lock:
             self._advance()
             return self._stop in (_STOPPED_OPENING, _STOPPED_CLOSING)
 
     def reply(self, line: str) -> str | None:
-        """The reply to a line of a client, without its end; None if there is none."""
+        """Return the reply to a line of a client, without its line ending; None if there is none."""
         with self._lock:
             self._advance()
             return self._answer(line.split())
 
     def exchange(self, values: dict[str, int], names: Sequence[str]) -> list[int]:
-        """Set registers, and read others in the same moment."""
+        """Set registers, and read others at the same moment."""
         with self._lock:
             self._advance()
             if values:
@@ -156,7 +162,7 @@ class SimulatedGripper(StrictAttributes):
             self.fault, self._calibration = 0, [255.0, 0.0]
         elif not self._is_active and self.registers["GTO"]:
             self.fault = _NOT_ACTIVATED
-        # The object status of the last motion does not hold for a new one.
+        # The object status of the previous motion does not apply to a new one.
         if self._is_active and not self.registers["GTO"]:
             self._stop = _AT_REQUEST
         elif self._is_active and values.keys() & {"POS", "GTO"}:
@@ -165,9 +171,9 @@ class SimulatedGripper(StrictAttributes):
     # -- its fingers -----------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        """Move the fingers to their present position."""
+        """Move the fingers to their current position."""
         now = self._clock()
-        # The clock starts again at 0 when the controller was rebooted.
+        # The clock starts again at 0 after a reboot of the controller.
         seconds, self._seen = max(now - self._seen, 0.0), now
         while seconds > 0.0 and self._calibration:
             seconds = self._travel(self._calibration[0], _ACTIVATING, seconds)
@@ -185,7 +191,7 @@ class SimulatedGripper(StrictAttributes):
             self._travel(float(self.registers["POS"]), speed, seconds)
 
     def _travel(self, goal: float, speed: float, seconds: float) -> float:
-        """Move for at most `seconds`; returns the seconds that are left over."""
+        """Move for at most `seconds`, and return the remaining seconds."""
         end, stop = goal, _AT_REQUEST
         if self._is_blocked_at(goal):
             assert self._object is not None
@@ -200,7 +206,7 @@ class SimulatedGripper(StrictAttributes):
         return seconds - needed
 
     def _is_blocked_at(self, position: float) -> bool:
-        """Whether the object is in the way of this position."""
+        """Whether the object blocks this position."""
         if self._object is None:
             return False
         return position < self._object if self._is_inside else position > self._object
@@ -210,21 +216,21 @@ def _is_value(name: str, value: str) -> bool:
     return name in WRITABLE and value.isdecimal() and len(value) < 4 and int(value) <= WRITABLE[name]
 
 
-# -- by Modbus RTU ------------------------------------------------------------------------------------
+# -- Modbus RTU -----------------------------------------------------------------------------------
 
-#: Its address; the first register of what is written and of what is read; how many of each.
+#: Slave address; first register to write and first register to read; number of registers of each kind.
 _SLAVE, _TOLD, _TELLS, _COUNT = 9, 0x03E8, 0x07D0, 3
 _READ_HOLDING, _READ_INPUT, _WRITE_ONE, _WRITE = 0x03, 0x04, 0x06, 0x10
-#: Exceptions: a function, an address, a number of registers that there is not.
+#: Exception codes: unknown function, unknown address, invalid number of registers.
 _NO_FUNCTION, _NO_ADDRESS, _NO_VALUE = 1, 2, 3
-#: Bytes of a request that is read, and of one with one register.
+#: Number of bytes of a read request, and of a request that writes one register.
 _SHORT = 8
-#: Bits of the action request, by register of the gripper.
+#: Bits of the action request, by register name of the gripper.
 _ACTION = {"ACT": 0, "GTO": 3, "ATR": 4, "ARD": 5}
 
 
 def crc(data: bytes) -> bytes:
-    """The check of a frame, which follows it: CRC-16/MODBUS, low byte first.
+    """Return the checksum that follows a frame: CRC-16/MODBUS, low byte first.
 
     >>> crc(bytes.fromhex("09 03 07 D0 00 03")).hex(" ")
     '04 0e'
@@ -238,10 +244,10 @@ def crc(data: bytes) -> bytes:
 
 
 class ModbusGripper:
-    """A device on a serial line: called with the bytes that come, it returns those that it answers with.
+    """A device on a serial line: it is called with bytes and returns the bytes of its answer.
 
     Args:
-        gripper: that it is; another client may use it through its URCap meanwhile.
+        gripper: Gripper that the device controls. Another client may use it through its URCap at the same time.
     """
 
     def __init__(self, gripper: SimulatedGripper) -> None:
@@ -250,7 +256,10 @@ class ModbusGripper:
         self._waiting = b""
 
     def __call__(self, data: bytes) -> bytes:
-        """The answers to the requests that these bytes complete; those that are for others or broken have none."""
+        """Return the answers to the requests that these bytes complete.
+
+        Requests to other slaves and broken requests have no answer.
+        """
         self._waiting += data
         answers = b""
         while len(self._waiting) >= _SHORT:
@@ -259,7 +268,7 @@ class ModbusGripper:
                 break
             frame, self._waiting = self._waiting[:size], self._waiting[size:]
             if crc(frame[:-2]) != frame[-2:]:
-                # Where the next one begins cannot be seen: a real line knows by its silence.
+                # The start of the next request is unknown. A real line detects it by the silence before it.
                 self._waiting = b""
             elif frame[0] == _SLAVE:
                 answer = self._answer(frame[1], frame[2:-2])
@@ -293,12 +302,12 @@ class ModbusGripper:
         return bytes((_SLAVE, function | 0x80, why))
 
     def _tell(self) -> None:
-        """Have the gripper do what was written: action request, 0, 0, position, speed, force."""
+        """Pass the written registers to the gripper: action request, 0, 0, position, speed, force."""
         values = {name: self._told[0] >> bit & 1 for name, bit in _ACTION.items()}
         self._gripper.exchange(values | {"POS": self._told[3], "SPE": self._told[4], "FOR": self._told[5]}, ())
 
     def _tells(self) -> bytes:
-        """Status, 0, fault, requested position, position, current in units of 10 mA."""
+        """Return status, 0, fault, requested position, position, and current in units of 10 mA."""
         names = ("ACT", "GTO", "STA", "OBJ", "FLT", "PRE", "POS", "COU")
         active, goes, status, found, fault, wanted, position, current = self._gripper.exchange({}, names)
         return bytes((active | goes << 3 | status << 4 | found << 6, 0, fault, wanted, position, current))

@@ -1,14 +1,14 @@
-"""The modes of robot, joints, safety and program, and how they depend on each other.
+"""Modes of robot, joints, safety and program, and how they depend on each other.
 
-Numbers and names are in `urlink.protocol.enums`. How the modes depend on each other is taken from manuals, drivers
-and three captures of standing robots; what is a guess is marked:
+Numbers and names are in `urlink.protocol.enums`. The dependencies are from manuals, drivers and three captures of
+robots at rest. The following is assumed:
 
-- the times that powering on takes, and that a reboot is over with the arm running: guesses, made short for tests;
-- a protective stop leaves the motors on; an emergency stop is a stop of category 1, which in the manual's words leaves
-  the motors "in a power off state with brakes engaged" once the arm stands. That the first pauses the program and the
-  second stops it is a guess;
-- the CB2 modes of the same events (security stopped, emergency stopped, no power) by their names in the vendor's list;
-  that joints of a CB2 keep the mode RUNNING in a protective stop is a guess.
+- The times for powering on, and a running arm after a reboot. They were made short for tests.
+- A protective stop pauses the program, and an emergency stop stops it. Known is that a protective stop leaves the
+  motors on. An emergency stop is a stop of category 1, which in the manual's words leaves the motors "in a power off
+  state with brakes engaged" after the arm has come to rest.
+- The joints of a CB2 keep the mode RUNNING in a protective stop. The CB2 modes of these events (security stopped,
+  emergency stopped, no power) are inferred from their names in the vendor's list.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from urlink.protocol.firmware import Firmware
 
 
 class Power(enum.Enum):
-    """How far the arm is powered."""
+    """Power state of the arm."""
 
     OFF = "off"
     BOOTING = "booting"
@@ -40,7 +40,7 @@ class Power(enum.Enum):
 
 
 class StopState(enum.Enum):
-    """The causes of a stop of the arm."""
+    """Cause of a stop of the arm."""
 
     NONE = "none"
     PROTECTIVE = "protective"
@@ -49,7 +49,7 @@ class StopState(enum.Enum):
 
 
 class _Shown(NamedTuple):
-    """The modes that show how far the arm is powered."""
+    """Modes that show the power state of the arm."""
 
     robot: RobotMode
     robot_cb2: RobotModeCB2
@@ -75,10 +75,10 @@ _SAFETY_MODE = {
     StopState.EMERGENCY: SafetyMode.ROBOT_EMERGENCY_STOP,
 }
 
-#: On CB2 this number means that the joint is emergency stopped; later it got another meaning.
+#: On CB2, this number means that the joint is emergency stopped. On later releases it has another meaning.
 _JOINT_EMERGENCY_STOPPED_CB2 = JointMode.READY_FOR_POWER_OFF
 
-# Real bytes: without a program 3.3 sends 1.0, 3.10 and 5.4 send 0.0. In which release it changed is not known.
+# Real bytes: without a program, 3.3 sends 1.0, and 3.10 and 5.4 send 0.0. The release of the change is unknown.
 _SCALES_TO_ZERO = Since("3.10/5.0")
 
 
@@ -86,11 +86,11 @@ class Modes:
     """Robot mode, safety mode and program state, as one state machine.
 
     Attributes:
-        power: how far the arm is powered.
-        stop: the cause that keeps it from moving.
+        power: Power state of the arm.
+        stop: Cause that keeps the arm from moving.
     """
 
-    #: seconds from power off to idle, and from idle to running (brakes released)
+    #: Times from power off to idle, and from idle to running (brakes released), in s.
     BOOT_TIME = 0.4
     BRAKE_RELEASE_TIME = 0.2
 
@@ -102,7 +102,7 @@ class Modes:
         self._is_paused = False
         self._is_standing = True
         self._is_switching_off = False
-        # Whether to power on as soon as the power is off.
+        # Whether to power on when the power is off.
         self._powers_on = False
         self._releases_brakes = False
         self._wait = 0.0
@@ -110,34 +110,46 @@ class Modes:
     # -- events ----------------------------------------------------------------------------------
 
     def protective_stop(self) -> None:
-        """The arm brakes and stands still, motors on. No effect while an emergency stop holds or the power is off."""
+        """Cause a protective stop: the arm brakes and stays at rest, with its motors on.
+
+        No effect during an emergency stop or while the power is off.
+        """
         if self.stop is StopState.NONE and self.power is Power.RUNNING:
             self.stop = StopState.PROTECTIVE
 
     def safeguard_stop(self) -> None:
-        """As a protective stop, by a gate or a light curtain; it ends with its cause."""
+        """Cause a safeguard stop, as a gate or a light curtain does.
+
+        It is like a protective stop, but ends when its cause ends.
+        """
         if self.stop is StopState.NONE and self.power is Power.RUNNING:
             self.stop = StopState.SAFEGUARD
 
     def emergency_stop(self) -> None:
-        """The arm brakes and stands still, then loses its power."""
+        """Cause an emergency stop: the arm brakes, comes to rest, and then loses its power."""
         self.stop = StopState.EMERGENCY
         self.power_off()
 
     def clear(self) -> None:
-        """Unlock a protective stop, end a safeguard stop, or release the emergency stop button, which leaves the power
-        off."""
+        """Unlock a protective stop, end a safeguard stop, or release the emergency stop button.
+
+        After an emergency stop, the power stays off.
+        """
         self.stop = StopState.NONE
 
     def power_off(self) -> None:
-        """The arm brakes and stands still, then loses its power."""
+        """Switch off: the arm brakes, comes to rest, and then loses its power."""
         self._is_switching_off = True
         self._powers_on = self._releases_brakes = False
 
     def power_on(self, release_brakes: bool = True) -> None:
-        """Power the joints up to idle, and with `release_brakes` to running; after switching off, if that is under way.
+        """Power the joints up to idle or running.
 
-        Without effect while an emergency stop holds, as on a real controller.
+        If the arm is being switched off, this happens afterwards. No effect during an emergency stop, as on a real
+        controller.
+
+        Args:
+            release_brakes: Whether to release the brakes, so that the arm reaches the power state running.
         """
         if self.stop is StopState.EMERGENCY:
             return
@@ -151,7 +163,14 @@ class Modes:
             self._wait = self.BRAKE_RELEASE_TIME
 
     def advance(self, seconds: float, is_standing: bool, has_program: bool, is_paused: bool) -> None:
-        """Advance by one cycle. `is_standing`: the arm has come to rest; `is_paused`: its program is paused."""
+        """Advance by one cycle.
+
+        Args:
+            seconds: Duration of the cycle, in s.
+            is_standing: Whether the arm has come to rest.
+            has_program: Whether there is a program.
+            is_paused: Whether the program is paused.
+        """
         self._is_paused = is_paused
         self._is_standing = is_standing
         self._has_program = has_program
@@ -183,7 +202,7 @@ class Modes:
 
     @property
     def holds_program(self) -> bool:
-        """Whether the arm may not move while its program is kept: in a protective or safeguard stop."""
+        """Whether a protective or safeguard stop blocks the arm, but keeps its program."""
         return (
             self.stop in (StopState.PROTECTIVE, StopState.SAFEGUARD)
             and self.power is Power.RUNNING
@@ -197,37 +216,37 @@ class Modes:
 
     @property
     def robot_mode(self) -> RobotMode | RobotModeCB2:
-        """The robot mode, in the numbers of the generation."""
+        """Robot mode, in the numbers of the controller's generation."""
         shown = _SHOWN[self.power]
         return _STOPPED_CB2.get(self.stop, shown.robot_cb2) if self._firmware.is_cb2 else shown.robot
 
     @property
     def joint_mode(self) -> JointMode:
-        """The mode that all six joints are in."""
+        """Mode of all six joints."""
         if self._firmware.is_cb2 and self.stop is StopState.EMERGENCY:
             return _JOINT_EMERGENCY_STOPPED_CB2
         return _SHOWN[self.power].joint
 
     @property
     def tool_mode(self) -> ToolMode:
-        """The mode of the tool board."""
+        """Mode of the tool board."""
         return _SHOWN[self.power].tool
 
     @property
     def safety_mode(self) -> SafetyMode:
-        """The safety mode; the safety status is the same number in every case that can occur here."""
+        """Safety mode. The safety status is the same number in every case that can occur here."""
         return _SAFETY_MODE[self.stop]
 
     @property
     def master_safety_state(self) -> MasterSafetyState:
-        """The safety state of a CB2 masterboard."""
+        """Safety state of a CB2 masterboard."""
         if self.stop is StopState.SAFEGUARD:
             return MasterSafetyState.SAFEGUARD_STOP
         return MasterSafetyState.ROBOT_EMERGENCY_STOP if self.stop is StopState.EMERGENCY else MasterSafetyState.OK
 
     @property
     def master_on_off_state(self) -> MasterOnOffState:
-        """The power state of a CB2 masterboard."""
+        """Power state of a CB2 masterboard."""
         if self._is_switching_off and self.is_powered:
             return MasterOnOffState.TURNING_OFF
         if self.power is Power.OFF:
@@ -236,8 +255,10 @@ class Modes:
 
     @property
     def program_state(self) -> ProgramState:
-        """The state of the program: it plays while the arm may move, is paused in a protective stop and on demand, and
-        is stopped otherwise."""
+        """State of the program.
+
+        It plays while the arm may move. It is paused in a protective stop and on request, and stopped otherwise.
+        """
         if not self._has_program:
             return ProgramState.STOPPED
         if self.may_move and not self._is_paused:
@@ -248,7 +269,7 @@ class Modes:
 
     @property
     def speed_scaling(self) -> float:
-        """1 while a program plays; without one 0 on newer firmware and 1 on older."""
+        """Speed scaling: 1 while a program plays; otherwise 0 on newer and 1 on older firmware."""
         if self.program_state is ProgramState.PLAYING:
             return 1.0
         return 0.0 if self._firmware in _SCALES_TO_ZERO else 1.0

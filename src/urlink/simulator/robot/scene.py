@@ -1,8 +1,9 @@
-"""A world of bodies in which a simulated arm stands, by something that computes them: an adapter, or your own object.
+"""World of bodies around a simulated arm. An adapter or your own object computes it.
 
-Contacts (`surroundings`) are forces of a place; a scene has things that move, and a state. Once in each cycle of the
-controller it receives where the arm goes and returns what acts on it. The controller leads the arm in every mode: in
-freedrive, force mode and under direct torque it yields to what the scene returned a cycle ago.
+Contacts (`surroundings`) are forces at fixed places. A scene has bodies that move, and a state. Once in each cycle of
+the controller, the scene receives the position of the arm and returns the forces on the arm. The controller moves the
+arm in every mode. In freedrive, force mode and under direct torque, the arm yields to the forces that the scene
+returned a cycle ago.
 """
 
 from __future__ import annotations
@@ -17,18 +18,19 @@ from linkcore.names import plugins
 
 from .setpoint_sources import Setpoint
 
-#: The group of entry points in which a distribution names what opens a scene, by the ending of its file.
+#: Entry-point group in which a distribution names its function that opens a scene, by the suffix of the file.
 _GROUP = "urlink.scenes"
-#: The adapters of this project: ending -> distribution.
+#: Adapters of this project: suffix -> distribution.
 _DISTRIBUTIONS = {"xml": "urlink-mujoco"}
 
 
 class Reaction(NamedTuple):
-    """What a scene does to an arm.
+    """Forces of a scene on an arm.
 
     Attributes:
-        wrench: (6,) on the tool, what it carries included: N in the directions of the base frame, Nm about the TCP.
-        torques: (6,) Nm on the joints by what touches the links before the flange; without the wrench.
+        wrench: Wrench on the tool and the bodies that it carries, shape (6,): forces in N along the axes of the base
+            frame, and torques in Nm about the TCP.
+        torques: Joint torques from contacts with the links before the flange, shape (6,), in Nm; without the wrench.
     """
 
     wrench: Sequence[float]
@@ -39,33 +41,39 @@ class Scene(Protocol):
     """Bodies around one arm."""
 
     def advance(self, setpoint: Setpoint, pose: Sequence[float], seconds: float) -> Reaction:
-        """Let a cycle pass, and say what acts on the arm at its end. Called by the thread that owns the controller.
+        """Advance the scene by one cycle, and return the forces on the arm at its end.
+
+        The thread that owns the controller calls this.
 
         Args:
-            setpoint: the joints at the end of the cycle; at its beginning they were at those of the call before.
-            pose: (6,) of the TCP there, in the base frame, m and rotation vector in rad.
-            seconds: of the cycle.
+            setpoint: Joint targets at the end of the cycle. The targets at its beginning are those of the previous
+                call.
+            pose: Pose of the TCP at the end of the cycle in the base frame, shape (6,), in m and rotation vector in
+                rad.
+            seconds: Duration of the cycle, in s.
         """
 
 
 def open_scene(path: str | os.PathLike[str], controller: object) -> Scene:
-    """The scene of a file, with the arm of a `Controller` in it, by the adapter that is installed for its ending.
+    """Return the scene of a file, with the arm of a `Controller` in it.
+
+    The adapter that is installed for the suffix of the file opens it.
 
     Raises:
-        LocalError: no such adapter is installed, or it cannot open the file.
-        BadValue: there is no such file.
+        LocalError: If no such adapter is installed, or it cannot open the file.
+        BadValue: If there is no such file.
     """
     place = Path(path)
     if not place.is_file():
-        raise BadValue(f"scene={os.fspath(path)!r} is no file; expected one such as table.xml")
+        raise BadValue(f"scene={os.fspath(path)!r} is not a file; expected a scene such as table.xml")
     ending = place.suffix.removeprefix(".").lower()
     installed = plugins(_GROUP)
     if ending not in installed:
         if ending in _DISTRIBUTIONS:
             raise LocalError(
-                f"nothing that opens a scene such as {place.name} is installed: pip install {_DISTRIBUTIONS[ending]}"
+                f"no adapter for the scene {place.name} is installed; use pip install {_DISTRIBUTIONS[ending]}"
             )
         known = ", ".join(f".{each}" for each in sorted({*installed, *_DISTRIBUTIONS}))
-        raise LocalError(f"nothing that opens a scene such as {place.name} is installed; expected one of {known}")
+        raise LocalError(f"no adapter for the scene {place.name} is installed; expected one of {known}")
     mount: Callable[[Path, object], Scene] = installed[ending].load()
     return mount(place, controller)

@@ -1,20 +1,19 @@
-"""The sensors of an arm, computed from its set-points.
+"""Sensors of an arm, computed from its set-points.
 
-- **positions and poses** agree: every pose is the forward kinematics of the joint positions beside it;
-- **speeds** are the derivatives of the positions, TCP speeds the Jacobian times the joint speeds;
-- **moments** are those of the rigid bodies and of the rotors (`urlink.dynamics`);
-- **currents** are these moments over the torque constants, plus friction (`urlink.arm.motors`), less what acts on the
-tool.
-  A joint at rest is held by its stiction too, so that the actual current is off by a part of it, which differs from
-  rest to rest;
-- **positions at rest** are off by some encoder steps, which differ from rest to rest too;
-- **the force** at the TCP is that of `surroundings`;
-- **temperatures** rise slowly, more in joints that carry more;
-- **tool accelerometer**: of an e-Series, what holds the flange up and accelerates it, in the frame of the tool; of a CB
-  arm gravity, of the sign that a real CB2 packet shows.
+- **Positions and poses** agree: every pose is the forward kinematics of the joint positions of the same cycle.
+- **Speeds** are the derivatives of the positions. TCP speeds are the Jacobian times the joint speeds.
+- **Moments** include the rigid bodies and the rotors (`urlink.dynamics`).
+- **Currents** are these moments divided by the torque constants, plus friction (`urlink.arm.motors`), minus the effect
+  of external forces on the tool. Stiction also holds a joint at rest. So the actual current has an error, a fraction of
+  the stiction, which differs from rest to rest.
+- **Positions at rest** have an error of some encoder steps, which differs from rest to rest too.
+- **The force** at the TCP is computed by `surroundings`.
+- **Temperatures** rise slowly, and more in joints with a higher load.
+- **Tool accelerometer**: on an e-Series, it shows the acceleration that supports and accelerates the flange, in the
+  frame of the tool. On a CB arm, it shows gravity, with the sign of a real CB2 packet.
 
-Lags, offsets, noise and steps: `robot_parameters`. That the elbow of real-time packets is the point of the safety data
-of a CB3 capture is a guess.
+For lags, offsets, noise and steps, see `characteristics`. It is assumed that the elbow of real-time packets is the
+point in the safety data of a CB3 capture.
 """
 
 from __future__ import annotations
@@ -37,27 +36,28 @@ from .characteristics import AMBIENT, JOINT_VOLTAGE, STEPS, TEMPERATURE_RISE, WA
 from .setpoint_sources import Setpoint
 
 _ZERO = [0.0] * 6
-# Random numbers are drawn once and then read in turn; with a prime length the channels do not repeat together.
+# Random numbers are drawn once and then read in turn. Their number is prime, so that the channels do not repeat
+# together.
 _NOISE_LENGTH = 8191
-# K per A of the square root of the current that holds the arm, on top of the rise of any joint.
+# Additional temperature rise in K, per square root of the holding current in A.
 _RISE = 1.0
-# s over which an acceleration is computed from speeds.
+# Time interval, in s, for computing an acceleration from speeds.
 _MOMENT = 1e-6
 
 
 @dataclass(slots=True, init=False, eq=False, repr=False)
 class Sample:
-    """The values of all sensors in one cycle.
+    """Values of all sensors in one cycle.
 
     Attributes:
-        q_target, qd_target, qdd_target, M_target, I_target: six numbers: rad, rad/s, rad/s², Nm, A.
-        q_actual, qd_actual, I_actual, I_control, V_actual, T_motor: six numbers: rad, rad/s, A, A, V, degC.
-        pose_actual, pose_target: TCP in the base frame, m and rotation vector in rad.
-        speed_actual, speed_target: of the TCP, m/s and rad/s.
-        force: at the TCP, N and Nm.
-        elbow_position, elbow_velocity: the end of the upper arm, m and m/s.
-        accelerometer: m/s², in the frame of the tool.
-        momentum: kg m/s, coarse.
+        q_target, qd_target, qdd_target, M_target, I_target: Six numbers each, in rad, rad/s, rad/s², Nm, A.
+        q_actual, qd_actual, I_actual, I_control, V_actual, T_motor: Six numbers each, in rad, rad/s, A, A, V, °C.
+        pose_actual, pose_target: Pose of the TCP in the base frame, in m and rotation vector in rad.
+        speed_actual, speed_target: Speed of the TCP, in m/s and rad/s.
+        force: Wrench at the TCP, in N and Nm.
+        elbow_position, elbow_velocity: Position and velocity of the end of the upper arm, in m and m/s.
+        accelerometer: Acceleration in the frame of the tool, in m/s².
+        momentum: Momentum of the arm in kg m/s, a rough value.
     """
 
     I_actual: list[float]
@@ -83,14 +83,14 @@ class Sample:
 
 
 class Sensors:
-    """The sensors of one arm.
+    """Sensors of one arm.
 
     Args:
-        kinematics: of the arm.
-        motors: of its joints.
-        parameters: of the sensors.
-        q: (6,) rad, joint positions from which the temperature of each joint is computed.
-        seed: of the noise; None for none.
+        kinematics: Kinematics of the arm.
+        motors: Motors of its joints.
+        parameters: Parameters of the sensors.
+        q: Joint positions for computing the temperature of each joint, shape (6,), in rad.
+        seed: Seed of the noise; None for no noise.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class Sensors:
         self._dynamics = Dynamics(model)
         self._tcp: list[float] = list(_ZERO)
         self._tool: Rigid[float] = IDENTITY
-        # What follows from the targets alone, and the targets; an arm that stands has the same ones in every cycle.
+        # Targets, and values that depend only on them. An arm at rest has the same targets in every cycle.
         self._posture: Sequence[float] = []
         self._pose: list[float] = []
         self._load: tuple[Setpoint, Sequence[float]] | None = None
@@ -119,11 +119,11 @@ class Sensors:
         self._warm: list[float] = []
 
     def positions(self, setpoint: Setpoint, cycle: int, rest: int, is_powered: bool) -> list[float]:
-        """The actual joint positions, rad: in the `rest`-th rest, or after it."""
+        """Return the actual joint positions, in rad, during or after the rest with number `rest`."""
         q, qd, _ = setpoint
         is_moving = any(qd)
         if self._seed is None or not (is_powered or is_moving):
-            # q(t - lag), to first order: its derivative is known exactly.
+            # This is q(t - lag) to first order; the derivative is known exactly.
             return [p - self._of.lag * v for p, v in zip(q, qd, strict=True)] if is_moving else q
         noise = self._noise(cycle, 0, self._of.position_noise)
         if is_moving:
@@ -132,7 +132,7 @@ class Sensors:
         return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
 
     def speeds(self, setpoint: Setpoint, cycle: int) -> list[float]:
-        """The actual joint speeds, rad/s."""
+        """Return the actual joint speeds, in rad/s."""
         _, qd, qdd = setpoint
         if not any(qd):
             return _ZERO
@@ -151,18 +151,18 @@ class Sensors:
         time: float,
         is_powered: bool,
     ) -> Sample:
-        """The values of all sensors in one cycle.
+        """Return the values of all sensors in one cycle.
 
         Args:
-            setpoint: the targets.
-            tcp: (6,) in the flange frame, m and rad.
-            dynamics: of the arm with its rotors and its payload.
-            external: (6,) what acts on the TCP, N and Nm in the base frame.
-            wrench: (6,) the same, with the offset of the force sensor.
-            cycle: selects the noise.
-            rest: number of the present or the last rest, which selects what differs from rest to rest.
-            time: s since the arm was switched on, for the temperatures.
-            is_powered: whether the motors have power.
+            setpoint: Targets of the cycle.
+            tcp: Tool centre point in the flange frame, shape (6,), in m and rad.
+            dynamics: Dynamics of the arm with its rotors and its payload.
+            external: Wrench on the TCP, shape (6,), in N and Nm in the base frame.
+            wrench: The same wrench, with the offset of the force sensor, shape (6,).
+            cycle: Number of the cycle, which selects the noise.
+            rest: Number of the current or last rest, which selects the errors that differ from rest to rest.
+            time: Time since the arm was switched on, in s, for the temperatures.
+            is_powered: Whether the motors have power.
         """
         q, qd, qdd = setpoint
         is_moving = any(qd) or any(qdd)
@@ -191,7 +191,7 @@ class Sensors:
         return s
 
     def _look_at(self, q: Sequence[float], tcp: Sequence[float], dynamics: Dynamics) -> None:
-        """Compute what follows from these targets, tool and payload, unless they are those of the cycle before."""
+        """Compute the values that depend on targets, tool and payload, unless these are unchanged."""
         if tcp == self._tcp and q == self._posture and dynamics is self._dynamics:
             return
         self._dynamics = dynamics
@@ -202,7 +202,10 @@ class Sensors:
         self._load = None
 
     def _forward(self, q: Sequence[float]) -> list[float]:
-        """The pose of the TCP: `Arm.forward`, which checks its arguments and makes an array, takes twice as long."""
+        """Return the pose of the TCP.
+
+        `Arm.forward`, which checks its arguments and makes an array, takes twice as long.
+        """
         return list(to_pose(product(self._flange(q), self._tool)))
 
     def _flange(self, q: Sequence[float]) -> Rigid[float]:
@@ -213,7 +216,10 @@ class Sensors:
         return chain(geometry, FLOATS, angles)[5]
 
     def _velocity(self, q: Sequence[float], qd: Sequence[float], pose: Sequence[float]) -> list[float]:
-        """Velocity of the TCP, whose pose is known already; `Arm.velocity` would compute it again."""
+        """Return the velocity of the TCP, given its pose.
+
+        `Arm.velocity` would compute the pose again.
+        """
         q1, q2, q3, q4, q5, q6 = q
         v1, v2, v3, v4, v5, v6 = qd
         x, y, z = pose[:3]
@@ -221,7 +227,7 @@ class Sensors:
         return list(velocity(geometry, FLOATS, (q1, q2, q3, q4, q5, q6), (v1, v2, v3, v4, v5, v6), (x, y, z)))
 
     def _moments(self, q: Sequence[float], tcp: Sequence[float], external: Sequence[float]) -> list[float]:
-        """The torques of the joints from what acts on the TCP, Nm."""
+        """Return the joint torques that result from the wrench on the TCP, in Nm."""
         if not any(external):
             return _ZERO
         moments: list[float] = (self._kinematics.jacobian(q, tcp).T @ external).tolist()
@@ -230,7 +236,7 @@ class Sensors:
     def _measure_load(
         self, s: Sample, setpoint: Setpoint, moments: Sequence[float], cycle: int, rest: int, is_moving: bool
     ) -> None:
-        """Moments, currents and voltages, with these torques from outside on the joints."""
+        """Compute moments, currents and voltages, given these external torques on the joints."""
         if self._load != (setpoint, moments):
             self._load = setpoint, moments
             needed: list[float] = (
@@ -258,19 +264,19 @@ class Sensors:
         if second != self._warmed_to:
             self._warmed_to = second
             warm = 1.0 - math.exp(-second / WARMING)
-            # In steps of a sixteenth of a degree.
+            # Use steps of a sixteenth of a degree.
             self._warm = [round(16.0 * (AMBIENT + rise * warm)) / 16.0 for rise in self._rise]
         return self._warm
 
     def _accelerations(self, setpoint: Setpoint, pose: Sequence[float], cycle: int, is_moving: bool) -> list[float]:
-        """What the accelerometer in the tool shows, m/s², in the frame of the tool."""
+        """Return the reading of the accelerometer in the tool, in m/s², in the frame of the tool."""
         noise = self._noise(cycle, 2, self._of.accelerometer_noise)
         across = _upward(pose)
         if not self._is_e:
             return [n - GRAVITY * u[2] for u, n in zip(across, noise, strict=False)]
         x, y, z = 0.0, 0.0, GRAVITY
         if is_moving:
-            # Of the flange, in which the sensor is: the derivative of its velocity, by a difference over a microsecond.
+            # The sensor is in the flange. Differentiate the flange's velocity over a microsecond.
             q, qd, qdd = setpoint
             later = [p + _MOMENT * v for p, v in zip(q, qd, strict=True)]
             faster = [v + _MOMENT * a for v, a in zip(qd, qdd, strict=True)]
@@ -282,24 +288,27 @@ class Sensors:
         return [u[0] * x + u[1] * y + u[2] * z + b + n for u, b, n in zip(across, bias, noise, strict=False)]
 
     def _noise(self, at: int, channel: int, scale: float) -> tuple[float, ...]:
-        """Six random numbers of a standard deviation: of a cycle, or of a rest."""
+        """Return six random numbers with this standard deviation, for a cycle or for a rest."""
         begin = (at * 6 + channel * 1171) % _NOISE_LENGTH
         return _noise(self._seed, scale)[begin : begin + 6]
 
 
 def _stepped(value: float, step: float) -> float:
-    """A value as it is measured in steps; 0 for none."""
+    """Return a value rounded to its measuring step; a step of 0 means no rounding."""
     return step * round(value / step) if step else value
 
 
 def _upward(pose: Sequence[float]) -> tuple[tuple[float, float, float], ...]:
-    """The axes of the tool in the base frame, x, y and z."""
+    """Return, for the axes x, y and z of the tool, their components along the base axes."""
     matrix = from_pose(list(pose))
     return (matrix[0], matrix[3], matrix[6]), (matrix[1], matrix[4], matrix[7]), (matrix[2], matrix[5], matrix[8])
 
 
 def _elbow(a2: float, d1: float, q: Sequence[float], qd: Sequence[float]) -> tuple[list[float], list[float]]:
-    """The end of the upper arm, on the axis through the shoulder's plane; m and m/s."""
+    """Return position and velocity of the end of the upper arm, in m and m/s.
+
+    The point is on the axis through the plane of the shoulder.
+    """
     s1, c1, s2, c2 = math.sin(q[0]), math.cos(q[0]), math.sin(q[1]), math.cos(q[1])
     turn, lift = qd[0], qd[1]
     out, speed = a2 * c2, -a2 * s2 * lift

@@ -1,6 +1,6 @@
-"""The sources of the arm's set-points, cycle by cycle.
+"""Sources of the arm's set-points, cycle by cycle.
 
-A controller begins with `Still` or another source that it is given; a program that runs is a source as well.
+A controller begins with `Still` or with another given source. A running program is a source too.
 """
 
 from __future__ import annotations
@@ -12,22 +12,24 @@ from typing import NamedTuple, Protocol
 from linkcore.errors import BadValue
 from urlink.arm.parameters import number
 
-#: rad. Elbow up, tool pointing down, in the middle of the workspace: far from the joint limits and from every singular
-#: posture of every model. On a UR5e or a larger arm, circles of 0.25 m radius that begin here to either side,
-#: horizontal or upright, pass none either.
+#: Default posture, in rad: elbow up, tool pointing down, in the middle of the workspace. It is far from the joint
+#: limits and from every singular posture of every model. On a UR5e or a larger arm, circles of 0.25 m radius that begin
+#: here, to either side, horizontal or upright, also pass no singular posture.
 HOME = (0.0, -1.5, 2.0, -0.5 - math.pi / 2, -math.pi / 2, 0.0)
 
-#: Fraction of the largest joint acceleration with which an arm brakes if no program commands it. How hard a controller
-#: brakes is not published; this is a cautious guess.
+#: Deceleration of an arm that no program commands, as a fraction of the maximum joint acceleration. The deceleration of
+#: a real controller is not published; this is a cautious assumption.
 BRAKING = number("braking_share")
 
-#: Six zeros, for the speeds and the accelerations of an arm at rest. Many set-points share this list: never change it.
+#: Six zeros: speeds and accelerations of an arm at rest. Many set-points share this list, so never change it.
 REST = [0.0] * 6
 
 
 class Setpoint(NamedTuple):
-    """The targets of one cycle, joints from base to wrist 3: six positions in rad, speeds in rad/s, accelerations in
-    rad/s²."""
+    """Targets of one cycle, for the joints from base to wrist 3.
+
+    They are six positions in rad, six speeds in rad/s and six accelerations in rad/s².
+    """
 
     q: list[float]
     qd: list[float]
@@ -35,12 +37,12 @@ class Setpoint(NamedTuple):
 
 
 class SetpointSource(Protocol):
-    """A source of set-points. In each controller cycle in which the arm may move, it gives one.
+    """A source of set-points, one for each controller cycle while the arm may move.
 
-    After a stop the arm stands somewhere along its brake path; `start` passes that position.
+    After a stop, the arm is at rest somewhere along its brake path; `start` receives this position.
 
     Attributes:
-        is_program: whether following this source counts as a running program.
+        is_program: Whether following this source counts as a running program.
     """
 
     is_program: bool
@@ -49,14 +51,14 @@ class SetpointSource(Protocol):
         """Begin, from rest, at six joint positions in rad."""
 
     def advance(self, seconds: float) -> Setpoint:
-        """The set-point after a cycle of `seconds`."""
+        """Return the set-point after a cycle of `seconds`."""
 
 
 class Still:
-    """The arm stands still, in six joint positions in rad, and no program runs.
+    """A source that holds the arm at six joint positions, in rad, without a program.
 
     Raises:
-        BadValue: not six finite numbers.
+        BadValue: If `q` is not six finite numbers.
     """
 
     is_program = False
@@ -65,37 +67,38 @@ class Still:
         self.start(_posture(q))
 
     def start(self, q: Sequence[float]) -> None:
-        """Stand at six joint positions in rad."""
+        """Hold the arm at six joint positions, in rad."""
         self._setpoint = Setpoint(list(q), REST, REST)
 
     def advance(self, seconds: float) -> Setpoint:
-        """Always the same set-point."""
+        """Return the set-point, which is always the same."""
         return self._setpoint
 
 
 class Demonstration:
-    """Slow sine waves about a home posture, from rest, after a straight joint movement there if necessary.
+    """Slow sine waves about a home posture, starting from rest.
 
-    No joint goes faster than 0.45 rad/s or accelerates by more than 0.7 rad/s², a small part of what any model can do.
-    Joint speeds are continuous; accelerations are too, once the movement to the home posture is over.
+    If necessary, a straight joint motion leads to the home posture first. No joint moves faster than 0.45 rad/s or
+    accelerates by more than 0.7 rad/s², a small part of the limits of any model. Joint speeds are continuous.
+    Accelerations are continuous too, after the motion to the home posture has ended.
 
     Raises:
-        BadValue: the home posture is not six finite numbers.
+        BadValue: If the home posture is not six finite numbers.
     """
 
     is_program = True
 
-    #: seconds after which the waves repeat
+    #: Period of the waves, in s.
     PERIOD = 12.0
-    #: rad, one per joint
+    #: Amplitude of each joint, in rad.
     AMPLITUDES = (0.6, 0.15, 0.25, 0.2, 0.2, 0.5)
-    #: waves per period
+    #: Number of waves per period, for each joint.
     WAVES = (1, 2, 1, 2, 3, 1)
-    #: seconds in which the waves grow to their full speed
+    #: Time in which the waves grow to their full speed, in s.
     RAMP = 2.0
-    #: rad/s, the largest joint speed on the way to the home posture
+    #: Maximum joint speed of the motion to the home posture, in rad/s.
     APPROACH_SPEED = 0.45
-    #: seconds that the way to the home posture takes at least
+    #: Minimum duration of the motion to the home posture, in s.
     APPROACH_LEAST = 2.0
 
     def __init__(self, home: Sequence[float] = HOME) -> None:
@@ -110,11 +113,11 @@ class Demonstration:
         self._time = 0.0
         self._way = [h - start for h, start in zip(self._home, q, strict=True)]
         furthest = max(map(abs, self._way))
-        # The fastest point of the quintic is 15/8 of its mean speed.
+        # The maximum speed of the quintic is 15/8 of its mean speed.
         self._approach = max(1.875 * furthest / self.APPROACH_SPEED, self.APPROACH_LEAST) if furthest > 1e-9 else 0.0
 
     def advance(self, seconds: float) -> Setpoint:
-        """The set-point `seconds` later."""
+        """Return the set-point `seconds` later."""
         self._time += seconds
         if self._time < self._approach:
             return self._approaching()
@@ -123,7 +126,7 @@ class Demonstration:
     def _approaching(self) -> Setpoint:
         u = self._time / self._approach
         rest = 1.0 - u
-        # The rest of the way: one minus the quintic that starts and ends without speed and acceleration.
+        # Remaining fraction: one minus the quintic that starts and ends with zero speed and acceleration.
         left = rest**3 * (1.0 + 3.0 * u + 6.0 * u * u)
         speed = 30.0 * u * u * rest * rest / self._approach
         acceleration = 60.0 * u * rest * (1.0 - 2.0 * u) / self._approach**2
@@ -154,5 +157,5 @@ class Demonstration:
 def _posture(q: Sequence[float]) -> list[float]:
     values = [float(value) for value in q]
     if len(values) != 6 or not all(map(math.isfinite, values)):
-        raise BadValue(f"a posture is six finite numbers in rad, not {q!r}")
+        raise BadValue(f"posture {q!r}; expected six finite numbers in rad")
     return values

@@ -1,19 +1,19 @@
-"""The surroundings of a simulated arm's tool, which push and pull it, and the sensor that measures their force.
+"""Surroundings of a simulated arm's tool, and the sensor of their force.
 
-A plane pushes back along its normal where the TCP is below it: `stiffness` times the depth and `damping` times the
-speed into it, never pulling. Along the plane it rubs: `friction` times that force, against the direction of sliding. A
-spring pulls the TCP towards a point. Both act on the TCP alone: the tool has no size, and no other part of the arm
-touches anything. Friction does not stick: below 1 mm/s it fades with the speed. All of this is a model, not a
-measurement.
+If the TCP is below a plane, the plane pushes back along its normal. The force is `stiffness` times the depth plus
+`damping` times the speed into the plane; it never pulls. Friction acts along the plane, against the direction of
+sliding. It is `friction` times the normal force. Friction does not stick: below 1 mm/s it decreases with the speed. A
+spring pulls the TCP towards a point.
 
-Bodies that move are a `Scene`, which acts on the tool and on the links.
+Planes and springs act only on the TCP: the tool has no size, and no other part of the arm touches anything. All of this
+is a model rather than a measurement. Moving bodies are a `Scene`, which acts on the tool and on the links.
 
-The sensor measures the forces of the surroundings, and the weight of a load that the controller does not know; `zero`
-makes the present value the new zero. That the offset turns with the tool, as with a sensor in the tool, is a guess for
-arms that have none and compute the force from their currents.
+The sensor measures the forces of the surroundings, and the weight of a load that the controller does not know. `zero`
+makes the current value the new zero. The offset turns with the tool, as with a sensor in the tool. This is assumed for
+arms that have no such sensor and compute the force from their currents.
 
-Forces are those that act on the tool, in N and Nm, in the directions of the base frame, moments about the TCP; that the
-sensor measures those on the tool, and not those of the tool, is a guess.
+Forces act on the tool, in N and Nm, along the axes of the base frame, with moments about the TCP. It is assumed that
+the sensor measures the forces on the tool rather than the forces that the tool exerts.
 """
 
 from __future__ import annotations
@@ -38,34 +38,40 @@ from urlink.arm.vectors import FloatArray
 from .scene import Reaction, Scene
 from .setpoint_sources import Setpoint
 
-#: m/s of sliding at which friction has three quarters of its full size.
+#: Sliding speed, in m/s, at which friction has three quarters of its full size.
 _SLIDING = 1e-3
-#: N at the TCP above which the controller stops the arm. On controllers it can be set; this default is a guess.
+#: Force at the TCP, in N, above which the controller stops the arm. It can be set on controllers; this default is
+#: assumed.
 FORCE_LIMIT = number("force_limit")
-# The same for the links: part of the largest torque of a joint.
+# The same limit for the links, as a fraction of the maximum torque of a joint.
 _TORQUE_SHARE = number("link_contact_limit")
 
 
 class ContactModel(Protocol):
-    """Something that acts on the TCP."""
+    """An object that acts on the TCP."""
 
     def force(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
-        """N in the base frame, of a TCP at a position in m that moves at a velocity in m/s."""
+        """Return the force on the TCP in the base frame, in N.
+
+        Args:
+            position: Position of the TCP, in m.
+            velocity: Velocity of the TCP, in m/s.
+        """
 
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane that the TCP can be pressed on.
+    """A plane that the TCP can press on.
 
     Args:
-        point: (3,) any point of it in the base frame, m.
-        normal: (3,) towards the free side, of any length.
-        stiffness: N/m.
-        damping: N per m/s into it.
-        friction: part of the normal force that opposes sliding.
+        point: Any point of the plane in the base frame, shape (3,), in m.
+        normal: Direction towards the free side, shape (3,), of any length.
+        stiffness: Stiffness, in N/m.
+        damping: Damping of the speed into the plane, in N per m/s.
+        friction: Friction coefficient: the fraction of the normal force that opposes sliding.
 
     Raises:
-        BadValue: a vector is not three finite numbers, the normal is zero, or a figure is negative.
+        BadValue: If a vector is not three finite numbers, the normal is zero, or a number is negative.
     """
 
     point: Sequence[float]
@@ -78,13 +84,13 @@ class Plane:
         normal = _numbers(self.normal, 3, "a normal")
         length = math.hypot(*normal)
         if length == 0.0:
-            raise BadValue("the normal of a plane is not zero")
+            raise BadValue("normal is zero; expected the direction towards the free side")
         object.__setattr__(self, "point", _numbers(self.point, 3, "a point"))
         object.__setattr__(self, "normal", tuple(each / length for each in normal))
         _check_figures(stiffness=self.stiffness, damping=self.damping, friction=self.friction)
 
     def force(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
-        """N in the base frame, of a TCP at a position in m that moves at a velocity in m/s."""
+        """Return the force on the TCP in the base frame, in N; see `ContactModel.force`."""
         nx, ny, nz = self.normal
         px, py, pz = self.point
         depth = (px - position[0]) * nx + (py - position[1]) * ny + (pz - position[2]) * nz
@@ -101,15 +107,17 @@ class Plane:
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring between a point and the TCP; its length at rest is zero, so it always pulls the TCP to the point.
+    """A spring between a point and the TCP, which always pulls the TCP to the point.
+
+    Its length at rest is zero.
 
     Args:
-        point: (3,) its other end, in the base frame, m.
-        stiffness: N/m.
-        damping: N per m/s of the TCP.
+        point: Other end of the spring in the base frame, shape (3,), in m.
+        stiffness: Stiffness, in N/m.
+        damping: Damping of the speed of the TCP, in N per m/s.
 
     Raises:
-        BadValue: a point that is not three finite numbers, or a negative figure.
+        BadValue: If `point` is not three finite numbers, or a number is negative.
     """
 
     point: Sequence[float]
@@ -121,26 +129,27 @@ class Spring:
         _check_figures(stiffness=self.stiffness, damping=self.damping)
 
     def force(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
-        """N in the base frame, of a TCP at a position in m that moves at a velocity in m/s."""
+        """Return the force on the TCP in the base frame, in N; see `ContactModel.force`."""
         k, c = self.stiffness, self.damping
         x, y, z = (k * (there - here) - c * v for there, here, v in zip(self.point, position, velocity, strict=True))
         return x, y, z
 
 
 class Surroundings(StrictAttributes):
-    """The surroundings of the arm of one controller. A reboot does not change them.
+    """Surroundings of the arm of one controller. A reboot does not change them.
 
-    Each method may be called from any thread; changes have an effect from the next cycle on.
+    Any thread may call each method. Changes have an effect in the next cycle.
 
     Attributes:
-        force_limit: N at the TCP above which the controller stops the arm protectively.
-        scene: bodies around the arm; None for none.
+        force_limit: Force at the TCP, in N, above which the controller stops the arm protectively.
+        scene: Bodies around the arm; None for none.
     """
 
     def __init__(self) -> None:
         self.force_limit = FORCE_LIMIT
         self.scene: Scene | None = None
-        # Replaced as a whole, so that the thread that owns the controller sees either the old or the new one.
+        # Tuples are replaced as a whole, so that the thread that owns the controller sees either the old or the new
+        # one.
         self._contacts: tuple[ContactModel, ...] = ()
         self._wrench: tuple[float, ...] = (0.0,) * 6
         self._torques: tuple[float, ...] = (0.0,) * 6
@@ -149,13 +158,13 @@ class Surroundings(StrictAttributes):
     # -- for tests -------------------------------------------------------------------------------------
 
     def add(self, contact: ContactModel) -> ContactModel:
-        """Place a plane, a spring, or your own object with a method `force`; returns it.
+        """Place a plane, a spring, or your own object with a method `force`, and return it.
 
         Raises:
-            BadValue: it has no such method.
+            BadValue: If the object has no such method.
         """
         if not callable(getattr(contact, "force", None)):
-            raise BadValue(f"a contact has a method force(position, velocity), as Plane and Spring do; not {contact!r}")
+            raise BadValue(f"contact {contact!r}; expected an object with a method force(position, velocity)")
         self._contacts = (*self._contacts, contact)
         return contact
 
@@ -163,15 +172,15 @@ class Surroundings(StrictAttributes):
         """Remove a contact.
 
         Raises:
-            BadValue: it is not there.
+            BadValue: If the contact was not placed.
         """
         left = tuple(each for each in self._contacts if each is not contact)
         if len(left) == len(self._contacts):
-            raise BadValue(f"there is no such contact: {contact!r}")
+            raise BadValue(f"contact {contact!r} is not in the surroundings; expected one of `contacts`")
         self._contacts = left
 
     def clear(self) -> None:
-        """Remove everything: scene, contacts, pushes and the load."""
+        """Remove all objects and forces: scene, contacts, pushes and the load."""
         self.scene = None
         self._contacts = ()
         self._wrench = self._torques = (0.0,) * 6
@@ -179,39 +188,45 @@ class Surroundings(StrictAttributes):
 
     @property
     def contacts(self) -> tuple[ContactModel, ...]:
-        """The planes and springs, in the order in which they were placed."""
+        """Planes and springs, in the order of their placement."""
         return self._contacts
 
     def push(self, wrench: Sequence[float]) -> None:
-        """Push at the TCP from now on, as a hand does; six zeros end it.
+        """Push at the TCP continuously, as a hand does; six zeros end the push.
 
         Args:
-            wrench: (6,) N in the directions of the base frame, and Nm about the TCP.
+            wrench: Wrench, shape (6,): forces in N along the axes of the base frame, and torques in Nm about the TCP.
 
         Raises:
-            BadValue: not six finite numbers.
+            BadValue: If `wrench` is not six finite numbers.
         """
         self._wrench = _numbers(wrench, 6, "a wrench")
 
     def push_joints(self, torques: Sequence[float]) -> None:
-        """Push the joints from now on, (6,) Nm; six zeros end it. Only an arm in freedrive or under direct torque
-        yields to it; it is not in the force at the TCP.
+        """Push the joints continuously; six zeros end the push.
+
+        Only an arm in freedrive or under direct torque yields to this push. The force at the TCP does not include it.
+
+        Args:
+            torques: Joint torques, shape (6,), in Nm.
 
         Raises:
-            BadValue: not six finite numbers.
+            BadValue: If `torques` is not six finite numbers.
         """
         self._torques = _numbers(torques, 6, "torques")
 
     def carry(self, mass: float | None, cog: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
-        """Set the real load at the flange. If it differs from the payload that the controller knows, the force at the
-        TCP is off by the difference of the weights.
+        """Set the real load at the flange.
+
+        If the load differs from the payload that the controller knows, the force at the TCP has an error: the
+        difference of the weights.
 
         Args:
-            mass: kg; None for the payload that the controller knows, which is the initial value.
-            cog: (3,) its centre of mass in the frame of the flange, m.
+            mass: Mass in kg. None, the initial value, stands for the payload that the controller knows.
+            cog: Centre of mass in the frame of the flange, shape (3,), in m.
 
         Raises:
-            BadValue: a negative mass, or a centre that is not three finite numbers.
+            BadValue: If the mass is negative, or the centre is not three finite numbers.
         """
         if mass is None:
             self._load = None
@@ -223,21 +238,26 @@ class Surroundings(StrictAttributes):
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing can act on the arm."""
+        """Whether no object or force acts on the arm."""
         return not (self.scene or self._contacts or any(self._wrench) or any(self._torques) or self._load)
 
     @property
     def load(self) -> tuple[float, tuple[float, ...]] | None:
-        """Mass, kg, and centre of mass, m, of the real load at the flange; None for the known payload."""
+        """Mass in kg, and centre of mass in m, of the real load; None for the known payload."""
         return self._load
 
     @property
     def joint_torques(self) -> tuple[float, ...]:
-        """(6,) Nm, of `push_joints`."""
+        """Joint torques of `push_joints`, shape (6,), in Nm."""
         return self._torques
 
     def wrench(self, position: Sequence[float], velocity: Sequence[float]) -> list[float]:
-        """The wrench on a TCP at a position in m that moves at a velocity in m/s: (6,) N and Nm."""
+        """Return the wrench on the TCP, shape (6,), in N and Nm.
+
+        Args:
+            position: Position of the TCP, in m.
+            velocity: Velocity of the TCP, in m/s.
+        """
         total = list(self._wrench)
         for contact in self._contacts:
             for axis, part in enumerate(contact.force(position, velocity)):
@@ -255,29 +275,29 @@ def _numbers(values: Sequence[float], n: int, what: str) -> tuple[float, ...]:
 def _check_figures(**figures: float) -> None:
     for name, value in figures.items():
         if not 0.0 <= value < math.inf:
-            raise BadValue(f"{name} is zero or more, not {value!r}")
+            raise BadValue(f"{name}={value!r}; expected a finite number, 0 or more")
 
 
-# N at which a contact is detected, and below which it has not begun. The sensitivity of controllers is not published.
+# Force, in N, at which a contact is detected, and below which it has not begun. Controllers' values are not published.
 _NOTICED, _BEGUN = 5.0, 1.0
-# Cycles that are kept.
+# Number of kept cycles.
 _REMEMBERED = 500
 _NONE = [0.0] * 6
 
 
 class ForceSensor:
-    """The sensor of one arm.
+    """Force sensor of one arm.
 
     Args:
-        kinematics: of the arm.
-        surroundings: what acts on it.
+        kinematics: Kinematics of the arm.
+        surroundings: Surroundings that act on the arm.
 
     Attributes:
-        external: (6,) what acts on the TCP in this cycle, with the weight that the controller does not know.
-        wrench: (6,) that, minus the offset.
-        torques: (6,) Nm on the joints, by what touches the links.
-        overload: what stops the arm protectively: a force at the TCP, or a torque of a joint, that is above its limit
-            and larger than a cycle ago; None for none.
+        external: Wrench on the TCP in this cycle, including the weight that the controller does not know, shape (6,).
+        wrench: The same wrench minus the offset, shape (6,).
+        torques: Joint torques from contacts with the links, shape (6,), in Nm.
+        overload: Reason for a protective stop: a force at the TCP, or a torque of a joint, that exceeds its limit and
+            has grown since the previous cycle. None if there is no overload.
     """
 
     def __init__(self, kinematics: Arm, surroundings: Surroundings) -> None:
@@ -295,7 +315,15 @@ class ForceSensor:
     def advance(
         self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float], seconds: float
     ) -> None:
-        """Advance by one cycle, at these targets, with this tool and the load, kg and m, that the controller knows."""
+        """Advance by one cycle.
+
+        Args:
+            setpoint: Targets of the cycle.
+            tcp: Tool centre point in the flange frame, in m and rad.
+            payload: Mass of the load that the controller knows, in kg.
+            cog: Centre of mass of this load in the flange frame, in m.
+            seconds: Duration of the cycle, in s.
+        """
         self.overload = None
         if self._surroundings.is_empty and self._offset is None:
             self.external = self.wrench = self.torques = _NONE
@@ -326,7 +354,7 @@ class ForceSensor:
         self._turn = pose[3:]
         load = self._surroundings.load
         if load is not None and load != (payload, tuple(cog)):
-            # From the frame of the flange to that of the TCP, of which the pose is known.
+            # Transform from the flange frame to the TCP frame, whose pose is known.
             turn, way = rotvec_to_matrix(tcp[3:]), np.array(tcp[:3])
             external += self._weight(load[0], turn.T @ (np.array(load[1]) - way))
             external -= self._weight(payload, turn.T @ (np.array(cog) - way))
@@ -340,12 +368,12 @@ class ForceSensor:
             ).tolist()
 
     def _weight(self, mass: float, place: FloatArray) -> FloatArray:
-        """The weight of a mass at a place in the frame of the TCP: force, and moment about the TCP."""
+        """Return the weight of a mass at a place in the TCP frame: force, and moment about the TCP."""
         force = np.array((0.0, 0.0, -GRAVITY * mass))
         return np.concatenate((force, np.cross(rotvec_to_matrix(self._turn) @ place, force)))
 
     def zero(self) -> None:
-        """Make the present value the new zero; if nothing acts on the tool, the offset is zero."""
+        """Make the current value the new zero; if nothing acts on the tool, the offset is zero."""
         self._offset = None
         self.wrench = _NONE
         if any(self.external):
@@ -353,10 +381,13 @@ class ForceSensor:
             self._offset = np.concatenate((back @ external[:3], back @ external[3:]))
 
     def contact_steps(self, direction: Sequence[float]) -> int:
-        """Cycles since a contact began that opposes a movement of the tool; 0 without one.
+        """Return the cycles since the start of a contact that opposes a motion of the tool.
+
+        Returns 0 if there is no such contact.
 
         Args:
-            direction: (3,) of the movement in the base frame, of any length; zero for contacts of every direction.
+            direction: Direction of the motion in the base frame, shape (3,), of any length; zero for contacts in every
+                direction.
         """
         length = math.hypot(*direction)
 

@@ -1,7 +1,7 @@
 """URScript for the simulated controller.
 
-`compile_script` compiles a text to a `Script`; an `Execution` runs it, one controller cycle at a time, and uses the
-controller through the protocols of `world`. This package has no sockets, threads or clocks: the same program in the
+`compile_script` compiles a text to a `Script`. An `Execution` runs the script, one controller cycle at a time, and uses
+the controller through the protocols of `world`. This package has no sockets, threads or clocks. The same program in the
 same world gives the same result in every cycle.
 """
 

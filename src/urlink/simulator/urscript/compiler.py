@@ -1,9 +1,9 @@
-"""Compiler from the syntax tree to instructions.
+"""Compile the syntax tree to instructions.
 
-An expression becomes one Python function, unless it calls a function of the program or one that takes time. Such a call
-becomes an instruction, which stores its value in a slot of the frame. Operands to its left are evaluated before it,
-into slots too, so that the order of evaluation is that of the text. A leaf function of the program (`leaf_functions`)
-becomes a Python function as well.
+An expression becomes one Python function, unless it calls a function of the program or a function that takes time. Such
+a call becomes an instruction, which stores its value in a slot of the frame. Operands to its left are evaluated before
+it, into slots too, so that the order of evaluation follows the text. A leaf function of the program
+(`scopes.leaf_size`) also becomes a Python function.
 """
 
 from __future__ import annotations
@@ -61,23 +61,23 @@ from .syntax import (
 from .tokens import SourceText
 from .values import NUMBERS, UNSET, MemberName
 
-# Functions that a statement may call without brackets.
+# Functions that a statement can call without brackets.
 _BARE = ("enter_critical", "exit_critical")
-# Undefined variable -> function that an assignment to its element calls. Not in the manuals as far as they are
-# remembered; a public client sets outputs this way, and its users report that they switch.
+# Undefined variable -> function that an assignment to its element calls. The manuals (cited from memory) do not contain
+# this. A public client sets outputs this way, and its users report that the outputs switch.
 _SETTERS = {"digital_out": "set_digital_out"}
-# Expressions with more parts count as work.
+# Expressions with more parts than this count as work.
 _SHORT = 32
 
 
 def compile_script(text: str, firmware: Firmware) -> Script:
     """Compile a program.
 
-    The last `def` or `sec` is the program, and the statements before it run first; if other statements follow it, all
-    statements are the program. Both are guesses.
+    The last `def` or `sec` is the program, and the statements before it run first. If other statements follow it, all
+    statements are the program. Both rules are assumed.
 
     Raises:
-        ProgramError: it does not compile; has the place and the controller's text.
+        ProgramError: If the program does not compile. It has the place and the controller's text.
     """
     with _collection_paused():
         source = SourceText(text)
@@ -88,9 +88,9 @@ def compile_script(text: str, firmware: Firmware) -> Script:
 def _collection_paused() -> Iterator[None]:
     """Disable cyclic garbage collection in this process until the block ends, if it is enabled.
 
-    A program of 250 kB becomes 0.4 to 1.2 million objects, none of which can be collected before the end. Their number
-    triggers one collection after another, each of which visits all of them: two thirds of the compile time together.
-    `MAX_TOKENS` bounds the memory held meanwhile to about 120 MB.
+    A program of 250 kB becomes 0.4 to 1.2 million objects, and none can be collected before the end. Their number
+    triggers one collection after another, and each visits all objects. Together, this takes two thirds of the compile
+    time. `MAX_TOKENS` bounds the memory in use during this time to about 120 MB.
     """
     if not gc.isenabled():
         yield
@@ -125,15 +125,18 @@ class _Program:
         self.script = Script(name, self.kind, main, len(self.globals))
 
     def builtin(self, name: str) -> Builtin | None:
-        """The built-in function of that name; None if the firmware lacks it."""
+        """Return the built-in function of that name; None if the firmware lacks it."""
         if name not in self._builtins:
             self._builtins[name] = find(name, self.firmware)
         return self._builtins[name]
 
     def leaf(self, definition: Definition, code: Code) -> tuple[Function | None, int]:
-        """A leaf function as a Python function of its frame, and its size; None and 0 for any other function."""
+        """Return a leaf function as a Python function of its frame, and its size.
+
+        For any other function, return None and 0.
+        """
         if code.source is not self.source:
-            return None, 0  # places of its faults would be looked up in the text of a later statement
+            return None, 0  # otherwise the places of its faults would refer to the text of a later statement
         if id(definition) not in self._leaves:
             size = leaf_size(definition, self.globals)
             compiler = _Compiler(self, Code(self.source), definition.body, definition.parameters, None)
@@ -142,11 +145,11 @@ class _Program:
         return function, size
 
     def error(self, node: Node, text: str) -> ProgramError:
-        """A compile error at a node."""
+        """Return a compile error at a node."""
         return self.source.failure(node.place, text)
 
     def not_found(self, node: Node, name: str) -> ProgramError:
-        """The error of an undefined name."""
+        """Return the error for an undefined name."""
         return self.error(node, f"compile_error_name_not_found:{name}:")
 
 
@@ -193,11 +196,11 @@ class _Compiler:
         self._code.places.extend(place for _, place in self._makers)
 
     def leaf(self) -> Function:
-        """The Python function of a leaf function, of its frame."""
+        """Return the Python function for a leaf function; its argument is the frame."""
         return self._chosen(self._body, operations.constant(None))
 
     def _chosen(self, block: Block, after: Function) -> Function:
-        """The value that the statements return; that of `after` if they return none."""
+        """Return the value that the statements return, or the value of `after` if they return none."""
         for statement in reversed(block):
             if isinstance(statement, Return):
                 after = operations.constant(None) if statement.value is None else self._value(statement.value)
@@ -212,11 +215,11 @@ class _Compiler:
     def statement(self, text: str) -> StatementCode:
         """Compile a statement of interpreter mode into the scope of this function.
 
-        It assigns to variables of this function, or to global ones if this is the program's own body. Functions that it
-        defines are known to later statements.
+        It assigns to variables of this function, or to global variables if this is the program's own body. Later
+        statements know the functions that it defines.
 
         Raises:
-            ProgramError: it does not compile.
+            ProgramError: If the statement does not compile.
         """
         source = SourceText(text)
         body = parse(source)
@@ -240,7 +243,7 @@ class _Compiler:
         return StatementCode(compiler._code, len(known))
 
     def _default(self, parameter: Node, default: Expression, slot: int) -> None:
-        """Evaluate a default value in the called function, at each call (a guess)."""
+        """Evaluate a default value in the called function, at each call (assumed)."""
         given = Label()
         self._emit(parameter, lambda after: instructions.skip_if_set(slot, given, after))
         value = self._value(default)
@@ -259,7 +262,7 @@ class _Compiler:
         label.at = len(self._makers)
 
     def _slot(self) -> int:
-        """A slot that this statement does not use yet."""
+        """Return a slot that this statement does not use yet."""
         slot = self._used
         self._used += 1
         self._top = max(self._top, self._used)
@@ -285,7 +288,10 @@ class _Compiler:
         self._emit(s, lambda after: instructions.jump(label))
 
     def _node_label(self, s: NodeLabel) -> None:
-        """A target of `jump_to_label`, by its name and its number; of several with one name the first."""
+        """Mark a target of `jump_to_label`, by its name and its number.
+
+        If several targets have the same name, the first is used.
+        """
         label = Label()
         self._mark(label)
         self._labels.setdefault(s.name, label)
@@ -387,7 +393,7 @@ class _Compiler:
         return builtin is None or builtin.takes_time
 
     def _sequence(self, nodes: Sequence[Expression]) -> list[Function]:
-        """Python functions of expressions that are evaluated from left to right."""
+        """Return Python functions for expressions that are evaluated from left to right."""
         last = -1
         for at, node in enumerate(nodes):
             if node.has_calls and self._takes(node):
@@ -408,7 +414,7 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _value(self, node: Expression) -> Function:
-        """The Python function of an expression; emits the instructions in it."""
+        """Return the Python function of an expression, and emit the instructions in it."""
         self._parts += 1
         return _EXPRESSIONS[node.__class__](self, node)
 
@@ -546,7 +552,7 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _interpreter_mode(self, node: Call, arguments: Sequence[Function]) -> Function:
-        """Two instructions rather than a function, since it runs statements that arrive meanwhile."""
+        """Emit two instructions rather than a function, because statements can arrive in between."""
         slot = self._slot()
         on_enter, on_end = arguments
         self._emit(node, lambda after: instructions.enter_interpreter(self.statement, on_enter, on_end, after))
@@ -554,12 +560,18 @@ class _Compiler:
         return operations.constant(None)
 
     def _takes_time(self, node: Node, what: str) -> None:
-        """Raise in a `sec` program: its calls may not take time. That this is a compile error is a guess."""
+        """Raise in a `sec` program, whose calls may not take time.
+
+        It is assumed that this is a compile error.
+        """
         if self._program.kind == "sec":
             raise self._program.error(node, f"compile_error_not_allowed_in_secondary_program:{what}:")
 
     def _arguments(self, node: Call, parameters: Sequence[tuple[str, object]]) -> list[Function]:
-        """One function for each parameter, in order; a wrong number of arguments is a run-time error."""
+        """Return one function for each parameter, in order.
+
+        A wrong number of arguments is a run-time error.
+        """
         positions = {name: at for at, (name, _) in enumerate(parameters)}
         for name, value in node.named:
             if name not in positions:
@@ -586,9 +598,9 @@ class _Compiler:
         ]
 
 
-# Bound methods in the compiler would make it a cycle of references, and keep what a program was compiled from in memory
-# until the next collection of garbage.
-#: How each kind of statement is compiled.
+# Bound methods in the compiler would create a reference cycle. Everything that a program was compiled from would then
+# stay in memory until the next garbage collection.
+#: Kind of a statement -> method that compiles it.
 _STATEMENTS: dict[type[Statement], Callable[[_Compiler, Any], None]] = {
     Assign: _Compiler._assign,
     Evaluate: _Compiler._evaluate,
@@ -604,7 +616,7 @@ _STATEMENTS: dict[type[Statement], Callable[[_Compiler, Any], None]] = {
     Definition: _Compiler._define,
     Declare: lambda compiler, s: None,
 }
-#: How each kind of expression is compiled.
+#: Kind of an expression -> method that compiles it.
 _EXPRESSIONS: dict[type[Expression], Callable[[_Compiler, Any], Function]] = {
     Constant: _Compiler._constant,
     Name: _Compiler._variable,

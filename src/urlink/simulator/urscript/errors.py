@@ -1,16 +1,16 @@
-"""Errors of a program, with the texts of a controller, and the limits beyond which it is refused or stopped.
+"""Errors of a program, with the texts of a controller, and the limits of a program.
 
-Texts of real controllers, each seen in a log or a capture:
+The following texts of real controllers were seen in a log or a capture:
 
-- `syntax_error_on_line:2:end:` and `compile_error_name_not_found:txtmsg:` with line and column, counted from 1; the
-  line number is followed by the whole line, with its indentation;
-- `Type error: str_sub takes exact...` (5.x, truncated there), the model of the "Type error: " texts here;
+- `syntax_error_on_line:2:end:` and `compile_error_name_not_found:txtmsg:` with line and column, counted from 1. The
+  line number is followed by the whole line, with its indentation.
+- `Type error: str_sub takes exact...` (5.x, truncated there). The "Type error: " texts here follow this form.
 - "The program used too much time without instructing the robot what to do. ..." (3.4) and "infinite loop detected"
-  (1.8) for a program that loops without time passing;
-- "Another thread is already controlling the robot";
+  (1.8), for a program that loops without letting time pass.
+- "Another thread is already controlling the robot".
 
-Every other text here and in the built-in functions is a guess. So are the limits, which are wide enough for the
-programs in the field: they bound the work of one controller cycle and the memory of any program.
+All other texts here and in the built-in functions are assumed. The limits are assumed too. They are large enough for
+known programs, and bound the work of one controller cycle and the memory of any program.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class ProgramError(Exception):
     """A compile error or run-time error of a program.
 
     Attributes:
-        line, column: its place, counted from 1.
-        text: the controller's text.
+        line, column: Place of the error, counted from 1.
+        text: Text of the controller.
     """
 
     def __init__(self, line: int, column: int, text: str) -> None:
@@ -40,7 +40,7 @@ class Fault(Exception):
     """A run-time error, which the machine converts to a `ProgramError`.
 
     Attributes:
-        place: character offset in the text; None for that of the instruction.
+        place: Character offset in the text; None for the place of the instruction.
     """
 
     def __init__(self, text: str, place: int | None = None) -> None:
@@ -49,12 +49,12 @@ class Fault(Exception):
 
 
 def type_error(text: str) -> Fault:
-    """The fault of a value of the wrong type."""
+    """Return the fault of a value with the wrong type."""
     return Fault(f"Type error: {text}")
 
 
 def endless(firmware: Firmware) -> Fault:
-    """The fault of a program that loops without time passing."""
+    """Return the fault of a program that loops without letting time pass."""
     if firmware.is_cb2:
         return Fault("infinite loop detected")
     return Fault(
@@ -63,30 +63,30 @@ def endless(firmware: Firmware) -> Fault:
     )
 
 
-#: characters of a program's text
+#: Maximum number of characters in a program.
 MAX_TEXT = 262_144
-#: tokens of a program; 250 kB of ordinary statements have about 120 000
+#: Maximum number of tokens in a program. 250 kB of ordinary statements have about 120 000.
 MAX_TOKENS = 131_072
-#: nesting depth of brackets, blocks and operators
+#: Maximum nesting depth of brackets, blocks and operators.
 MAX_NESTING = 64
-#: parameters of one function; a call handles each, given or not
+#: Maximum number of parameters of a function. A call handles each parameter, whether it is given or not.
 MAX_PARAMETERS = 64
-#: instructions of one controller cycle, all threads together, which share them evenly
+#: Maximum number of instructions in one controller cycle. All threads share them evenly.
 MAX_INSTRUCTIONS = 20_000
-#: work of one controller cycle, all threads together: elements and characters made, parts of long expressions, and
-#: the equivalent of other costly operations
+#: Maximum work of all threads in one controller cycle: elements and characters made, parts of long expressions, and the
+#: equivalent of other costly operations.
 MAX_WORK = 200_000
-#: call depth of one thread
+#: Maximum call depth of one thread.
 MAX_CALL_DEPTH = 200
-#: threads of one program, those that ended in this cycle included
+#: Maximum number of threads of one program, including those that ended in this cycle.
 MAX_THREADS = 100
-#: elements of a list, those of inner lists included
+#: Maximum number of elements in a list, including inner lists.
 MAX_ELEMENTS = 10_000
-#: nesting depth of structs
+#: Maximum nesting depth of structs.
 MAX_STRUCTS = 16
-#: characters of a string
+#: Maximum number of characters in a string.
 MAX_STRING = 10_000
-#: elements and characters in all variables together
+#: Maximum number of elements and characters in all variables together.
 MAX_MEMORY = 2_000_000
-#: Integers have 32 bits. That a result beyond them is an error rather than a float is a guess.
+#: Integers have 32 bits. It is assumed that a larger result is an error rather than a float.
 MIN_INTEGER, MAX_INTEGER = -(2**31), 2**31 - 1

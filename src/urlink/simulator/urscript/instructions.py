@@ -1,4 +1,7 @@
-"""Instructions of the machine, made for their operands. Each returns the number of the next, usually `after`."""
+"""Make the instructions of the machine for their operands.
+
+Each instruction returns the number of the next instruction, usually `after`.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ class Label:
     """A jump target whose position is set later.
 
     Attributes:
-        at: number of the instruction.
+        at: Number of the instruction.
     """
 
     def __init__(self) -> None:
@@ -207,7 +210,7 @@ def interpret(destination: int, after: int) -> Instruction:
         taken = statements.take()
         if taken is None:
             return thread.await_(wait(), here, destination)
-        # It runs in the frame of this function, and may have added variables.
+        # The statement runs in the frame of this function, and might have added variables.
         f.extend([UNSET] * (taken.code.size - len(f)))
         f[GLOBALS].extend([UNSET] * (taken.n_globals - len(f[GLOBALS])))
         return thread.call(taken.code, f, here, destination)
@@ -216,7 +219,7 @@ def interpret(destination: int, after: int) -> Instruction:
 
 
 def start(code: Code, arguments: Sequence[Function]) -> Function:
-    """`run`: an expression whose value is the new thread."""
+    """Return an expression for `run`, whose value is the new thread."""
 
     def run(f: Frame) -> ScriptThread:
         thread: ScriptThread = f[THREAD]
@@ -263,14 +266,17 @@ def halt() -> Instruction:
 
 
 def _frame(code: Code, arguments: Sequence[Function], f: Frame) -> Frame:
-    """The frame of a called function: its arguments; other variables unset."""
+    """Return the frame of a called function: its arguments, and other variables unset."""
     frame = [f[GLOBALS], f[THREAD], *[argument(f) for argument in arguments]]
     frame.extend([UNSET] * (code.size - len(frame)))
     return frame
 
 
 def _thread(value: Any) -> ScriptThread | None:
-    """The thread of a handle; None for an integer: drivers kill and join variables that still hold 0."""
+    """Return the thread of a handle; None for an integer.
+
+    Drivers kill and join variables that still contain 0.
+    """
     if isinstance(value, ScriptThread):
         return value
     if value.__class__ is int:

@@ -1,18 +1,19 @@
-"""The machine that runs compiled programs: threads that take turns, cycle by cycle.
+"""Run compiled programs: their threads take turns, cycle by cycle.
 
-A function is a list of instructions, and nothing in the machine calls itself. A frame is a plain list: the program's
-globals, the thread that runs, and the function's own variables. An instruction is a Python function of the frame that
-returns the number of the next instruction, or one of the three numbers below that say why there is none.
+A function is a list of instructions, and the machine contains no recursion. A frame is a plain list: the program's
+globals, the running thread, and the function's own variables. An instruction is a Python function of the frame. It
+returns the number of the next instruction, or one of the three numbers below, which state why there is none.
 
-In each cycle every thread runs, in the order in which they were started, until it does something that takes time, or
-until its slice of the cycle is over: then it goes on in the next one. So a loop that waits for a variable, such as the
-timers that PolyScope counts in a thread of their own, lets the other threads run. The program is stopped if none of its
-threads waits for anything, or if one loops for half a second while no other assigns to a global variable (a guess).
-Which thread a real controller runs first is not known; its manual says that each has a slice of every cycle.
+In each cycle, every thread runs, in the order in which the threads were started. A thread runs until it does something
+that takes time, or until its slice of the cycle is used up. It then continues in the next cycle. So a loop that waits
+for a variable lets the other threads run; an example is a timer, which PolyScope counts in a separate thread. The
+program is stopped if none of its threads waits for anything, or if a thread loops for half a second while no other
+assigns to a global variable (assumed). The order of threads on a real controller is unknown. Its manual states that
+each thread has a slice of every cycle.
 
-A critical section keeps a controller from taking turns in the middle of it, and nothing more: a driver in the field
-waits for its socket, and joins a thread that enters one, inside of one. Here turns are taken only where time passes,
-so that it changes nothing.
+A critical section only keeps a controller from taking turns inside it. A driver in the field waits for its socket
+inside a critical section, and joins a thread that enters one. Here, threads take turns only when time passes, so a
+critical section has no effect.
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ from .world import BegunMove, ScriptWorld
 Frame = list[Any]
 Instruction = Callable[[Frame], int]
 
-#: Where in a frame the globals, the thread and the first variable are.
+#: Positions of the globals, the thread and the first variable in a frame.
 GLOBALS, THREAD, FIRST = 0, 1, 2
-#: Another function goes on; the thread waits for a later cycle; the thread is over.
+#: Another function continues; the thread waits for a later cycle; the thread has ended.
 SWITCHED, WAITING, ENDED = -1, -2, -3
 
 
@@ -55,10 +56,10 @@ class Code:
     """A function.
 
     Attributes:
-        source: the text.
-        size: of its frame.
-        instructions: one after the other.
-        places: where in the text each stands.
+        source: Text of the program.
+        size: Size of its frame.
+        instructions: Instructions, one after the other.
+        places: Place of each instruction in the text.
     """
 
     source: SourceText
@@ -68,11 +69,13 @@ class Code:
 
 
 class StatementCode(NamedTuple):
-    """A statement that came while the program runs; it runs in the frame of the function whose scope it has.
+    """A statement that arrived while the program was running.
+
+    It runs in the frame of the function whose scope it uses.
 
     Attributes:
-        code: its instructions.
-        n_globals: how many global variables the program has by now.
+        code: Instructions of the statement.
+        n_globals: Current number of global variables of the program.
     """
 
     code: Code
@@ -84,10 +87,10 @@ class Script:
     """A program that compiles.
 
     Attributes:
-        name: as after `def` or `sec`; "unnamed" (a guess) for statements alone.
-        kind: `sec` runs beside the program that moves the arm.
-        main: where it begins.
-        n_globals: how many global variables it has.
+        name: Name after `def` or `sec`; "unnamed" (assumed) for statements alone.
+        kind: Kind of the program. `sec` runs in addition to the program that moves the arm.
+        main: Code at which the program begins.
+        n_globals: Number of global variables.
     """
 
     name: str
@@ -96,20 +99,20 @@ class Script:
     n_globals: int
 
 
-#: A function that takes time: it yields once for every cycle that it waits, and returns its value.
+#: A function that takes time. It yields once for every cycle that it waits, and returns its value.
 Waiting = Generator[None, None, Any]
 
-#: Instructions of a thread that has used up its slice in the cycle before: it waits for another thread.
+#: Instructions of a thread that has used up its slice in the previous cycle, because it waits for another thread.
 _SPINNING = 1000
-# Small frames are part of the text's bound; larger ones count as memory.
+# The bound of the text covers small frames. Larger frames count as memory.
 _SMALL_FRAME = 64
 
 
 class ScriptThread:
-    """A thread of a program: its frames, and what it waits for.
+    """A thread of a program: its frames, and the call that it waits for.
 
     Attributes:
-        is_over: whether it has ended or was killed.
+        is_over: Whether the thread has ended or was killed.
     """
 
     __slots__ = (
@@ -135,8 +138,8 @@ class ScriptThread:
         self._frame = frame
         self._next = 0
         self._depth = 0
-        # The global variables after it had used up its slice of the cycle before, and the cycles since another thread
-        # has assigned to one.
+        # Global variables after the thread had used up its slice of the previous cycle, and the number of cycles since
+        # another thread has assigned to a global variable.
         self._seen: list[Any] | None = None
         self._spins = 0
         self._stack: list[tuple[Code, Frame, int, int]] = []
@@ -145,7 +148,7 @@ class ScriptThread:
         frame[THREAD] = self
 
     def call(self, code: Code, frame: Frame, after: int, destination: int) -> int:
-        """Enter a function; its value is stored in the caller's slot `destination`."""
+        """Enter a function. Its value is stored in the caller's slot `destination`."""
         self._depth += 1
         if self._depth > MAX_CALL_DEPTH:
             raise Fault(f"Too many calls in one another: {MAX_CALL_DEPTH}")
@@ -156,7 +159,7 @@ class ScriptThread:
         return SWITCHED
 
     def leave(self, value: Any) -> int:
-        """Return from the function."""
+        """Return from the current function."""
         if not self._stack:
             self.end()
             return ENDED
@@ -166,7 +169,7 @@ class ScriptThread:
         return SWITCHED
 
     def await_(self, waiting: Waiting, after: int, destination: int) -> int:
-        """Begin something that takes time; its value is stored in the slot `destination`."""
+        """Begin a call that takes time. Its value is stored in the slot `destination`."""
         try:
             next(waiting)
         except StopIteration as done:
@@ -176,7 +179,7 @@ class ScriptThread:
         return WAITING
 
     def end(self) -> None:
-        """End it, at any place."""
+        """End the thread, at any place."""
         if not self.is_over:
             self.is_over = True
             wait, self._wait = self._wait, None
@@ -187,10 +190,10 @@ class ScriptThread:
             self.machine.forget(self)
 
     def run(self) -> None:
-        """Run until it waits or ends.
+        """Run until the thread waits or ends.
 
         Raises:
-            ProgramError: a run-time error.
+            ProgramError: If there is a run-time error.
         """
         at = self._next - 1
         machine = self.machine
@@ -207,7 +210,7 @@ class ScriptThread:
             if self._seen is not None:
                 most = min(most, self._waited(frame[GLOBALS]))
             for left in range(most, 0, -1):
-                at = instructions[at](frame)  # still the number of this one where it fails
+                at = instructions[at](frame)  # if it raises, `at` is still the number of this instruction
                 if at < 0:
                     if at == SWITCHED:
                         at, frame, instructions = self._next, self._frame, self._code.instructions
@@ -216,7 +219,7 @@ class ScriptThread:
                         return
             machine.left -= most
             self._next = at
-            # A program waits for a socket anyway: after a read, it continues in the next cycle.
+            # A program waits for a socket anyway. After a read, it continues in the next cycle.
             if most and not machine.reads:
                 self._seen = list(frame[GLOBALS])
                 machine.spinning += 1
@@ -226,10 +229,10 @@ class ScriptThread:
             raise self._error(at, str(error), None) from None
 
     def _waited(self, variables: list[Any]) -> int:
-        """Instructions for a thread that has used up its slice of the cycle before.
+        """Return the instructions for a thread that used up its slice in the previous cycle.
 
         Raises:
-            Fault: it has done so for too long, while no other thread has assigned to a global variable.
+            Fault: If the thread has done so for too long, while no other thread has assigned to a global variable.
         """
         seen, self._seen = self._seen or [], None
         self._spins = self._spins + 1 if all(map(is_, seen, variables)) else 0
@@ -238,7 +241,7 @@ class ScriptThread:
         return _SPINNING
 
     def endless(self) -> ProgramError:
-        """The error of a program of which no thread waits for anything."""
+        """Return the error of a program none of whose threads waits for anything."""
         return self._error(self._next, str(endless(self.world.firmware)), None)
 
     def _error(self, at: int, text: str, place: int | None) -> ProgramError:
@@ -257,17 +260,17 @@ class Machine:
     """All threads of one program.
 
     Attributes:
-        world: the controller.
-        statements: from clients, in interpreter mode.
-        left: instructions that may still be run in this cycle.
-        slice: those of them that one thread may run.
-        spinning: number of threads that have used up their slice in this cycle.
-        reads: number of reads from sockets in this cycle.
-        remote_calls: number of calls of methods of servers so far.
-        random: for the function of that name; it gives the same numbers in every run.
-        has_matrices: whether arithmetic takes matrices.
-        history: the joint positions of past cycles, newest last.
-        has_moved: whether a motion was begun.
+        world: The controller.
+        statements: Statements from clients, in interpreter mode.
+        left: Number of instructions that may still run in this cycle.
+        slice: Number of these instructions that one thread may run.
+        spinning: Number of threads that have used up their slice in this cycle.
+        reads: Number of reads from sockets in this cycle.
+        remote_calls: Number of calls of remote methods so far.
+        random: Random numbers for the function of that name, the same in every run.
+        has_matrices: Whether arithmetic accepts matrices.
+        history: Joint positions of past cycles, newest last.
+        has_moved: Whether a motion was begun.
     """
 
     def __init__(self, script: Script, world: ScriptWorld) -> None:
@@ -290,7 +293,7 @@ class Machine:
         self.main = self.start(script.main, [self._globals, None, *[UNSET] * (script.main.size - 2)])
 
     def start(self, code: Code, frame: Frame) -> ScriptThread:
-        """Start a thread. It runs after the existing ones, in the same cycle."""
+        """Start a thread. It runs after the existing threads, in the same cycle."""
         if len(self._threads) >= MAX_THREADS:
             raise Fault(f"Too many threads: {MAX_THREADS}")
         thread = ScriptThread(self, code, frame)
@@ -301,14 +304,14 @@ class Machine:
         """Run one cycle.
 
         Raises:
-            ProgramError: a run-time error.
+            ProgramError: If there is a run-time error.
         """
         threads = self._threads
         self.left = MAX_INSTRUCTIONS
         self.slice = MAX_INSTRUCTIONS // len(threads)
         self.spinning = self.reads = self._work = 0
         self.history.append(tuple(self.world.q_actual))
-        # A thread that is started appends itself.
+        # A new thread appends itself to this list.
         for thread in threads:
             if not thread.is_over:
                 thread.run()
@@ -320,7 +323,7 @@ class Machine:
             self._threads = [thread for thread in threads if not thread.is_over]
 
     def stop(self) -> None:
-        """End all threads. The caller has to stop the arm."""
+        """End all threads. The caller must stop the arm."""
         self._owner = None
         for thread in self._threads:
             thread.end()
@@ -328,16 +331,16 @@ class Machine:
         self._globals.clear()
 
     def forget(self, thread: ScriptThread) -> None:
-        """Handle the end of a thread: if it commanded the arm, the arm brakes."""
+        """Handle the end of a thread. If it commanded the arm, the arm brakes."""
         if self._owner is thread:
             self._owner = None
             self.world.motion.release()
 
     def moving(self, thread: ScriptThread, begin: Callable[[], BegunMove]) -> Waiting:
-        """Command the arm, and wait until that is over.
+        """Command the arm, and wait until the motion has ended.
 
         Raises:
-            Fault: another thread's motion is not over.
+            Fault: If another thread's motion has not ended.
         """
         if self._owner is not None and self._owner is not thread and self._move is not None and not self._move.is_over:
             raise Fault("Another thread is already controlling the robot")
@@ -355,7 +358,10 @@ class Machine:
             self._owner = None
 
     def abort_motion(self) -> None:
-        """End the motion that a thread waits for: the arm brakes, and the thread continues in the next cycle."""
+        """End the motion that a thread waits for.
+
+        The arm brakes, and the thread continues in the next cycle.
+        """
         if self._owner is not None and self._move is not None and not self._move.is_over:
             self._is_aborted = True
             self.world.motion.release()
@@ -369,7 +375,7 @@ class Machine:
             raise endless(self.world.firmware)
 
     def charge(self, elements: int) -> None:
-        """Count the making of this many elements."""
+        """Count the creation of this many elements."""
         self.spend(elements)
         self._made += elements
         if self._made > MAX_MEMORY // 4:
@@ -383,9 +389,10 @@ class Execution:
     """One run of a program.
 
     Attributes:
-        script: the program.
-        is_over: whether its main thread has ended, which ends the others, or it was stopped, or it failed.
-        error: the run-time error that ended it.
+        script: The program.
+        is_over: Whether the program has ended. Its main thread has ended, which ends the others, or it was stopped, or
+            it failed.
+        error: Run-time error that ended it, or None.
     """
 
     def __init__(self, script: Script, world: ScriptWorld) -> None:
@@ -397,11 +404,11 @@ class Execution:
 
     @property
     def statements(self) -> StatementQueue[StatementCode]:
-        """The statements from clients in interpreter mode."""
+        """Statements from clients in interpreter mode."""
         return self._machine.statements
 
     def advance(self) -> None:
-        """Run one controller cycle: every thread runs until it waits for a later one."""
+        """Run one controller cycle: every thread runs until it waits for a later cycle."""
         if self.is_over:
             return
         try:

@@ -1,8 +1,8 @@
-"""Arithmetic of matrices, which are lists of rows: lists of numbers of one length.
+"""Arithmetic of matrices, which are lists of rows: lists of numbers with the same length.
 
-The script manual describes it from 3.14 and 5.9 on: a matrix by a number, a list and a matrix, sums and differences of
-equal sizes, `transpose` and `inv`. Guesses: that a number is added to each element, as to those of a list; and that a
-list on the left of a matrix is a row.
+The script manual describes it for 3.14, 5.9 and later: a matrix times a number, a list and a matrix, sums and
+differences of equal sizes, `transpose` and `inv`. Two facts are assumed. A number is added to each element, as for a
+list. A list to the left of a matrix is a row.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from linkcore.wire.fields import Since
 from .errors import MAX_ELEMENTS, Fault, type_error
 from .values import NUMBERS, Charge, add, checked, divide, modulo, multiply, subtract, type_name
 
-#: The first releases that compute with matrices.
+#: First releases that compute with matrices.
 HAS_MATRICES = Since("3.14/5.9")
 
 Matrix = tuple[tuple[Any, ...], ...]
 
 
 def is_matrix(value: Any) -> bool:
-    """Whether it is a list whose first element is a list."""
+    """Whether `value` is a list whose first element is a list."""
     return value.__class__ is tuple and bool(value) and value[0].__class__ is tuple
 
 
 def rows_of(value: Any, charge: Charge) -> Matrix:
-    """The rows of a matrix, all of one length and made of numbers."""
+    """Return the rows of a matrix, after checking that they are numbers of one length."""
     if not is_matrix(value):
         raise type_error(f"a matrix is wanted, not {type_name(value)}")
     columns = len(value[0])
@@ -43,12 +43,12 @@ def rows_of(value: Any, charge: Charge) -> Matrix:
 
 
 def transposed(value: Any, charge: Charge) -> Matrix:
-    """The matrix with rows and columns exchanged."""
+    """Return the matrix with rows and columns exchanged."""
     return tuple(zip(*rows_of(value, charge), strict=True))
 
 
 def on_matrices(function: Callable[[Any, Any, Charge], Any], a: Any, b: Any, charge: Charge) -> Any:
-    """An operator of `values` on operands of which at least one is a matrix."""
+    """Apply an operator of `values` to operands, at least one of which is a matrix."""
     if function is multiply and a.__class__ is tuple and b.__class__ is tuple:
         return _product(a, b, charge)
     left = rows_of(a, charge) if a.__class__ is tuple else None
@@ -74,7 +74,10 @@ def _size(matrix: Matrix) -> str:
 
 
 def _product(a: Any, b: Any, charge: Charge) -> Any:
-    """Of two matrices; or of a matrix and a list, which is a list: a column on the right, a row on the left."""
+    """Return the product of two matrices, or of a matrix and a list.
+
+    The second product is a list. The list is a column on the right, and a row on the left.
+    """
     left = rows_of(a if is_matrix(a) else (a,), charge)
     right = rows_of(b, charge) if is_matrix(b) else transposed((b,), charge)
     if len(left[0]) != len(right):
@@ -84,7 +87,7 @@ def _product(a: Any, b: Any, charge: Charge) -> Any:
         raise Fault(f"List too long: {elements} elements")
     charge(elements * len(right))
     columns = list(zip(*right, strict=True))
-    # Not `sum`, which rounds in another way from Python 3.12 on.
+    # Avoid `sum`, which rounds differently since Python 3.12.
     made = tuple(
         [
             tuple([checked(reduce(operator.add, map(operator.mul, row, column), 0)) for column in columns])

@@ -1,9 +1,10 @@
-"""Expressions as Python functions of the frame.
+"""Make Python functions of the frame from expressions.
 
-The common cases, numbers in variables, are handled in the function itself; all others in `values`.
+The functions themselves handle the common cases, numbers in variables. All other cases are handled in `values`.
 
-Many functions have their operands as default values rather than as closure variables. That is faster, and makes two
-objects where a closure makes five: a long program has hundreds of thousands, and each garbage collection visits all.
+Many functions store their operands as default values rather than as closure variables. That is faster, and creates two
+objects instead of the five of a closure. A long program has hundreds of thousands of them, and each garbage collection
+visits all objects.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ Function = Callable[[Frame], Any]
 
 
 def _at(place: int, fault: Fault) -> Fault:
-    """The fault, at `place` unless it has a place."""
+    """Return the fault with the place `place`, unless it already has a place."""
     return fault if fault.place is not None else Fault(str(fault), place)
 
 
 def placed(function: Function, place: int) -> Function:
-    """The same function, with a place in its faults."""
+    """Return the same function, but with a place in its faults."""
 
     def run(f: Frame) -> Any:
         try:
@@ -39,7 +40,7 @@ def placed(function: Function, place: int) -> Function:
 
 
 def failing(text: str) -> Function:
-    """A run-time error."""
+    """Make a function that raises a run-time error."""
 
     def run(f: Frame) -> Any:
         raise Fault(text)
@@ -48,7 +49,7 @@ def failing(text: str) -> Function:
 
 
 def constant(value: Any) -> Function:
-    """A constant."""
+    """Make a function that returns a constant."""
 
     def run(f: Frame, value: Any = value) -> Any:
         return value
@@ -57,12 +58,12 @@ def constant(value: Any) -> Function:
 
 
 def temporary(slot: int) -> Function:
-    """The value that an earlier instruction stored in a slot."""
+    """Make a function that returns the value that an earlier instruction stored in a slot."""
     return itemgetter(slot)
 
 
 def local_variable(slot: int, name: str, place: int) -> Function:
-    """A local variable."""
+    """Make a function that returns a local variable."""
 
     def run(f: Frame, slot: int = slot, name: str = name, place: int = place) -> Any:
         value = f[slot]
@@ -74,7 +75,7 @@ def local_variable(slot: int, name: str, place: int) -> Function:
 
 
 def global_variable(slot: int, name: str, place: int) -> Function:
-    """A global variable."""
+    """Make a function that returns a global variable."""
 
     def run(f: Frame, slot: int = slot, name: str = name, place: int = place) -> Any:
         value = f[GLOBALS][slot]
@@ -86,7 +87,7 @@ def global_variable(slot: int, name: str, place: int) -> Function:
 
 
 def display(items: Sequence[Function], place: int) -> Function:
-    """A list."""
+    """Make a function that returns a list."""
 
     def run(f: Frame, items: Sequence[Function] = items) -> Any:
         return values.list_of([item(f) for item in items], f[THREAD].machine.charge)
@@ -95,7 +96,7 @@ def display(items: Sequence[Function], place: int) -> Function:
 
 
 def pose_display(items: Sequence[Function], place: int) -> Function:
-    """A pose."""
+    """Make a function that returns a pose."""
 
     def run(f: Frame) -> Any:
         made = [item(f) for item in items]
@@ -170,7 +171,7 @@ def global_element(slot: int, at: int, name: str, variable: int, place: int) -> 
 
 
 def structure(names: Sequence[str], items: Sequence[Function], place: int) -> Function:
-    """A struct with members of these names."""
+    """Make a function that returns a struct with members of these names."""
 
     def run(f: Frame) -> Any:
         made = dict(zip(names, [item(f) for item in items], strict=True))
@@ -185,12 +186,12 @@ def member(base: Function, name: str, place: int) -> Function:
 
 
 def both(left: Function, right: Function, place: int) -> Function:
-    """`and`; the right operand is evaluated only if the left is true (a guess)."""
+    """Make an `and`. The right operand is evaluated only if the left is true (assumed)."""
     return placed(lambda f: truth(left(f)) and truth(right(f)), place)
 
 
 def either(left: Function, right: Function, place: int) -> Function:
-    """`or`; the right operand is evaluated only if the left is false (a guess)."""
+    """Make an `or`. The right operand is evaluated only if the left is false (assumed)."""
     return placed(lambda f: truth(left(f)) or truth(right(f)), place)
 
 
@@ -200,7 +201,7 @@ def inverted(operand: Function, place: int) -> Function:
 
 
 def checked_truth(operand: Function, place: int) -> Function:
-    """The truth value of the operand."""
+    """Make a function that returns the truth value of the operand."""
     return placed(lambda f: truth(operand(f)), place)
 
 
@@ -222,8 +223,8 @@ def operation(sign: str, left: Function, right: Function, place: int) -> Functio
     return _OPERATIONS[sign](left, right, place)
 
 
-# A result between the two limits is a valid integer and a valid float; the comparison is false for NaN. Results outside
-# of them are handled by `_slow`.
+# A result between the two limits is a valid integer and a valid float; the comparison is false for NaN. `_slow` handles
+# results outside the limits.
 
 
 def _slow(function: Callable[[Any, Any, values.Charge], Any], a: Any, b: Any, f: Frame, place: int) -> Any:
@@ -362,7 +363,7 @@ _OPERATIONS: dict[str, Callable[[Function, Function, int], Function]] = {
 }
 
 
-# The same with a constant number as right operand, the most common case.
+# The most common case: the right operand is a constant number.
 
 
 def _sum_with(left: Function, b: float, place: int) -> Function:
@@ -427,13 +428,13 @@ _OPERATIONS_BY: dict[str, Callable[[Function, float, int], Function]] = {
 
 
 def operation_by(sign: str, left: Function, right: float, place: int) -> Function:
-    """As `operation`, with a number as right operand."""
+    """Like `operation`, but with a number as right operand."""
     by = _OPERATIONS_BY.get(sign)
     return operation(sign, left, constant(right), place) if by is None else by(left, right, place)
 
 
 def choice(condition: Function, then: Function, otherwise: Function, place: int) -> Function:
-    """One of two values, by a condition at `place`."""
+    """Make a function that returns one of two values, depending on a condition at `place`."""
 
     def run(f: Frame, condition: Function = condition, then: Function = then, otherwise: Function = otherwise) -> Any:
         value = condition(f)
@@ -451,7 +452,7 @@ def choice(condition: Function, then: Function, otherwise: Function, place: int)
 
 
 def leaf_call(function: Function, arguments: Sequence[Function]) -> Function:
-    """A call of a leaf function, in a frame with its arguments."""
+    """Make a function that calls a leaf function, in a frame with its arguments."""
 
     def run(f: Frame, function: Function = function, arguments: Sequence[Function] = arguments) -> Any:
         frame = [f[GLOBALS], f[THREAD]]
@@ -463,7 +464,7 @@ def leaf_call(function: Function, arguments: Sequence[Function]) -> Function:
 
 
 def call(function: Callable[..., Any], arguments: Sequence[Function], place: int) -> Function:
-    """A call of a built-in function that takes no time."""
+    """Make a function that calls a built-in function that takes no time."""
 
     def run(
         f: Frame, function: Callable[..., Any] = function, arguments: Sequence[Function] = arguments, place: int = place

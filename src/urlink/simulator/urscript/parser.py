@@ -24,16 +24,19 @@
                | "p" "[" six expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
     argument   = [ name "=" ] expression
 
-From public programs that run on real controllers (docs/protocols/urscript.md, What public programs need): line ends
-are white space, so that two statements may share a line and an expression may continue on the next; blocks may be
-empty; PolyScope writes `$ 1 "Robot Program"` or `$ 3 "home" "breakAfter"` before each node of a program, which has no
-effect but as a target of `jump_to_label`; `m[i, j]` is an
-element of a matrix, a list of lists; `p[i]` is an element of a variable named p; `s.a` is a member of `struct(a=1)`;
-`handle.method(x)` calls a method of the result of a factory.
+Some facts are from public programs that run on real controllers (docs/protocols/urscript.md, What public programs
+need):
 
-Guesses: the precedence of `xor`; that the value of a `return` begins on its line, else the next statement would be
-taken as the value; that an expression statement begins with a name. `true` and `false` occur in users' programs and
-mean `True` and `False`.
+- Line ends are white space, so two statements can share a line, and an expression can continue on the next.
+- Blocks can be empty.
+- PolyScope writes `$ 1 "Robot Program"` or `$ 3 "home" "breakAfter"` before each node of a program. It has no effect
+  except as a target of `jump_to_label`.
+- `m[i, j]` is an element of a matrix, a list of lists. `p[i]` is an element of a variable named p. `s.a` is a member of
+  `struct(a=1)`. `handle.method(x)` calls a method of the result of a factory.
+
+Other facts are assumed: the precedence of `xor`, and that an expression statement begins with a name. The value of a
+`return` is assumed to begin on its line; otherwise the next statement would be taken as the value. `true` and `false`
+occur in users' programs and mean `True` and `False`.
 
 Each token is examined a bounded number of times, so the work is linear in the text.
 """
@@ -78,22 +81,22 @@ from .syntax import (
 from .tokens import END, NAME, NUMBER, STRING, SourceText, tokens_of
 from .values import MemberName
 
-#: Binary operators, those of the highest precedence last.
+#: Binary operators. The highest precedence comes last.
 _LEVELS = (("or",), ("xor",), ("and",), ("==", "!=", "<", "<=", ">", ">="), ("+", "-"), ("*", "/", "%"))
 _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for operator in operators}
 _COMPARISON = 4
 #: Tokens that continue a primary expression.
 _POSTFIX = ("[", ".")
-#: Tokens that are an expression by themselves, unless one of the others follows.
+#: Tokens that are a complete expression, unless a token of `_CONTINUATIONS` follows.
 _LEAVES = frozenset({NAME, NUMBER, STRING, "True", "False", "true", "false"})
 _CONTINUATIONS = frozenset({*_BINDING, *_POSTFIX, "("})
 
 
 def parse(source: SourceText) -> Block:
-    """The statements of a program.
+    """Return the statements of a program.
 
     Raises:
-        ProgramError: a syntax error; has the place and the controller's text.
+        ProgramError: If there is a syntax error. It has the place and the controller's text.
     """
     return _Parser(source).program()
 
@@ -108,7 +111,7 @@ class _Parser:
     # -- tokens ------------------------------------------------------------------------------------
 
     def _take(self) -> int:
-        """Consume the current token, which is not the end; returns its place."""
+        """Consume the current token, which is not the end, and return its place."""
         self._at += 1
         return self._places[self._at - 1]
 
@@ -124,7 +127,7 @@ class _Parser:
         return False
 
     def _name(self) -> tuple[int, str]:
-        """Consume a name; returns its place and text."""
+        """Consume a name, and return its place and text."""
         place = self._expect(NAME)
         return place, self._texts[self._at - 1]
 
@@ -145,7 +148,7 @@ class _Parser:
         return self._source.failure(place, f"nesting_too_deep_on_line:{line}:")
 
     def _depth(self, place: int, parts: Sequence[Expression]) -> int:
-        """Nesting depth of an expression with these parts."""
+        """Return the nesting depth of an expression with these parts."""
         depth = 1 + max((part.depth for part in parts), default=0)
         if depth > MAX_NESTING:
             raise self._too_deep(place)
@@ -160,7 +163,7 @@ class _Parser:
         return block
 
     def _block(self, *ends: str) -> Block:
-        """Statements up to one of these keywords, which is not consumed."""
+        """Parse statements up to one of these keywords, which is not consumed."""
         block: Block = []
         self._deeper()
         while self._kinds[self._at] not in ends:
@@ -271,7 +274,7 @@ class _Parser:
     # -- expressions -------------------------------------------------------------------------------
 
     def _expression(self, level: int = 1) -> Expression:
-        """An expression with operators of precedence `level` or higher."""
+        """Parse an expression with operators of precedence `level` or higher."""
         kinds = self._kinds
         if kinds[self._at] in _LEAVES and kinds[self._at + 1] not in _CONTINUATIONS:
             return self._primary(kinds[self._at])
@@ -322,7 +325,7 @@ class _Parser:
         return value
 
     def _member(self, base: Expression) -> Expression:
-        """A member or method; its name may be a keyword: `program.end()`."""
+        """Parse a member or method. Its name may be a keyword, as in `program.end()`."""
         name = self._texts[self._at]
         if not name.isidentifier():
             raise self._unexpected()
@@ -367,7 +370,7 @@ class _Parser:
         raise self._unexpected()
 
     def _pose(self, place: int) -> Expression:
-        """A pose of six numbers; with one it is an element of a variable named p."""
+        """Parse a pose of six numbers; with one number, it is an element of a variable named p."""
         self._at += 1
         items = self._items("]")
         depth, has_calls = self._depth(place, items), _have_calls(items)
@@ -378,7 +381,7 @@ class _Parser:
         return PoseDisplay(place, depth, has_calls, items)
 
     def _number(self, place: int, text: str) -> float | int:
-        """An integer if it fits in 32 bits; that a longer one is a float is a guess."""
+        """Return an integer if it fits in 32 bits; otherwise a float (assumed)."""
         if text.isdigit() and len(text) < 20:
             value: float | int = int(text)
         elif text[:2] in ("0x", "0X"):
@@ -421,7 +424,7 @@ class _Parser:
         return Call(place, depth, True, name, arguments, named, is_run)
 
 
-#: How each kind of statement is read, by its first token.
+#: First token of a statement -> function that parses the statement.
 _READERS: dict[str, Callable[[_Parser], Statement]] = {
     "def": lambda parser: parser._definition("def"),
     "sec": lambda parser: parser._definition("sec"),

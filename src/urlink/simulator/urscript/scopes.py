@@ -1,16 +1,17 @@
-"""Scopes: what the names of a program refer to, and which of its functions are leaves.
+"""Scopes of the names in a program, and its leaf functions.
 
-By the manuals, as far as they are remembered: `global` and `local` decide; a name with neither is the global of that
-name if there is one, and otherwise local to its function. Assumed beyond that:
+The manuals (cited from memory) define `global` and `local`. A name with neither refers to the global variable of that
+name if there is one, and otherwise is local to its function. The following is assumed:
 
-- what the program's own body assigns without `local` is global, so that nested functions and threads see it;
-- the scope of a name holds for the whole text, whatever the order of execution;
-- a function does not see the local variables of the enclosing function;
-- a function is known in the enclosing function and in all functions nested there, also before its definition.
+- The program's own body assigns to global variables unless it uses `local`, so that nested functions and threads see
+  them.
+- The scope of a name applies to the whole text, whatever the order of execution.
+- A function does not see the local variables of the enclosing function.
+- A function is known in the enclosing function and in all functions nested there, even before its definition.
 
 A leaf function only computes a value, such as a number limited to a range. It consists of conditions and return values,
-without calls, assignments or loops. So a call of one cannot delay other threads and always terminates. It is a part of
-its expression rather than an instruction with a frame to return to.
+without calls, assignments or loops. So a call of a leaf function cannot delay other threads and always terminates. It
+is a part of its expression rather than an instruction with a frame to return to.
 """
 
 from __future__ import annotations
@@ -44,13 +45,13 @@ from .syntax import (
 
 @dataclass
 class Names:
-    """The names in a function's own body, without those of nested functions.
+    """Names in a function's own body, without the names in nested functions.
 
     Attributes:
-        local: declared `local`.
-        global_: declared `global`.
-        free: assigned without a declaration; assigning an element creates no variable.
-        definitions: nested functions.
+        local: Names that are declared `local`.
+        global_: Names that are declared `global`.
+        free: Names that are assigned without a declaration. Assigning an element creates no variable.
+        definitions: Nested functions.
     """
 
     local: dict[str, None] = field(default_factory=dict)
@@ -60,7 +61,7 @@ class Names:
 
     @classmethod
     def of(cls, body: Block) -> Names:
-        """The names of a function with this body. Each statement is visited once."""
+        """Return the names of a function with this body. Each statement is visited once."""
         names = cls()
         blocks = [body]
         while blocks:
@@ -84,12 +85,12 @@ class Names:
         return names
 
 
-#: The functions and threads that are known in a scope, those of the innermost one first.
+#: Functions and threads that are known in a scope. The innermost scope comes first.
 Functions = ChainMap[str, tuple[Definition, Code]]
 
 
 def global_names(body: Block) -> list[str]:
-    """The global variables of a program, those of its own body first."""
+    """Return the global variables of a program; those of its own body come first."""
     names = Names.of(body)
     found = dict.fromkeys(sorted(names.free.keys() - names.local.keys()))
     found |= names.global_
@@ -101,16 +102,16 @@ def global_names(body: Block) -> list[str]:
     return list(found)
 
 
-#: Most parts of a leaf function: a call is as cheap as a long expression.
+#: Maximum number of parts of a leaf function, so that a call is as cheap as a long expression.
 _LARGEST = 64
 
 
 def leaf_size(definition: Definition, names: Container[str]) -> int:
-    """Number of parts of a leaf function; 0 for any other function.
+    """Return the number of parts of a leaf function; 0 for any other function.
 
     Args:
-        definition: of the function.
-        names: of the program's global variables.
+        definition: Definition of the function.
+        names: Names of the program's global variables.
     """
     parameters = {parameter.name for parameter in definition.parameters}
     has_defaults = any(parameter.default is not None for parameter in definition.parameters)

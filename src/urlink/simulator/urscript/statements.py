@@ -1,12 +1,13 @@
-"""Interpreter mode: the statements that clients send to a program that waits for them, and the status of each.
+"""Interpreter mode: statements from clients for a waiting program, and their status.
 
 The main thread calls `interpreter_mode()` and stays there. Statements are compiled into the scope of the function that
-called it: they see its variables and functions, and what earlier statements assigned. They run one after the other,
-each to its end. Source: docs/protocols/urscript.md, section Interpreter mode. Guesses:
+called it. They see its variables and functions, and variables that earlier statements assigned. They run one after the
+other, each to its end. Source: docs/protocols/urscript.md, section Interpreter mode. The following is assumed:
 
-- identifiers count from 1 in each program, discarded statements included; outside of the mode they are 0;
-- `MOST` statements are kept until they are cleared, further ones are discarded; so are those longer than `LONGEST`;
-- `clear_interpreter()` clears those that were begun, and keeps what they have defined;
+- Statement numbers begin with 1 in each program, and discarded statements count. Outside of the mode they are 0.
+- `MOST` statements are kept until they are cleared. Further statements are discarded, and so are statements longer than
+  `LONGEST`.
+- `clear_interpreter()` clears the statements that have begun, and keeps their definitions.
 - `abort` ends every kind of motion that a program waits for.
 """
 
@@ -18,18 +19,18 @@ from typing import Generic, NamedTuple, TypeVar
 
 from .errors import ProgramError
 
-#: Statements that are kept, executed or not, until they are cleared.
+#: Maximum number of statements, executed or not, that are kept until they are cleared.
 MOST = 1000
-#: Characters of a statement.
+#: Maximum number of characters in a statement.
 LONGEST = 1 << 13
 
 
 class StatementReply(NamedTuple):
-    """The reply to a client.
+    """Reply to a client.
 
     Attributes:
-        word: ack, discard or state.
-        number: of the statement, or the value that was queried.
+        word: One of ack, discard and state.
+        number: Number of the statement, or the queried value.
     """
 
     word: str
@@ -40,13 +41,13 @@ S = TypeVar("S")
 
 
 class StatementQueue(Generic[S]):
-    """The compiled statements of one program, in the order of arrival.
+    """Compiled statements of one program, in the order of arrival.
 
     Attributes:
-        is_on: whether the program is in interpreter mode.
-        last_interpreted, last_executed, last_cleared: the largest number of a statement that was accepted, begun and
-            cleared; 0 for none.
-        aborts: called to end the motion that the program waits for.
+        is_on: Whether the program is in interpreter mode.
+        last_interpreted, last_executed, last_cleared: Highest number of an accepted, a begun and a cleared statement; 0
+            for none.
+        aborts: Function that ends the motion that the program waits for.
     """
 
     def __init__(self) -> None:
@@ -62,7 +63,7 @@ class StatementQueue(Generic[S]):
     # -- for the program -------------------------------------------------------------------------------
 
     def enter(self, compile_: Callable[[str], S], clear_on_enter: bool, clear_on_end: bool) -> None:
-        """Begin the mode; `compile_` compiles a statement, or raises `ProgramError`."""
+        """Begin the mode. `compile_` compiles a statement, or raises `ProgramError`."""
         self._compile = compile_
         if clear_on_enter:
             self._forget_waiting()
@@ -77,14 +78,14 @@ class StatementQueue(Generic[S]):
             self.clear()
 
     def take(self) -> S | None:
-        """Begin the next statement; None if none waits."""
+        """Begin and return the next statement; None if none is queued."""
         if not self._waiting:
             return None
         self.last_executed, statement = self._waiting.popleft()
         return statement
 
     def clear(self) -> None:
-        """Clear the statements that were begun."""
+        """Clear the statements that have begun."""
         self.last_cleared = self.last_executed
         self._kept = len(self._waiting)
 
@@ -111,7 +112,7 @@ class StatementQueue(Generic[S]):
         return StatementReply("ack", self._numbers)
 
     def obey(self, word: str) -> StatementReply | None:
-        """Execute a command that is not a statement; None if `word` is not one."""
+        """Execute a command that is not a statement; return None if `word` is not such a command."""
         if word == "skipbuffer":
             self._forget_waiting()
         elif word == "abort":

@@ -14,7 +14,7 @@ class Node:
     """A part of a program.
 
     Attributes:
-        place: character offset in the text; that of the operator for an operation.
+        place: Character offset in the text. For an operation, it is the offset of the operator.
     """
 
     place: int
@@ -25,8 +25,8 @@ class Expression(Node):
     """An expression.
 
     Attributes:
-        depth: nesting depth; 1 without subexpressions.
-        has_calls: whether it contains a call.
+        depth: Nesting depth; 1 without subexpressions.
+        has_calls: Whether the expression contains a call.
     """
 
     depth: int
@@ -200,7 +200,10 @@ class Join(Statement):
 
 @dataclass(slots=True)
 class NodeLabel(Statement):
-    """`$ 3 "home" "breakAfter"`: the beginning of a node of a program of PolyScope; a target of `jump_to_label`."""
+    """`$ 3 "home" "breakAfter"`: the beginning of a program node of PolyScope.
+
+    It is a target of `jump_to_label`.
+    """
 
     number: int
     name: str
@@ -225,7 +228,7 @@ class Definition(Statement):
 
 
 def parts_of(node: Expression) -> Sequence[Expression]:
-    """The direct subexpressions."""
+    """Return the direct subexpressions."""
     match node:
         case ListDisplay() | PoseDisplay():
             return node.items

@@ -1,10 +1,11 @@
-"""The tokens of a program, each with its place.
+"""Split a program into tokens with their places.
 
-One regular expression matches every token, with the blanks and comments before it. Line ends are ordinary white space:
-in public programs that run on real controllers, two statements share a line, and an expression continues after `=` on
-the next.
+One regular expression matches every token, with the blanks and comments before it. Line ends are ordinary white space.
+In public programs that run on real controllers, two statements share a line, and an expression continues on the next
+line after `=`.
 
-Work is linear in the text: each character is examined once, since some alternative always matches, at worst `unknown`.
+The work is linear in the text. Each character is examined once, because some alternative always matches, at worst
+`unknown`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from bisect import bisect_right
 
 from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 
-#: Kinds of tokens, the first three by the groups of `_TOKEN`; a keyword or mark is its own kind.
+#: Kinds of tokens. The first three are groups of `_TOKEN`; a keyword or mark is its own kind.
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 
 _STATEMENTS = {"def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "pass"}
@@ -22,7 +23,7 @@ _SIMPLE = {"halt", "global", "local", "run", "kill", "join"}
 _IN_EXPRESSIONS = {"and", "or", "xor", "not", "True", "False", "true", "false"}
 KEYWORDS = frozenset(_STATEMENTS | _SIMPLE | _IN_EXPRESSIONS)
 
-# That numbers may be hexadecimal is a guess.
+# Hexadecimal numbers are assumed.
 _TOKEN = re.compile(
     r"""
     \s* (?: \#[^\n]* \s* )*
@@ -40,13 +41,13 @@ _TOKEN = re.compile(
 
 
 class SourceText:
-    """A program's text, which gives errors their line and column.
+    """Text of a program, which adds line and column to errors.
 
     Attributes:
-        text: the program.
+        text: Text of the program.
 
     Raises:
-        ProgramError: the text is too long.
+        ProgramError: If the text is too long.
     """
 
     def __init__(self, text: str) -> None:
@@ -56,18 +57,18 @@ class SourceText:
             raise ProgramError(1, 1, f"program_too_long:{len(text)}:")
 
     def line_and_column(self, place: int) -> tuple[int, int]:
-        """Line and column of a place, counted from 1."""
+        """Return line and column of a place, counted from 1."""
         if self._line_starts is None:
             self._line_starts = [0, *(match.end() for match in re.finditer("\n", self.text))]
         line = bisect_right(self._line_starts, place)
         return line, place - self._line_starts[line - 1] + 1
 
     def failure(self, place: int, text: str) -> ProgramError:
-        """An error at a place, with this text."""
+        """Return an error at a place, with this text."""
         return ProgramError(*self.line_and_column(place), text)
 
     def syntax_error(self, place: int) -> ProgramError:
-        """A syntax error at a place; it quotes the line."""
+        """Return a syntax error at a place; it quotes the line."""
         line, _ = self.line_and_column(place)
         begin = self.text.rfind("\n", 0, place) + 1
         end = self.text.find("\n", place)
@@ -76,10 +77,12 @@ class SourceText:
 
 
 def tokens_of(source: SourceText) -> tuple[list[str], list[str], list[int]]:
-    """The tokens of a text: the kind of each, of which the last is `END`, how it is written, and where it begins.
+    """Return the tokens of a text: their kinds, texts and places.
+
+    The kind of the last token is `END`.
 
     Raises:
-        ProgramError: an unknown character, or too many tokens.
+        ProgramError: If there is an unknown character, or too many tokens.
     """
     kinds: list[str] = []
     texts: list[str] = []

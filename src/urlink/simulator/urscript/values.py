@@ -1,21 +1,21 @@
-"""The values of variables, and the operators on them.
+"""Values of variables, and the operators on them.
 
-A value is a Python number, truth value or string, a tuple for a list, a `PoseValue`, a `Struct`, or a handle. All are
-immutable, so that passing one needs no copy and shares no list; assigning an element makes a new value.
+A value is a Python number, truth value or string, a tuple for a list, a `PoseValue`, a `Struct`, or a handle. All
+values are immutable, so passing a value needs no copy, and no list is shared. Assigning an element makes a new value.
 
-Known: a number is also a condition (a driver's program has `if has_qnear:` of a quotient), true unless it is zero;
-numbers are printed with six digits as `%g` does, and the elements of a list or pose without spaces (a log of 5.x).
-Controllers of 5.9 to 5.14 refuse to assign a list of another length to a variable ("Resizing of 'List' is not
-supported", by a project's tests); this is not checked here. Guesses:
+Three facts are known. A number is also a condition: a driver's program has `if has_qnear:` with a quotient, which is
+true unless it is zero. Numbers are printed with six digits as by `%g`, and the elements of a list or pose without
+spaces (a log of 5.x). Controllers of 5.9 to 5.14 refuse to assign a list of another length to a variable ("Resizing of
+'List' is not supported", by a project's tests); this is not checked here. The following is assumed:
 
-- `/` always gives a float; drivers divide integers from a socket by a million and get fractions: it does not truncate;
-- `%` has the sign of its left operand, as in C;
-- an integer beyond 32 bits, and a result that is not finite, are errors;
-- truth values are not numbers;
-- values of different types are unequal, but an integer equals the same float;
-- arithmetic on lists is element-wise, also with a number as one operand; poses have none; that on lists of lists is in
-  `matrices`;
-- a struct is copied by assignment, as a list is; no members can be added to it.
+- `/` always gives a float and does not truncate. Drivers divide integers from a socket by a million and get fractions.
+- `%` has the sign of its left operand, as in C.
+- An integer beyond 32 bits, and a result that is not finite, are errors.
+- Truth values are not numbers.
+- Values of different types are unequal, but an integer equals the same float.
+- Arithmetic on lists is element-wise, even if one operand is a number. Poses have no arithmetic. For lists of lists,
+  see `matrices`.
+- Assignment copies a struct, like a list. No members can be added to it.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from typing import Any
 from .errors import MAX_ELEMENTS, MAX_INTEGER, MAX_STRUCTS, MIN_INTEGER, Fault, type_error
 
 NUMBERS: frozenset[Any] = frozenset({int, float})
-#: Called with the number of elements made.
+#: Function that is called with the number of elements made.
 Charge = Callable[[int], None]
-#: Characters before the last part of the name of a remote method.
+#: Maximum number of characters before the last part of the name of a remote method.
 _LONGEST_PREFIX = 255
 
 
@@ -45,9 +45,9 @@ class Struct:
     """Named members, made by `struct(a=1, b=2)`; immutable.
 
     Attributes:
-        members: name -> value.
-        weight: number of elements and characters in it.
-        depth: nesting depth of structs.
+        members: Name -> value.
+        weight: Number of elements and characters in the struct.
+        depth: Nesting depth of structs.
     """
 
     __slots__ = ("depth", "members", "weight")
@@ -59,9 +59,9 @@ class Struct:
 
 
 class RpcHandle:
-    """The result of `rpc_factory`: the address of the server of its methods.
+    """Result of `rpc_factory`: the address of the server of its methods.
 
-    `handle.server` is the same with the prefix "server.", so that `handle.server.f(x)` calls the method "server.f".
+    `handle.server` is the same handle with the prefix "server.", so `handle.server.f(x)` calls the method "server.f".
     """
 
     __slots__ = ("host", "path", "port", "prefix", "url")
@@ -74,7 +74,7 @@ class RpcHandle:
         self.prefix = prefix
 
     def within(self, name: str) -> RpcHandle:
-        """The handle of the methods whose names begin with `name.`, after the prefix of this one."""
+        """Return a handle for the methods whose names begin with `name.`, after the current prefix."""
         prefix = f"{self.prefix}{name}."
         if len(prefix) > _LONGEST_PREFIX:
             raise Fault(f"the name of a remote method is longer than {_LONGEST_PREFIX} characters")
@@ -82,13 +82,16 @@ class RpcHandle:
 
 
 class MemberName(str):
-    """The name of a struct's member among the indices of an assignment; a string is not an index."""
+    """Name of a struct's member among the indices of an assignment.
+
+    A plain string is not an index.
+    """
 
     __slots__ = ()
 
 
 class Unset:
-    """The value of a variable before anything was assigned."""
+    """Value of a variable before its first assignment."""
 
 
 UNSET = Unset()
@@ -110,12 +113,12 @@ _NAMES = {
 
 
 def type_name(value: object) -> str:
-    """The type of a value, for messages."""
+    """Return the name of the type of a value, for messages."""
     return _NAMES.get(type(value), "thread handle")
 
 
 def to_str(value: object) -> str:
-    """The text of a value in `textmsg` and `to_str`."""
+    """Return the text of a value in `textmsg` and `to_str`."""
     if isinstance(value, (str, int)):
         return str(value)
     if isinstance(value, float):
@@ -128,7 +131,7 @@ def to_str(value: object) -> str:
 
 
 def weight(value: Any) -> int:
-    """Number of elements and characters in a value, those of inner lists included."""
+    """Return the number of elements and characters in a value, including inner lists."""
     if value.__class__ is str:
         return len(value)
     if value.__class__ is tuple:
@@ -143,7 +146,10 @@ def weight(value: Any) -> int:
 
 
 def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
-    """A list of at most `MAX_ELEMENTS`, inner lists included, which hold no lists themselves (a guess)."""
+    """Return a list of at most `MAX_ELEMENTS`, including inner lists.
+
+    It is assumed that inner lists cannot contain lists.
+    """
     made = tuple(items)
     total = len(made)
     for item in made if not NUMBERS.issuperset(map(type, made)) else ():
@@ -162,7 +168,7 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
 
 
 def struct_of(members: Mapping[str, Any], charge: Charge) -> Struct:
-    """A struct, no larger than a list and no deeper than `MAX_STRUCTS`."""
+    """Return a struct, no larger than a list and no deeper than `MAX_STRUCTS`."""
     if None in members.values():
         raise type_error("none cannot be in a struct")
     made = Struct(members)
@@ -175,7 +181,7 @@ def struct_of(members: Mapping[str, Any], charge: Charge) -> Struct:
 
 
 def checked(value: float | int) -> float | int:
-    """The number, if it is finite, and within 32 bits for an integer; else a fault."""
+    """Return the number if it is finite and, as an integer, within 32 bits; else raise a fault."""
     if isinstance(value, int):
         if not MIN_INTEGER <= value <= MAX_INTEGER:
             raise Fault("Integer overflow")
@@ -188,7 +194,7 @@ def checked(value: float | int) -> float | int:
 
 
 def signed(factor: int, a: Any) -> Any:
-    """`-a` and `+a` of a number; the factor is -1 or 1."""
+    """Return `-a` or `+a` of a number; the factor is -1 or 1."""
     if a.__class__ not in NUMBERS:
         raise type_error(f"{'-' if factor < 0 else '+'} {type_name(a)}")
     return checked(factor * a)
@@ -224,7 +230,7 @@ def _arithmetic(function: Callable[[Any, Any], Any], sign: str, a: Any, b: Any, 
     return _number(function, sign, a, b)
 
 
-#: `a + b` and the like, of two values; the third argument counts the elements made.
+#: `a + b` and similar operations on two values. The third argument counts the elements made.
 add = partial(_arithmetic, operator.add, "+")
 subtract = partial(_arithmetic, operator.sub, "-")
 multiply = partial(_arithmetic, operator.mul, "*")
@@ -257,14 +263,14 @@ def equal(a: Any, b: Any, charge: Charge) -> bool:
 
 
 def compare(sign: str, a: Any, b: Any) -> bool:
-    """`<`, `<=`, `>`, `>=`, of numbers only."""
+    """Return the result of `<`, `<=`, `>` or `>=`, for numbers only."""
     if a.__class__ not in NUMBERS or b.__class__ not in NUMBERS:
         raise type_error(f"{type_name(a)} {sign} {type_name(b)}")
     return bool({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}[sign](a, b))
 
 
 def truth(value: Any) -> bool:
-    """The truth value of a condition."""
+    """Return the truth value of a condition."""
     if value is True or value is False or value.__class__ in NUMBERS:
         return bool(value)
     raise type_error(f"a condition is a truth value or a number, not {type_name(value)}")
@@ -286,7 +292,7 @@ def _place(value: Any, index: Any) -> int:
 
 
 def element(value: Any, index: Any) -> Any:
-    """`value[index]`; a float may be an index if it is whole (a guess)."""
+    """Return `value[index]`. A float can be an index if it is whole (assumed)."""
     return value[_place(value, index)]
 
 
@@ -304,7 +310,7 @@ def _struct_member(value: Any, name: str) -> Any:
 
 
 def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> Any:
-    """`value` after `value[i][j] = new`; a `MemberName` among the indices is that of a struct."""
+    """Return `value` after `value[i][j] = new`; a `MemberName` among the indices names a member."""
     if indices[0].__class__ is MemberName:
         old = _struct_member(value, indices[0])
         changed = new if len(indices) == 1 else replaced(old, indices[1:], new, charge)
@@ -319,7 +325,7 @@ def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> An
     if value.__class__ is PoseValue:
         return PoseValue(items)
     if new.__class__ in NUMBERS or new.__class__ is bool:
-        # Its length is unchanged.
+        # The length is unchanged.
         if len(items) > 32:
             charge(len(items) // 32)
         return tuple(items)

@@ -1,6 +1,6 @@
-"""The controller, as its programs use it.
+"""Protocols of the controller, as its programs use it.
 
-Sequences are read-only; a caller that keeps one copies it.
+Sequences are read-only. A caller that keeps a sequence must copy it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from ..robot.signals import ModbusSignals, Signals
 
 
 class BegunMove(Protocol):
-    """A movement that was begun."""
+    """A motion that has begun."""
 
     @property
     def is_over(self) -> bool:
-        """Whether the function that began it returns: the goal, or the blend zone about it, is reached."""
+        """Whether the function that began it returns: the goal, or its blend zone, is reached."""
 
 
 class MotionCommands(Protocol):
-    """The commands that move the arm; each begins a motion and returns at once."""
+    """Commands that move the arm. Each begins a motion and returns immediately."""
 
     @property
     def is_standing(self) -> bool:
@@ -36,22 +36,22 @@ class MotionCommands(Protocol):
 
     @property
     def waypoint(self) -> Sequence[float] | None:
-        """The pose of the TCP at the end of the present path move, m and rad; None if there is none."""
+        """Pose of the TCP at the end of the current path move, in m and rad; None if there is none."""
 
     def movej(self, q: Sequence[float], a: float, v: float, t: float, r: float) -> BegunMove:
-        """To joint positions, along a straight line in joint space."""
+        """Move to joint positions, along a straight line in joint space."""
 
     def movel(self, pose: Sequence[float], a: float, v: float, t: float, r: float) -> BegunMove:
-        """To a pose, along a straight line."""
+        """Move to a pose, along a straight line."""
 
     def optimovel(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
-        """To a pose, along a straight line, within the limits of the joints."""
+        """Move to a pose, along a straight line, within the limits of the joints."""
 
     def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
-        """To a pose at constant speed."""
+        """Move to a pose at constant speed."""
 
     def movec(self, via: Sequence[float], to: Sequence[float], a: float, v: float, r: float, mode: int) -> BegunMove:
-        """To a pose along a circle."""
+        """Move to a pose along a circle."""
 
     def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> BegunMove:
         """Follow a set-point of the joints."""
@@ -60,7 +60,7 @@ class MotionCommands(Protocol):
         """Follow a pose."""
 
     def speedj(self, qd: Sequence[float], a: float, t: float | None) -> BegunMove:
-        """Turn the joints at a speed."""
+        """Move the joints at a speed."""
 
     def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float) -> BegunMove:
         """Move the tool at a speed."""
@@ -81,46 +81,49 @@ class MotionCommands(Protocol):
 
 
 class ScriptSockets(Protocol):
-    """The named sockets of a program. Nothing here waits."""
+    """Named sockets of a program. No method blocks."""
 
     def open(self, name: str, host: str, port: int) -> None:
         """Begin to connect."""
 
     def state(self, name: str) -> Literal["connecting", "open", "failed", "closed"]:
-        """The state of a socket."""
+        """Return the state of a socket."""
 
     def send(self, name: str, data: bytes) -> bool:
-        """Send data; False if the socket is not open."""
+        """Send data; return False if the socket is not open."""
 
     def received(self, name: str) -> bytearray:
-        """Bytes that were received and not taken; the caller deletes those that it takes."""
+        """Return the bytes that were received and not removed.
+
+        The caller deletes the bytes that it uses.
+        """
 
     def close(self, name: str) -> None:
-        """Close it, if it is open."""
+        """Close a socket, if it is open."""
 
     def close_all(self) -> None:
-        """Close every one."""
+        """Close all sockets."""
 
 
 class ScriptWorld(Protocol):
     """The controller, as its programs use it.
 
     Attributes:
-        period: s per controller cycle.
-        q_actual, qd_actual, q_target, qd_target: six numbers, rad and rad/s.
-        qdd_target: six numbers, rad/s².
-        pose_actual, pose_target: the TCP in the base frame, m and rad.
-        speed_actual, speed_target: of the TCP, m/s and rad/s.
-        force: at the TCP, N and Nm.
-        dynamics: of the arm with its rotors and its payload.
-        motors: of the arm.
-        torques: of the joints, Nm.
-        tcp: the TCP in the flange frame.
-        payload: kg.
-        payload_cog: its centre of mass in the flange frame, m.
-        payload_inertia: xx, yy, zz, xy, xz, yz in kg m².
-        registers: general-purpose registers.
-        flags: of `set_flag`.
+        period: Duration of a controller cycle, in s.
+        q_actual, qd_actual, q_target, qd_target: Six numbers each, in rad and rad/s.
+        qdd_target: Six numbers, in rad/s².
+        pose_actual, pose_target: Pose of the TCP in the base frame, in m and rad.
+        speed_actual, speed_target: Speed of the TCP, in m/s and rad/s.
+        force: Wrench at the TCP, in N and Nm.
+        dynamics: Dynamics of the arm with its rotors and its payload.
+        motors: Motors of the arm.
+        torques: Torques of the joints, in Nm.
+        tcp: TCP in the flange frame, in m and rad.
+        payload: Mass of the payload, in kg.
+        payload_cog: Centre of mass of the payload in the flange frame, in m.
+        payload_inertia: Inertia of the payload, xx, yy, zz, xy, xz, yz, in kg m².
+        registers: General-purpose registers.
+        flags: Flags that programs set with `set_flag`.
     """
 
     @property
@@ -177,35 +180,39 @@ class ScriptWorld(Protocol):
     def modbus(self) -> ModbusSignals: ...
 
     def rtde_value(self, name: str) -> Any:
-        """The RTDE output of this name: a number, a truth value, or a sequence of numbers.
+        """Return the RTDE output of this name: a number, a truth value, or a sequence of numbers.
 
         Raises:
-            BadValue: there is no such output.
+            BadValue: If there is no such output.
         """
 
     def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
-        """Require this RTDE input so many times a second from now on; 0 ends that.
+        """Require this RTDE input `frequency` times per second; 0 ends the requirement.
 
         Raises:
-            BadValue: there is no such input.
+            BadValue: If there is no such input.
         """
 
     def use_external_force(self, is_used: bool) -> None:
-        """Take the force at the TCP from the RTDE input `external_force_torque`, or from the sensor."""
+        """Read the force at the TCP from the RTDE input `external_force_torque`, or from the sensor."""
 
     def zero_force(self) -> None:
-        """Make the present force at the TCP the new zero."""
+        """Make the current force at the TCP the new zero."""
 
     def contact_steps(self, direction: Sequence[float]) -> int:
-        """Cycles since a contact began that opposes a movement in a direction, (3,) in the base frame; 0 without one.
-        Zeros ask for contacts of every direction."""
+        """Return the cycles since the start of a contact that opposes a motion; 0 without one.
+
+        Args:
+            direction: Direction of the motion in the base frame, shape (3,). Zeros stand for contacts in every
+                direction.
+        """
 
     @property
     def external_torques(self) -> Sequence[float]:
-        """External torques on the joints, Nm."""
+        """External torques on the joints, in Nm."""
 
     def force_mode(self, task: ForceTask) -> None:
-        """Begin force mode: yield along some axes until a force is there."""
+        """Begin force mode: yield along some axes until a force is reached."""
 
     def set_force_damping(self, damping: float) -> None:
         """Set the damping of force mode, 0 to 1."""
@@ -214,21 +221,24 @@ class ScriptWorld(Protocol):
         """Set the gain of force mode, 0 to 2."""
 
     def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
-        """Let the arm be moved by hand along these axes of a frame."""
+        """Let a person move the arm by hand, along these axes of a frame."""
 
     def end_compliance(self) -> None:
         """End force mode or freedrive."""
 
     def set_tcp(self, pose: Sequence[float]) -> None:
-        """Set the TCP in the flange frame, m and rad."""
+        """Set the TCP in the flange frame, in m and rad."""
 
     def set_payload(
         self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, seconds: float = 0.0
     ) -> None:
-        """Set the payload in kg, m and kg m², over so many s; None leaves a value to the controller."""
+        """Set the payload, in kg, m and kg m², over a time in s.
+
+        None keeps the value of the controller.
+        """
 
     def set_gravity(self, vector: Sequence[float]) -> None:
-        """Set the acceleration of an arm at rest, in the base frame, m/s²."""
+        """Set the acceleration of an arm at rest, in the base frame, in m/s²."""
 
     def text_message(self, text: str) -> None:
         """Send a text to the log and to all clients of the primary interface."""
@@ -238,7 +248,7 @@ class ScriptWorld(Protocol):
 
     @property
     def has_popup(self) -> bool:
-        """Whether a popup is on the pendant and was not closed."""
+        """Whether the pendant shows a popup that was not closed."""
 
     def protective_stop(self) -> None:
-        """Stop the arm; the program is not advanced until the stop is unlocked."""
+        """Stop the arm. The program does not run until the stop is unlocked."""

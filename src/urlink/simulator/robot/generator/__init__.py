@@ -1,4 +1,4 @@
-"""The motion generator of a simulated controller: from movej and the like to set-points, cycle by cycle."""
+"""Motion generator of a simulated controller: it converts motion commands to set-points."""
 
 from __future__ import annotations
 

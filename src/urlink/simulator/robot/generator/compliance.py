@@ -1,29 +1,29 @@
-"""How an arm gives way: in freedrive, under direct torque, and in force mode.
+"""Compliant motion of an arm: in freedrive, under direct torque, and in force mode.
 
-In freedrive and under direct torque the joints yield, by the one model of the arm: the masses of links and payload, and
-the rotors.
+In freedrive and under direct torque, the joints yield according to one model of the arm: the masses of links and
+payload, and the rotors.
 
-In **freedrive** it moves under the torques from outside; gravity and friction are compensated, and its speed is damped.
-At the end of its range a joint stands still. The damping is a guess, and so is the speed of the tool above which the
+In **freedrive**, the arm moves under the external torques. Gravity and friction are compensated, and its speed is
+damped. A joint stops at the end of its range. The damping is assumed, and so is the speed of the tool above which the
 controller stops the arm.
 
-Under **direct torque** it moves under the torques that a program gives for one cycle and those from outside. The
-controller compensates gravity, as the vendor says; what the program does not have compensated of its friction is that
-of the joints (`urlink.arm.motors`). In a cycle without a torque the arm brakes.
+Under **direct torque**, the arm moves under the torques that a program sets for one cycle, plus the external torques.
+The controller compensates gravity, according to the vendor. Friction that the program does not have compensated is the
+friction of the joints (`urlink.arm.motors`). In a cycle without a torque, the arm brakes.
 
-In force mode the tool yields along some axes until a force is there, and follows its path along the others.
-How a controller does this is not published beyond the purpose of the arguments; this model keeps to that.
+In force mode, the tool yields along some axes until a force is reached, and follows its path along the others. How a
+controller does this is not published, except the purpose of the arguments. This model has these properties:
 
-- Along a **compliant axis** the tool moves as a mass with damping would, under the force that it is to exert and the
-  one that acts on it. The change of the force brakes it too, so that it comes to rest on stiff things. `damping` is the
-  part of its speed that a mass loses in 2 ms: 0 keeps it, 1 stops it at once. `gain` scales the force that moves it. It
-  never gets faster than its limit; where something other than the wanted force drives it at that limit for a tenth of a
+- Along a **compliant axis**, the tool moves like a mass with damping, under the wanted force and the external force. A
+  change of the force also brakes it, so that it comes to rest on stiff objects. `damping` is the fraction of its speed
+  that the mass loses in 2 ms: 0 keeps the speed, 1 stops it immediately. `gain` scales the force that moves the mass.
+  The tool never exceeds its speed limit. If a force other than the wanted one pushes it at that limit for a tenth of a
   second, the arm is stopped.
-- Along **every other axis** it follows the program, and gives way like a stiff spring. Where it is off by more than its
+- Along **every other axis**, the tool follows the program and yields like a stiff spring. If its deviation exceeds its
   limit, the arm is stopped.
 
-The masses, stiffnesses and times are guesses. A contact of up to 100 kN/m is held stably at 125 Hz, a stiffer one at
-500 Hz.
+The masses, stiffnesses and times are assumed. A contact of up to 100 kN/m is stable at 125 Hz, and a stiffer one at 500
+Hz.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ from .joint_limits import ArmWithTool, LimitViolation, moved
 from .path_motion import Command
 from .streamed_motion import JointSpeed
 
-# s: times the change of a torque or a force, this brakes.
+# Time, in s, that converts the change of a torque or a force to a braking impulse.
 _BRAKE = 0.03
-# 1/s of each joint in freedrive
+# Damping of each joint in freedrive, in 1/s.
 _FREE_DAMPING = number("freedrive_damping")
-# m/s of the tool in freedrive
+# Maximum speed of the tool in freedrive, in m/s.
 _FASTEST = number("freedrive_fastest")
 
 
@@ -57,9 +57,9 @@ class FreeJoints:
     """Freedrive with every axis free.
 
     Args:
-        arm: with its tool.
-        dynamics: of the arm with its rotors and its payload.
-        begin: present set-point.
+        arm: Arm with its tool.
+        dynamics: Dynamics of the arm with its rotors and its payload.
+        begin: Current set-point.
     """
 
     def __init__(self, arm: ArmWithTool, dynamics: Dynamics, begin: Setpoint) -> None:
@@ -69,10 +69,15 @@ class FreeJoints:
         self._felt: FloatArray | None = None
 
     def advance(self, wrench: Sequence[float], torques: Sequence[float], seconds: float) -> Setpoint:
-        """The set-point one cycle later, under a wrench at the TCP in the base frame, and torques at the joints.
+        """Return the set-point one cycle later.
+
+        Args:
+            wrench: Wrench at the TCP, in N and Nm in the base frame.
+            torques: External torques at the joints, in Nm.
+            seconds: Duration of the cycle, in s.
 
         Raises:
-            LimitViolation: a joint, or the tool, gets too fast.
+            LimitViolation: If a joint, or the tool, is too fast.
         """
         last = self._last
         felt = np.asarray(torques, dtype=np.float64)
@@ -102,14 +107,14 @@ class TorqueMotion(Command):
     """Direct torque for one cycle.
 
     Args:
-        dynamics: of the arm with its rotors and its payload; gravity has no effect.
-        motors: of the arm.
-        torque: (6,) Nm of the program, and from outside.
-        friction: (6,) fraction of its friction that each joint has, 0 to 1.
-        acceleration: (6,) rad/s² with which the arm brakes if no torque follows.
+        dynamics: Dynamics of the arm with its rotors and its payload; gravity has no effect.
+        motors: Motors of the arm.
+        torque: Torques of the program plus external torques, shape (6,), in Nm.
+        friction: Fraction of its friction that acts on each joint, shape (6,), 0 to 1.
+        acceleration: Deceleration of the joints if no torque follows, shape (6,), in rad/s².
 
     Attributes:
-        is_over: after one cycle.
+        is_over: Whether the cycle has passed.
     """
 
     def __init__(
@@ -124,7 +129,7 @@ class TorqueMotion(Command):
         self._brake = JointSpeed(REST, acceleration, None)
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
-        """The set-point one cycle later."""
+        """Return the set-point one cycle later."""
         if self.is_over:
             setpoint = self._brake.advance(last, seconds, scaling, change)
             self.is_at_rest = self._brake.is_at_rest
@@ -133,23 +138,25 @@ class TorqueMotion(Command):
         speed = np.array(last.qd)
         rub, slope = (self._friction * each for each in self._motors.friction_torque(last.qd))
         left = self._torque - rub - self._dynamics.coriolis_torque(last.q, last.qd)
-        # Friction at the end of the cycle: with that at its beginning a light joint would tremble about rest.
+        # Use the friction at the end of the cycle. With the friction at its beginning, a light joint would oscillate
+        # about rest.
         qdd = np.linalg.solve(self._dynamics.mass_matrix(last.q) + np.diag(seconds * slope), left)
         qd = speed + seconds * qdd
         return Setpoint((np.array(last.q) + seconds * qd).tolist(), qd.tolist(), qdd.tolist())
 
 
-# kg and kg m² that move along and about a compliant axis.
+# Masses that move along and about a compliant axis, in kg and kg m².
 _MASS = np.array(numbers("force_mode_mass"))
-# 1/s that damping 1 is: all of the speed within 2 ms.
+# Rate of damping 1, in 1/s: the whole speed within 2 ms.
 _DAMPING = 500.0
-# N/m and Nm/rad of the axes that are not compliant, and s in which they give way.
+# Stiffness of the axes that are not compliant, in N/m and Nm/rad, and their time to yield, in s.
 _STIFFNESS = np.array([20e3, 20e3, 20e3, 500.0, 500.0, 500.0])
 _GIVING_WAY = 0.05
-# N and Nm above which an axis counts as pushed, and s for which it may be pushed at its largest speed.
+# Force above which an axis counts as pushed, in N and Nm, and time for which it may be pushed at its maximum speed, in
+# s.
 _DRIVEN = np.array([5.0, 5.0, 5.0, 0.5, 0.5, 0.5])
 _DRIVEN_FOR = 0.1
-# m/s below which the movement has no direction, and m within which there is none towards the frame.
+# Speed in m/s below which a motion has no direction, and distance in m within which there is no direction to the frame.
 _SLOW, _NEAR = 1e-4, 1e-6
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -158,17 +165,18 @@ _UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 @dataclass(frozen=True)
 class ForceTask:
-    """The arguments of `force_mode`.
+    """Arguments of `force_mode`.
 
     Attributes:
-        frame: (6,) pose in the base frame; only its axes have an effect.
-        selection: (6,) which of them are compliant.
-        wrench: (6,) N and Nm that the tool is to exert along and about compliant axes.
-        kind: 1 turns the y axis towards the origin of the frame, as seen from the tool; 2 leaves it as it is; 3 turns
-            the x axis into the direction in which the tool moves in the x-y plane.
-        limits: (6,) largest speed of compliant axes, m/s and rad/s, and largest deviation of the others, m and rad.
-        damping: 0 to 1.
-        gain: 0 to 2.
+        frame: Pose in the base frame, shape (6,); only its axes have an effect.
+        selection: Whether each axis is compliant, shape (6,).
+        wrench: Wanted wrench of the tool along and about the compliant axes, shape (6,), in N and Nm.
+        kind: 1 turns the y axis towards the origin of the frame, seen from the tool. 2 does not change the frame. 3
+            turns the x axis into the direction of the tool's motion in the x-y plane.
+        limits: Maximum speed of compliant axes, in m/s and rad/s, and maximum deviation of the other axes, in m and
+            rad; shape (6,).
+        damping: Damping, 0 to 1.
+        gain: Gain, 0 to 2.
     """
 
     frame: Sequence[float]
@@ -181,17 +189,20 @@ class ForceTask:
 
 
 def free_tool(frame: Sequence[float], axes: Sequence[bool]) -> ForceTask:
-    """Freedrive along some axes of a frame: no force is exerted, speed dies away quickly, and there are no limits."""
+    """Return a task for freedrive along some axes of a frame.
+
+    The tool exerts no force, its speed decreases quickly, and there are no limits.
+    """
     return ForceTask(frame, axes, (0.0,) * 6, 2, (math.inf,) * 6, damping=0.02)
 
 
 class Compliance:
-    """Changes the set-points of a program to those of an arm under force control.
+    """Converts the set-points of a program to those of an arm under force control.
 
     Args:
-        arm: with its tool.
-        begin: present set-point; the axes that follow the program keep its speed.
-        task: the arguments of force mode.
+        arm: Arm with its tool.
+        begin: Current set-point. The axes that follow the program keep its speed.
+        task: Arguments of force mode.
     """
 
     def __init__(self, arm: ArmWithTool, begin: Setpoint, task: ForceTask) -> None:
@@ -199,7 +210,7 @@ class Compliance:
         self._arm = arm
         self._last = begin
         self._pose = arm.pose(begin.q)
-        # In the base frame: the speed of the compliant axes, that of the whole tool, and the deviation of the others.
+        # In the base frame: speed of the compliant axes, speed of the whole tool, and deviation of the other axes.
         self._deviation_speed = np.zeros(6)
         self._speed = arm.velocity(begin.q, begin.qd) if any(begin.qd) else np.zeros(6)
         self._deviation = np.zeros(6)
@@ -208,7 +219,7 @@ class Compliance:
 
     @property
     def task(self) -> ForceTask:
-        """The arguments of force mode."""
+        """Arguments of force mode."""
         return self._task
 
     @task.setter
@@ -219,15 +230,15 @@ class Compliance:
         self._frame = rotvec_to_matrix(list(task.frame)[3:])
 
     def advance(self, nominal: Setpoint, wrench: Sequence[float], seconds: float) -> Setpoint:
-        """The set-point one cycle later.
+        """Return the set-point one cycle later.
 
         Args:
-            nominal: the set-point of the program alone.
-            wrench: (6,) what acts on the TCP, N and Nm in the base frame.
-            seconds: of a cycle.
+            nominal: Set-point of the program alone.
+            wrench: Wrench on the TCP, shape (6,), in N and Nm in the base frame.
+            seconds: Duration of the cycle, in s.
 
         Raises:
-            LimitViolation: a limit of the task or of the joints is broken.
+            LimitViolation: If a limit of the task or of the joints is exceeded.
         """
         task, limits, is_free = self._task, self._most, self._is_free
         followed = np.zeros(6)
@@ -255,7 +266,7 @@ class Compliance:
         return self._move(axes.T @ np.where(is_free, speed, axes @ followed + giving), seconds)
 
     def _check_driven(self, speed: FloatArray, felt: FloatArray, seconds: float) -> None:
-        """Raise if something pushes the tool at the limit of its speed."""
+        """Raise if an external force pushes the tool at its speed limit."""
         driven = self._is_free & (np.abs(speed) > self._most) & (speed * felt > 0.0) & (np.abs(felt) > _DRIVEN)
         self._driven = self._driven + seconds if driven.any() else 0.0
         if self._driven > _DRIVEN_FOR:
@@ -263,7 +274,10 @@ class Compliance:
             raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {self._most[axis]:g}")
 
     def _axes(self, followed: FloatArray) -> FloatArray:
-        """(6, 6): from the base frame to the axes of the task, for forces and speeds."""
+        """Return the rotation from the base frame to the axes of the task, shape (6, 6).
+
+        It applies to forces and to speeds.
+        """
         columns = self._frame
         if self._task.kind == 1:
             way = np.array(list(self._task.frame)[:3]) - np.array(self._pose[:3])
@@ -285,8 +299,11 @@ class Compliance:
 
 
 def _turned(columns: FloatArray, axis: int, way: FloatArray, least: float) -> FloatArray:
-    """A frame with one of its first two axes along a direction, and its z axis as close to its old one as possible; the
-    frame itself if the direction is too short, or along z."""
+    """Return a frame with one of its first two axes along a direction.
+
+    Its z axis is as close to the old one as possible. If the direction is too short, or along z, the frame is
+    unchanged.
+    """
     length = float(np.linalg.norm(way))
     if length < least:
         return columns

@@ -1,10 +1,10 @@
-"""Makes the set-points of one program: its motion generator, and force mode or freedrive on top of it.
+"""Make the set-points of one program: its motion generator, with force mode or freedrive.
 
-In force mode the program still commands the arm, which follows along the axes that are not compliant. In freedrive with
-all axes free, commands of the program have no effect.
+In force mode, the program still commands the arm, which follows along the axes that are not compliant. In freedrive
+with all axes free, commands of the program have no effect.
 
-Guesses: a stop ends both modes, so that a program which continues after it has to begin them again; a movement that
-runs when a mode ends continues from where the arm is then.
+Assumptions: a stop ends both modes, so a program that continues after the stop must begin them again. If a motion is
+running when a mode ends, it continues from the current position of the arm.
 """
 
 from __future__ import annotations
@@ -29,35 +29,36 @@ class ArmDrive:
     """Makes the set-points of one program.
 
     Args:
-        arm: from whose present set-point it goes on; its dynamics, and what acts on it, are those of each cycle.
-        scaling: with which it begins.
-        parameters: of the scaling.
+        arm: Arm to continue with, from its current set-point. In each cycle, its current dynamics and external forces
+            apply.
+        scaling: Initial scaling.
+        parameters: Parameters of the scaling.
 
     Attributes:
-        generator: executes the commands of the program.
-        setpoint: that of this cycle.
+        generator: Motion generator, which executes the commands of the program.
+        setpoint: Set-point of this cycle.
     """
 
     def __init__(self, arm: SimulatedArm, scaling: float, parameters: ScalingParameters) -> None:
         self.generator = MotionGenerator(arm.kinematics, arm.setpoint, scaling, parameters)
         self.setpoint = arm.setpoint
         self._arm = arm
-        # What leads the arm in force mode or freedrive.
+        # Moves the arm in force mode or freedrive.
         self._compliant: Compliance | FreeJoints | None = None
         self._mode = ControlMode.POSITION
-        # Parameters of force mode, as a program has set them.
+        # Parameters of force mode that the program has set.
         self._damping, self._gain = ForceTask.damping, ForceTask.gain
 
     # -- modes -------------------------------------------------------------------------------------
 
     @property
     def yields(self) -> bool:
-        """Whether force mode or freedrive is on, in which the arm moves without being commanded."""
+        """Whether force mode or freedrive is on, so that the arm moves without a command."""
         return self._compliant is not None
 
     @property
     def control_mode(self) -> ControlMode:
-        """What is controlled in this cycle: position, force, ..."""
+        """Quantity that is controlled in this cycle, such as position or force."""
         return ControlMode.TORQUE if not self.yields and self.generator.follows_torque else self._mode
 
     def force_mode(self, task: ForceTask) -> None:
@@ -71,12 +72,12 @@ class ArmDrive:
         self._mode = ControlMode.FORCE
 
     def set_damping(self, damping: float) -> None:
-        """Set the damping of force mode, 0 to 1: of the present one, and of those that follow."""
+        """Set the damping, 0 to 1, of the current force mode and of later ones."""
         self._damping = damping
         self._adjust()
 
     def set_gain(self, gain: float) -> None:
-        """Set the gain of force mode, 0 to 2; as `set_damping`."""
+        """Set the gain, 0 to 2, of the current force mode and of later ones."""
         self._gain = gain
         self._adjust()
 
@@ -85,7 +86,12 @@ class ArmDrive:
             self._compliant.task = replace(self._compliant.task, damping=self._damping, gain=self._gain)
 
     def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
-        """Let the arm be moved by hand, along and about these axes of a frame in the base frame, m and rad."""
+        """Let a person move the arm by hand, along and about some axes of a frame.
+
+        Args:
+            axes: Whether each axis is free, shape (6,).
+            frame: Frame in the base frame, shape (6,), in m and rad.
+        """
         self.end_mode()
         if tuple(axes) == _ALL:
             self._compliant = FreeJoints(self.generator.arm, self._arm.dynamics, self.setpoint)
@@ -103,10 +109,10 @@ class ArmDrive:
     # -- time --------------------------------------------------------------------------------------
 
     def advance(self, seconds: float) -> Setpoint:
-        """The set-point after a cycle of `seconds`.
+        """Return the set-point after a cycle of `seconds`.
 
         Raises:
-            LimitViolation: it would break a limit.
+            LimitViolation: If the set-point would exceed a limit.
         """
         nominal, wrench, torques = self.generator.advance(seconds), self._arm.wrench, self._arm.pushed_joints
         if isinstance(self._compliant, FreeJoints):
@@ -122,7 +128,10 @@ class ArmDrive:
         return self.setpoint
 
     def start(self, q: Sequence[float]) -> None:
-        """Continue from rest at six joint positions, rad, to which a stop has braked the arm; no mode is on."""
+        """Continue from rest at six joint positions, in rad, after a stop has braked the arm.
+
+        No mode is on afterwards.
+        """
         self._compliant = None
         self._mode = ControlMode.POSITION
         self.generator.start(q)

@@ -1,7 +1,7 @@
-"""An arm with its tool, the limits that a controller enforces on it, and the arguments that it refuses.
+"""An arm with its tool, the limits that a controller enforces, and checks of arguments.
 
-A controller makes a protective stop when a joint is about to leave its range or to exceed its speed, when no arm could
-follow, or when a pose is out of reach. How much it tolerates is a guess here.
+A controller makes a protective stop if a joint is about to leave its range or to exceed its speed, if no arm could
+follow, or if a pose is out of reach. The tolerances are assumed.
 """
 
 from __future__ import annotations
@@ -21,28 +21,32 @@ from urlink.arm.vectors import JOINTS, FloatArray
 
 from ..setpoint_sources import Setpoint
 
-# Fraction by which a set-point may exceed the largest speed of a joint: rounding, and rough interpolation by clients.
+# Fraction by which a set-point may exceed the maximum speed of a joint, for rounding and for coarse interpolation by
+# clients.
 _TOLERANCE = number("joint_speed_tolerance")
-# Factor of the largest acceleration of a joint that no arm can follow. Less than that is left to the motors.
+# Multiple of the maximum acceleration of a joint that no arm can follow. The motors handle smaller accelerations.
 _HARDEST = 10.0
-# rad that rounding may put a joint beyond its range
+# Distance in rad beyond the range of a joint that rounding can cause.
 _ROUNDING = 1e-9
 
 
 class LimitViolation(Exception):
-    """A set-point breaks a limit of the arm; a controller makes a protective stop. Its text says which limit."""
+    """A set-point exceeds a limit of the arm, which its text names.
+
+    A controller makes a protective stop.
+    """
 
 
 class OutOfReach(Exception):
-    """The target that a motion function gets is out of reach."""
+    """The target of a motion function is out of reach."""
 
 
 class JointLimits:
-    """The limits of one model, as plain numbers.
+    """Limits of one model, as plain numbers.
 
     Attributes:
-        speed, acceleration: of each joint, rad/s and rad/s².
-        allowed_speed: that with the tolerance, rad/s.
+        speed, acceleration: Limits of each joint, in rad/s and rad/s².
+        allowed_speed: Speed limits including the tolerance, in rad/s.
     """
 
     def __init__(self, model: Model) -> None:
@@ -54,20 +58,21 @@ class JointLimits:
         self._highest: list[float] = (model.position_limits[:, 1] + _ROUNDING).tolist()
 
     def check(self, last: Setpoint, new: Setpoint, seconds: float) -> None:
-        """Raise if a set-point is too fast, too far from the last one, or outside the range and further out than it.
+        """Raise if a set-point is too fast, too far from the last one, or further outside the range.
 
-        Moving back into the range is allowed, since an arm may stand outside after braking.
+        A motion back into the range is allowed, because an arm might be outside after braking.
 
         Raises:
-            LimitViolation: it breaks a limit.
+            LimitViolation: If the set-point exceeds a limit.
         """
-        # Executed in each cycle: loops of the interpreter would take a tenth of its time. True for NaN as well.
+        # This runs in each cycle, so it avoids Python loops, which would take a tenth of the cycle's time. It is also
+        # true for NaN.
         if not all(map(le, map(abs, new.qd), self.allowed_speed)):
             raise LimitViolation(self._too_fast(new.qd))
         if not all(map(le, map(abs, map(sub, new.qd, last.qd)), map(mul, self._hardest, repeat(seconds)))):
             raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds))
         if not any(new.qd) and new.q != last.q:
-            # At its end a path corrects the joints, which is not a jump, unless it ends in a singularity.
+            # At its end, a path corrects the joints. This is not a jump, unless the path ends in a singularity.
             way = [(b - a) / seconds for a, b in zip(last.q, new.q, strict=True)]
             if any(abs(speed) > allowed for speed, allowed in zip(way, self.allowed_speed, strict=True)):
                 raise LimitViolation(self._too_fast(way))
@@ -78,7 +83,7 @@ class JointLimits:
         """Raise if a target of the joints is outside the range.
 
         Raises:
-            LimitViolation: it is outside.
+            LimitViolation: If it is outside the range.
         """
         if all(map(le, self._lowest, q)) and all(map(le, q, self._highest)):
             return
@@ -107,8 +112,8 @@ class ArmWithTool(NamedTuple):
     """An arm, the limits of its joints, and its tool.
 
     Attributes:
-        kinematics, limits: of the arm.
-        tcp: (6,) in the frame of the flange, m and rad.
+        kinematics, limits: Kinematics and joint limits of the arm.
+        tcp: TCP in the flange frame, shape (6,), in m and rad.
     """
 
     kinematics: Arm
@@ -116,19 +121,19 @@ class ArmWithTool(NamedTuple):
     tcp: list[float]
 
     def pose(self, q: Sequence[float]) -> list[float]:
-        """The pose of the TCP at joint positions, m and rad."""
+        """Return the pose of the TCP at joint positions, in m and rad."""
         pose: list[float] = self.kinematics.forward(q, self.tcp).tolist()
         return pose
 
     def velocity(self, q: Sequence[float], qd: Sequence[float]) -> FloatArray:
-        """The speed of the TCP at joint positions and speeds, m/s and rad/s."""
+        """Return the speed of the TCP at joint positions and speeds, in m/s and rad/s."""
         return self.kinematics.velocity(q, qd, self.tcp)
 
     def joints(self, pose: Sequence[float], near: Sequence[float]) -> list[float]:
-        """The joint positions closest to `near` that put the TCP at a pose.
+        """Return the joint positions closest to `near` with the TCP at a pose.
 
         Raises:
-            LimitViolation: the pose is out of reach.
+            LimitViolation: If the pose is out of reach.
         """
         try:
             found: list[float] = self.kinematics.inverse(pose, near, self.tcp, is_limited=False).tolist()
@@ -137,10 +142,12 @@ class ArmWithTool(NamedTuple):
         return found
 
     def setpoint(self, pose: Sequence[float], last: Setpoint, seconds: float) -> Setpoint:
-        """The joints at a pose of the TCP, one cycle after `last`; speeds and accelerations are differences.
+        """Return the set-point for a pose of the TCP, one cycle after `last`.
+
+        Speeds and accelerations are differences.
 
         Raises:
-            LimitViolation: the pose is out of reach.
+            LimitViolation: If the pose is out of reach.
         """
         q = self.joints(pose, last.q)
         qd = [(new - old) / seconds for new, old in zip(q, last.q, strict=True)]
@@ -148,7 +155,7 @@ class ArmWithTool(NamedTuple):
 
 
 def moved(pose: Sequence[float], step: Sequence[float]) -> list[float]:
-    """A pose that has gone on by a step in the directions of the base frame, m and rad."""
+    """Return a pose moved by a step along the axes of the base frame, in m and rad."""
     place = [a + b for a, b in zip(pose[:3], step[:3], strict=True)]
     if not any(step[3:]):
         return [*place, *pose[3:]]
@@ -157,10 +164,10 @@ def moved(pose: Sequence[float], step: Sequence[float]) -> list[float]:
 
 
 def checked(values: Sequence[float], what: str) -> list[float]:
-    """Six finite numbers as a list of floats.
+    """Return six finite numbers as a list of floats.
 
     Raises:
-        BadValue: they are not.
+        BadValue: If `values` is not six finite numbers.
     """
     numbers = list(map(float, values))
     if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
@@ -169,10 +176,10 @@ def checked(values: Sequence[float], what: str) -> list[float]:
 
 
 def positive(value: float, what: str) -> float:
-    """A finite number above zero.
+    """Return a finite number above zero.
 
     Raises:
-        BadValue: it is not.
+        BadValue: If `value` is not such a number.
     """
     if not 0.0 < value < math.inf:
         raise BadValue(f"{what} must be a finite number above zero, not {value!r}")

@@ -1,13 +1,14 @@
-"""The motion generator: from the commands of a program to one set-point of the joints in each cycle.
+"""Motion generator: it converts the commands of a program to one set-point in each cycle.
 
-Every command continues from the present movement, with a continuous speed. Path moves (movej, movel, movep, movec,
+Every command continues from the current motion, with a continuous speed. Path moves (movej, movel, movep, movec,
 servoc) begin where the arm can come to rest, and a blend is added that takes over its speed. Speeds and stops change
-the present speed; servoj follows its set-point from there.
+the current speed. servoj follows its set-point from there.
 
-Guesses, because a controller's algorithm is not published: how hard it brakes without a command, or when a path move
-preempts another movement (a quarter of the model's acceleration).
+A controller's algorithm is not published. So it is assumed how hard it brakes without a command, or when a path move
+preempts another motion (a quarter of the model's acceleration).
 
-The speed scaling stretches the time of every command but a stop; how fast it changes: `ScalingParameters`.
+The speed scaling stretches the time of every command except a stop. For the rate at which it changes, see
+`ScalingParameters`.
 """
 
 from __future__ import annotations
@@ -29,9 +30,10 @@ from .joint_limits import ArmWithTool, JointLimits, LimitViolation, OutOfReach, 
 from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, ToolPath, Trapezoid, timed
 from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 
-# Scaling from which on servoj takes over the whole speed of the joints in its stretched time; below, a part of it.
+# Scaling above which servoj takes over the whole speed of the joints in its stretched time. Below it, a part is taken
+# over.
 _TAKES_OVER = 0.1
-# rad or m: the least length for which a speed and an acceleration are computed from a time.
+# Minimum length, in rad or m, for computing speed and acceleration from a time.
 _SHORTEST = 1e-9
 
 
@@ -39,16 +41,16 @@ class MotionGenerator:
     """Makes the set-points of six joints.
 
     Args:
-        kinematics: of the arm, with its limits.
-        setpoint: the present one; the arm brakes until a command comes.
-        scaling: with which it begins.
-        parameters: of the scaling.
+        kinematics: Kinematics of the arm, with its limits.
+        setpoint: Current set-point. The arm brakes until a command comes.
+        scaling: Initial scaling.
+        parameters: Parameters of the scaling.
 
     Attributes:
-        setpoint: that of this cycle.
-        arm: with its tool; a movement that has begun keeps its own.
-        speed_fraction: of the speed slider, in [0, 1]. It scales everything but stops.
-        scaling: the fraction of their speed with which commands are executed: it approaches `speed_fraction`.
+        setpoint: Set-point of this cycle.
+        arm: Arm with its tool. A motion that has begun keeps its own copy.
+        speed_fraction: Position of the speed slider, in [0, 1]. It scales everything except stops.
+        scaling: Fraction of their speed with which commands are executed. It approaches `speed_fraction`.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class MotionGenerator:
         self.speed_fraction = 1.0
         self.scaling = scaling
         self._parameters = parameters
-        # The scaling rises from 0 at this rate, 1/s, until it has reached the slider.
+        # The scaling rises from 0 at this rate, in 1/s, until it has reached the slider.
         self._rise = parameters.start_rate
         self.arm = ArmWithTool(kinematics, JointLimits(kinematics.model), list(REST))
         self._limits = self.arm.limits
@@ -74,7 +76,7 @@ class MotionGenerator:
 
     @property
     def tcp(self) -> list[float]:
-        """The TCP in the flange frame, m and rad."""
+        """TCP in the flange frame, in m and rad."""
         return list(self.arm.tcp)
 
     @tcp.setter
@@ -88,22 +90,23 @@ class MotionGenerator:
 
     @property
     def follows_torque(self) -> bool:
-        """Whether the joints are moved by torques in this cycle."""
+        """Whether torques move the joints in this cycle."""
         return isinstance(self._command, TorqueMotion) and not self._command.is_at_rest
 
     @property
     def waypoint(self) -> list[float] | None:
-        """The pose of the TCP at the end of the present path move, m and rad; None without one."""
+        """Pose of the TCP at the end of the current path move, in m and rad; None if there is none."""
         command = self._command
         return command.end_pose if isinstance(command, PathMove) and not command.is_at_rest else None
 
     # -- time --------------------------------------------------------------------------------------
 
     def advance(self, seconds: float) -> Setpoint:
-        """The set-point after a cycle of `seconds`.
+        """Return the set-point after a cycle of `seconds`.
 
         Raises:
-            LimitViolation: it would break a limit. The set-point then stays the same until another command or `start`.
+            LimitViolation: If the set-point would exceed a limit. The set-point then stays the same until another
+                command or `start`.
         """
         if self._refusal is not None:
             raise self._refusal
@@ -125,10 +128,10 @@ class MotionGenerator:
         return self.setpoint
 
     def start(self, q: Sequence[float]) -> None:
-        """Continue from rest at six joint positions, rad, to which a stop has braked the arm.
+        """Continue from rest at six joint positions, in rad, after a stop has braked the arm.
 
-        A path move continues to its end, and a speed is approached again. A command that had ended or has broken a
-        limit, and a set-point of servoj, are discarded, and the arm stands still.
+        A path move continues to its end, and a speed is approached again. In three cases the command is discarded and
+        the arm stays at rest: the command had ended, it has exceeded a limit, or it is a set-point of servoj.
         """
         is_over = self._refusal is not None or isinstance(self._command, ServoMotion)
         self.setpoint = Setpoint(checked(q, "joint positions"), REST, REST)
@@ -139,14 +142,14 @@ class MotionGenerator:
             self.resume(self.setpoint)
 
     def resume(self, setpoint: Setpoint) -> None:
-        """Continue from another set-point, to which something else has led the arm; as `start`, but with its speed."""
+        """Continue from a set-point that another mode has reached; like `start`, but with its speed."""
         self.setpoint = setpoint
         command = self._command
         if command is None or command.is_at_rest:
             self._begin(JointSpeed(REST, self._gentle, None))
         elif isinstance(command, PathMove):
             way = [b - a for a, b in zip(setpoint.q, command.place, strict=True)]
-            # Back to the path at half of the speed that the joints may have: the peak of the blend is 3/2 of its mean.
+            # Return to the path at half of the allowed joint speeds: the peak of the blend is 3/2 of its mean.
             furthest = max(abs(d) / limit for d, limit in zip(way, self._limits.speed, strict=True))
             command.restart(Blend(way, setpoint.qd, max(3.0 * furthest, 0.1), self._gentle))
         elif isinstance(command, ToolSpeed):
@@ -155,17 +158,18 @@ class MotionGenerator:
     # -- path moves --------------------------------------------------------------------------------
 
     def movej(self, q: Sequence[float], a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> Command:
-        """Move all joints to positions together: the one that moves furthest with `a` rad/s² and `v` rad/s.
+        """Move all joints together to positions; the joint that moves furthest determines the speed.
 
         Args:
-            q: (6,) rad.
-            a, v: lowered to the limits of the model.
-            t: duration, s; if above zero, `a` and `v` have no effect.
-            r: m, the blend radius.
+            q: Joint positions, shape (6,), in rad.
+            a: Acceleration of that joint, in rad/s², lowered to the limits of the model.
+            v: Speed of that joint, in rad/s, lowered to the limits of the model.
+            t: Duration, in s. If above zero, `a` and `v` have no effect.
+            r: Blend radius, in m.
 
         Raises:
-            BadValue: an argument is invalid.
-            OutOfReach: a joint would leave its range.
+            BadValue: If an argument is invalid.
+            OutOfReach: If a joint would leave its range.
         """
         end = checked(q, "joint positions")
         try:
@@ -177,34 +181,39 @@ class MotionGenerator:
         return self._follow_path(path, start, blend, a, v, t, r)
 
     def movel(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Command:
-        """Move the TCP straight to a pose in the base frame with `a` m/s² and `v` m/s, turning about one axis.
+        """Move the TCP straight to a pose in the base frame, turning about one axis.
 
-        A pose out of reach is approached until the arm can go no further, which is a violation of a limit. PolyScope
-        writes a node that moves in a direction until there is a contact as a move to a pose 1000 m away.
+        If the pose is out of reach, the TCP approaches it until the arm cannot continue, which violates a limit.
+        PolyScope uses this: it writes a node that moves in a direction until contact as a move to a pose 1000 m away.
 
         Args:
-            pose: (6,) m and rad.
-            t: duration, s; if above zero, `a` and `v` have no effect.
-            r: m, the blend radius.
+            pose: Pose of the TCP, shape (6,), in m and rad.
+            a: Acceleration, in m/s².
+            v: Speed, in m/s.
+            t: Duration, in s. If above zero, `a` and `v` have no effect.
+            r: Blend radius, in m.
 
         Raises:
-            BadValue: an argument is invalid.
+            BadValue: If an argument is invalid.
         """
         return self._move_line(pose, a, v, t, r)
 
     def movec(
         self, via: Sequence[float], to: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
     ) -> Command:
-        """Move the TCP along the circle through one pose to another, with `a` m/s² and `v` m/s.
+        """Move the TCP along the circle through one pose to another.
 
         Args:
-            via, to: (6,) m and rad; only the position of `via` has an effect.
-            r: m, the blend radius.
-            mode: 0 turns the tool to the orientation of `to`; 1 keeps it as it is towards the path.
+            via: Pose on the circle, shape (6,), in m and rad. Only its position has an effect.
+            to: Pose at the end, shape (6,), in m and rad.
+            a: Acceleration, in m/s².
+            v: Speed, in m/s.
+            r: Blend radius, in m.
+            mode: 0 turns the tool to the orientation of `to`; 1 keeps its orientation relative to the path.
 
         Raises:
-            BadValue: an argument is invalid.
-            OutOfReach: the points are not on a circle.
+            BadValue: If an argument is invalid.
+            OutOfReach: If the points are not on a circle.
         """
         if mode not in (0, 1):
             raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
@@ -218,27 +227,35 @@ class MotionGenerator:
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Command:
-        """As `movel`: with blends between such moves, the tool keeps about the same speed."""
+        """Move like `movel`. With blends between such moves, the tool keeps about the same speed."""
         return self.movel(pose, a, v, 0.0, r)
 
     def optimovel(self, pose: Sequence[float], a: float, v: float, r: float) -> Command:
-        """As `movel`, with `a` m/s² and `v` m/s lowered so that no joint exceeds its limits on the path."""
+        """Move like `movel`, but lower `a` and `v` so that no joint exceeds its limits on the path."""
         return self._move_line(pose, a, v, 0.0, r, is_bounded=True)
 
     def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Command:
-        """As `movel`. A controller follows the pose along a circular blend; here there is only the straight part."""
+        """Move like `movel`.
+
+        A controller also follows a circular blend; here, only the straight part is modelled.
+        """
         return self.movel(pose, a, v, 0.0, r)
 
     # -- set-points, speeds, stops -----------------------------------------------------------------
 
     def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Command:
-        """Follow joint positions, rad, for a cycle, or for `t` s if that is longer; see the module `streamed_motion`.
+        """Follow joint positions for a cycle, or for `t` s if that is longer.
+
+        See the module `streamed_motion`.
 
         Args:
-            lookahead_time, gain: s and 1; zero on firmware that does not have them.
+            q: Joint positions, shape (6,), in rad.
+            t: Time of the set-point, in s.
+            lookahead_time: Look-ahead time, in s; zero on firmware without it.
+            gain: Gain; zero on firmware without it.
 
         Raises:
-            BadValue: an argument is not such a number.
+            BadValue: If an argument is not such a number.
         """
         end = checked(q, "joint positions")
         seconds = _not_negative(t, "a time")
@@ -265,40 +282,58 @@ class MotionGenerator:
         )
 
     def speedj(self, qd: Sequence[float], a: float, t: float | None) -> Command:
-        """Change the joint speeds to `qd` rad/s, the one that changes most by `a` rad/s², and keep them.
+        """Change the joint speeds to `qd`, and keep them.
+
+        Args:
+            qd: Joint speeds, shape (6,), in rad/s.
+            a: Acceleration of the joint whose speed changes most, in rad/s².
+            t: Time until the command ends, in s.
 
         Raises:
-            BadValue: an argument is not such a number.
+            BadValue: If an argument is not such a number.
         """
         return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), self._time(t)))
 
     def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float | None = None) -> Command:
-        """Change the speed of the TCP to `xd` m/s and rad/s in the base frame, by `a` m/s² and `a_rot` rad/s², and keep
-        it. Without an `a_rot` above zero, `a` is taken for both.
+        """Change the speed of the TCP to `xd`, and keep it.
+
+        Args:
+            xd: Speed in the base frame, shape (6,), in m/s and rad/s.
+            a: Acceleration, in m/s².
+            t: Time until the command ends, in s.
+            a_rot: Angular acceleration, in rad/s². If it is not above zero, the value of `a` is used.
 
         Raises:
-            BadValue: an argument is not such a number.
+            BadValue: If an argument is not such a number.
         """
         return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, self._time(t)))
 
     def stopj(self, a: float) -> Command:
-        """Brake all joints in proportion, the fastest by `a` rad/s², or less where the model cannot; over at rest.
+        """Brake all joints in proportion; the command ends at rest.
+
+        The fastest joint brakes with `a` rad/s², or less if the model's limit is lower.
 
         Raises:
-            BadValue: `a` is not above zero.
+            BadValue: If `a` is not above zero.
         """
         return self._begin(JointSpeed(REST, self._at_most(a), None))
 
     def stopl(self, a: float, a_rot: float | None = None) -> Command:
-        """Brake the tool along its direction by `a` m/s² and `a_rot` rad/s²; over at rest.
+        """Brake the tool along its direction; the command ends at rest.
 
+        Args:
+            a: Deceleration, in m/s².
+            a_rot: Angular deceleration, in rad/s². If it is not above zero, the value of `a` is used.
         Raises:
-            BadValue: an argument is not such a number.
+            BadValue: If an argument is not such a number.
         """
         return self._begin(self._tool_speed(REST, a, a_rot, None))
 
     def release(self) -> None:
-        """End the commands: brake to rest. A path move whose blend is followed by nothing continues to its end."""
+        """End the commands and brake to rest.
+
+        If the last path move is in its blend and no command follows, it continues to its end.
+        """
         if isinstance(self._command, PathMove) and self._command.blends:
             return
         if not self.is_standing:
@@ -310,10 +345,10 @@ class MotionGenerator:
         """Move the joints by torques for one cycle; see the module `compliance`.
 
         Args:
-            dynamics: of the arm with its rotors and its payload; gravity has no effect.
-            motors: of the arm.
-            torque: (6,) Nm, including those from outside.
-            friction: (6,) fraction of its friction that each joint has.
+            dynamics: Dynamics of the arm with its rotors and its payload; gravity has no effect.
+            motors: Motors of the arm.
+            torque: Joint torques, shape (6,), in Nm, including external torques.
+            friction: Fraction of its friction that acts on each joint, shape (6,).
         """
         return self._begin(TorqueMotion(dynamics, motors, torque, friction, self._limits.acceleration))
 
@@ -345,7 +380,7 @@ class MotionGenerator:
         r: float,
         is_bounded: bool = False,
     ) -> Command:
-        """Begin a path; `is_bounded` lowers `a` and `v` to the limits of the joints on a tool's path too."""
+        """Begin a path. If `is_bounded`, lower `a` and `v` to the joint limits even on a tool path."""
         radius = _not_negative(r, "a blend radius")
         if _not_negative(t, "a time") > 0.0:
             speed, acceleration = timed(max(path.length, _SHORTEST), t, *path.fastest())
@@ -356,7 +391,7 @@ class MotionGenerator:
                 speed, acceleration = min(speed, fastest), min(acceleration, hardest)
         profile = Trapezoid(path.length, speed, acceleration)
         if blend is not None and profile.duration > 0.0:
-            # No faster than the old speed dies away: then the sum of both never exceeds the larger one.
+            # Speed up no faster than the old speed decreases, so that the sum never exceeds the larger of both.
             rise = min(acceleration, profile.peak / (blend.duration * max(self.scaling, 0.01)))
             profile = Trapezoid(path.length, profile.peak, acceleration, rise)
         if self._command is not None and blend is None and self.scaling == self.speed_fraction:
@@ -364,9 +399,9 @@ class MotionGenerator:
         return self._begin(PathMove(path, profile, start, blend, radius))
 
     def _take_over(self) -> tuple[list[float], Blend | None]:
-        """The start of a path, and the rest of the present movement on the way there."""
+        """Return the start of a path, and the blend from the current motion to it."""
         q, qd, _ = self.setpoint
-        # Evenly, no harder than gently.
+        # Brake evenly, with at most the gentle deceleration.
         duration = max(abs(v) / limit for v, limit in zip(qd, self._gentle, strict=True))
         if duration < 1e-9:  # s: at rest, or too slow to matter; a blend divides by its duration
             return list(q), None
@@ -385,11 +420,11 @@ class MotionGenerator:
 
     @property
     def _overrun(self) -> float:
-        """s of scaled time by which the last cycle exceeded the time of the command that ended in it."""
+        """Scaled time, in s, by which the last cycle exceeded the time of its command."""
         return 0.0 if self._command is None else self._command.overrun
 
     def _time(self, t: float | None) -> float | None:
-        """What is left of a time."""
+        """Return the remaining part of a time."""
         return None if t is None else _not_negative(t, "a time") - self._overrun
 
     def _at_most(self, a: float) -> list[float]:

@@ -1,8 +1,9 @@
-"""Following a path from rest to rest: joint movements (movej), lines (movel, movep, servoc) and circles (movec).
+"""Paths from rest to rest: joint motions, lines and circles.
 
-A `MotionPath` gives the joints at a distance along it. A `Trapezoid` gives the distance over time: acceleration,
-constant speed, braking, as the manual of the pendant draws it, as far as that is remembered. A `Blend` takes over the
-speed of the movement before. How a controller blends is not published, so that is a guess.
+The commands are movej for joint motions, movel, movep and servoc for lines, and movec for circles.
+A `MotionPath` returns the joint positions at a distance along the path. A `Trapezoid` returns the distance over time:
+acceleration, constant speed, braking, like the drawing in the manual of the pendant (cited from memory). A `Blend`
+takes over the speed of the previous motion. The blending of a controller is not published, so it is assumed.
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ from urlink.arm.parameters import number
 from ..setpoint_sources import REST, Setpoint
 from .joint_limits import ArmWithTool, LimitViolation
 
-#: m that count as much as a turn of 1 rad, at least, so that a tool which turns in place takes its time. A guess.
+#: Distance, in m, that counts at least as much as a turn of 1 rad, so that a tool that turns in place takes time.
+#: Assumed.
 RADIAN = number("metres_per_turn_simulated")
 
-# Samples of a path of the tool for its largest speed, and rad from one to the next that are a jump through a
-# singularity.
+# Number of samples of a tool path for its maximum speed, and the step in rad between samples that counts as a jump
+# through a singularity.
 _SAMPLES, _JUMP = 64, 0.5
 
 
@@ -30,10 +32,10 @@ class Command(ABC):
     """A command that has begun.
 
     Attributes:
-        is_over: whether the function that began it returns: the movement has ended, has come within its blend radius of
+        is_over: Whether the function that began it returns. The motion has ended, has come within its blend radius of
             the target, has lasted as long as requested, or was preempted.
-        is_at_rest: whether the joints stand still, and will until the next command.
-        overrun: s of scaled time by which the last cycle exceeded the time that was asked for.
+        is_at_rest: Whether the joints are at rest until the next command.
+        overrun: Scaled time, in s, by which the last cycle exceeded the requested time.
     """
 
     is_over = is_at_rest = False
@@ -41,26 +43,42 @@ class Command(ABC):
 
     @abstractmethod
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
-        """The set-point one cycle after `last`, at a speed scaling that has changed by `change` over the cycle."""
+        """Return the set-point one cycle after `last`.
+
+        Args:
+            last: Previous set-point.
+            seconds: Duration of the cycle, in s.
+            scaling: Speed scaling at the end of the cycle.
+            change: Change of the speed scaling over the cycle.
+        """
 
 
 # -- speed profiles ------------------------------------------------------------------------------------
 
 
 class Trapezoid:
-    """From rest to rest over a length, as fast as a speed and two accelerations allow: the speed over time is a
-    trapezoid, or a triangle if the length is too short to reach the speed.
+    """Speed profile from rest to rest over a length, as fast as the limits allow.
+
+    The limits are a speed and two accelerations. The speed over time is a trapezoid, or a triangle if the length is too
+    short to reach the speed.
 
     Attributes:
-        length: of the path, in the unit of the speed and the accelerations.
-        duration: s.
-        peak: the largest speed.
+        length: Length of the path, in the unit of the speed and the accelerations.
+        duration: Duration, in s.
+        peak: Maximum speed.
     """
 
     def __init__(self, length: float, speed: float, acceleration: float, rise: float | None = None) -> None:
-        """`rise` is the acceleration while speeding up, if it differs from `acceleration` while slowing down."""
+        """Compute the profile.
+
+        Args:
+            length: Length of the path.
+            speed: Maximum speed.
+            acceleration: Deceleration while slowing down.
+            rise: Acceleration while speeding up; None for `acceleration`.
+        """
         rise = acceleration if rise is None else rise
-        # Speeding up to v and slowing down from it take v² times this of the length.
+        # Speeding up to v and slowing down from v take a length of v² times this number.
         ramps = 0.5 / rise + 0.5 / acceleration
         peak = min(speed, math.sqrt(length / ramps))
         self.length, self.peak = length, peak
@@ -71,7 +89,10 @@ class Trapezoid:
         self.duration = self._down + peak / acceleration
 
     def at(self, time: float) -> tuple[float, float, float]:
-        """Distance, speed and acceleration, s after the start. From `duration` on it is at rest at the end."""
+        """Return distance, speed and acceleration at a time, in s, after the start.
+
+        After `duration`, the motion is at rest at the end.
+        """
         if time >= self.duration:
             return self.length, 0.0, 0.0
         if time < self._up:
@@ -83,16 +104,21 @@ class Trapezoid:
 
 
 def timed(length: float, duration: float, speed: float, acceleration: float) -> tuple[float, float]:
-    """The speed and the acceleration with which a length takes `duration` s, or the shortest possible time, by the
-    largest `speed` and `acceleration`, if that is longer.
+    """Return the speed and the acceleration with which a length takes `duration` s.
 
-    A third of the time each for speeding up, constant speed and slowing down, where the limits allow that; a
-    controller's own choice is not known.
+    If the limits do not allow this, the length takes the shortest possible time. If they do, a third of the time each
+    is used for speeding up, constant speed and slowing down. A real controller's choice is unknown.
+
+    Args:
+        length: Length of the path.
+        duration: Requested duration, in s.
+        speed: Maximum speed.
+        acceleration: Maximum acceleration.
     """
     even = 1.5 * length / duration, 4.5 * length / duration**2
     if even[0] <= speed and even[1] <= acceleration:
         return even
-    # At the largest acceleration, length / v + v / acceleration = duration.
+    # At the maximum acceleration, length / v + v / acceleration = duration.
     root = (acceleration * duration) ** 2 - 4.0 * acceleration * length
     if root < 0.0:
         return speed, acceleration
@@ -103,23 +129,27 @@ def timed(length: float, duration: float, speed: float, acceleration: float) -> 
 
 
 class Blend:
-    """The difference that is added to the set-points of a path while it takes over from another movement.
+    """Difference between the previous motion and a path, which is added to the path's set-points.
 
     A path begins at rest, at a position where the arm could come to rest. The blend begins with the difference to the
-    present position and with the present speed, and ends with neither: six cubics of the time. So the sum of both leads
-    from the old movement to the path with a continuous speed. If the distance is half the speed times the duration,
-    the cubics are parabolas, which are constant decelerations.
+    current position and with the current speed, and ends with zero difference and speed. It consists of six cubics of
+    the time. So the sum of path and blend changes from the old motion to the path with a continuous speed. If the
+    distance is half the speed times the duration, the cubics are parabolas, which are constant decelerations.
 
     Attributes:
-        duration: s.
+        duration: Duration, in s.
     """
 
     def __init__(
         self, way: Sequence[float], qd: Sequence[float], duration: float, acceleration: Sequence[float]
     ) -> None:
-        """Six joints with a distance of `way` rad and a speed of `qd` rad/s, in at least `duration` s.
+        """Compute the blend, which takes longer if a joint would exceed its acceleration.
 
-        It takes longer if a joint would exceed its acceleration, rad/s².
+        Args:
+            way: Distance of each joint to the path, in rad.
+            qd: Current speed of each joint, in rad/s.
+            duration: Minimum duration, in s.
+            acceleration: Maximum acceleration of each joint, in rad/s².
         """
 
         def worst() -> float:
@@ -132,7 +162,7 @@ class Blend:
             duration *= 1.25
         self.duration = duration
         self._time = 0.0
-        # In u = time / duration: q = -way + speed u + c u² + e u³, which is at rest at nothing where u is 1.
+        # With u = time / duration, q = -way + speed u + c u² + e u³. At u = 1, distance and speed are zero.
         self._cubics = [
             (-d, v * duration, 3.0 * d - 2.0 * v * duration, v * duration - 2.0 * d)
             for d, v in zip(way, qd, strict=True)
@@ -140,11 +170,11 @@ class Blend:
 
     @property
     def is_over(self) -> bool:
-        """Whether it has ended, so that it adds nothing."""
+        """Whether the blend has ended, so that it adds nothing."""
         return self._time >= self.duration
 
     def advance(self, seconds: float) -> tuple[list[float], list[float], list[float]]:
-        """What to add to positions, speeds and accelerations `seconds` later."""
+        """Return the differences of positions, speeds and accelerations `seconds` later."""
         self._time += seconds
         if self.is_over:
             return REST, REST, REST
@@ -161,10 +191,10 @@ class Blend:
 
 
 class MotionPath(ABC):
-    """The joints by the distance along a path.
+    """Joint positions as a function of the distance along a path.
 
     Attributes:
-        length: of the path: rad of the joint that moves furthest, or m of the tool.
+        length: Length of the path, in rad of the joint that moves furthest, or in m of the tool.
     """
 
     length: float
@@ -175,28 +205,29 @@ class MotionPath(ABC):
     @property
     @abstractmethod
     def end_pose(self) -> list[float]:
-        """The pose of the TCP at the end, m and rad."""
+        """Pose of the TCP at the end, in m and rad."""
 
     @abstractmethod
     def fastest(self) -> tuple[float, float]:
-        """The largest speed and acceleration along the path at which no joint exceeds its limits."""
+        """Return the maximum speed and acceleration along the path within the limits of all joints."""
 
     @abstractmethod
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """The joints after the distance `way`; `last` is the set-point of the path in the cycle before."""
+        """Return the set-point after the distance `way`; `last` is the path's previous set-point."""
 
     @abstractmethod
     def end(self, near: list[float]) -> list[float]:
-        """The joints at the end of a path that has brought them to `near`."""
+        """Return the joint positions at the end of a path that has reached `near`."""
 
     def left(self, q: list[float]) -> float:
-        """Distance of the TCP from the end when the joints are at `q`, m."""
+        """Return the distance of the TCP from the end, in m, for joint positions `q`."""
         return math.dist(self._arm.pose(q)[:3], self.end_pose[:3])
 
 
 class JointPath(MotionPath):
-    """A straight line in joint space: six joints that start and arrive together. Lengths are those of the joint that
-    moves furthest, in rad.
+    """A straight line in joint space: six joints that start and arrive together.
+
+    Lengths are those of the joint that moves furthest, in rad.
     """
 
     def __init__(self, arm: ArmWithTool, start: list[float], end: list[float]) -> None:
@@ -230,7 +261,7 @@ def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
 
 
 class ToolPath(MotionPath):
-    """A path of the TCP along a curve, from close to the joint positions `near`, by the inverse kinematics."""
+    """A path of the TCP along a curve, by inverse kinematics from joint positions near `near`."""
 
     def __init__(self, arm: ArmWithTool, curve: Curve, near: list[float]) -> None:
         super().__init__(arm)
@@ -243,9 +274,9 @@ class ToolPath(MotionPath):
         return self._curve.end
 
     def fastest(self) -> tuple[float, float]:
-        """The largest speed and acceleration along the path at which no joint exceeds its limits, by samples of it.
+        """Return the maximum speed and acceleration within the limits of all joints, from samples.
 
-        The part behind a singular posture, or out of reach, does not count: the arm does not get there.
+        The part behind a singular posture, or out of reach, does not count, because the arm does not reach it.
         """
         limits, part = self._arm.limits, self.length / _SAMPLES
         speed = acceleration = math.inf
@@ -265,20 +296,20 @@ class ToolPath(MotionPath):
         return speed, acceleration
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """The joints after the distance `way`; `last` is the set-point of the cycle before.
+        """Return the set-point after the distance `way`; `last` is the previous set-point.
 
         Raises:
-            LimitViolation: the pose is out of reach.
+            LimitViolation: If the pose is out of reach.
         """
         if not speed and not acceleration:
             return Setpoint(last.q, REST, REST)
         return self._arm.setpoint(self._curve.pose(way / self.length), last, seconds)
 
     def end(self, near: list[float]) -> list[float]:
-        """The joints at the end, on the branch of the inverse kinematics that they come from.
+        """Return the joint positions at the end, on the current branch of the inverse kinematics.
 
         Raises:
-            LimitViolation: the end is out of reach on this branch.
+            LimitViolation: If the end is out of reach on this branch.
         """
         if self._end_joints is None:
             self._end_joints = self._arm.joints(self.end_pose, near)
@@ -286,9 +317,10 @@ class ToolPath(MotionPath):
 
 
 class PathMove(Command):
-    """One path move. It is over at its end, or within the blend radius of it, in the second half of its length.
+    """One path move, which is over at its end or within its blend radius of the end.
 
-    That a blend never begins in the first half is a guess: a controller ignores blends that overlap.
+    A blend begins only in the second half of the length. This is assumed, because a controller ignores blends that
+    overlap.
     """
 
     def __init__(self, path: MotionPath, profile: Trapezoid, start: list[float], blend: Blend | None, r: float) -> None:
@@ -299,16 +331,16 @@ class PathMove(Command):
 
     @property
     def blends(self) -> bool:
-        """Whether the program has gone on, while the arm has not arrived: the next movement begins from this one."""
+        """Whether the program has continued before the arm arrived, so that the next motion blends."""
         return self.is_over and not self.is_at_rest and self._way[1] > 0.0
 
     def corner(self) -> tuple[list[float], float]:
-        """Where the joints would come to rest, and in how many seconds, if they slowed down evenly from now on."""
+        """Return where the joints come to rest if they slow down evenly, and the seconds until then."""
         way, speed = self._way
         return self._path.end(self._last.q), 2.0 * (self._profile.length - way) / speed
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
-        """The set-point one cycle later."""
+        """Return the set-point one cycle later."""
         time = self._time + (scaling - 0.5 * change) * seconds
         arrives = time >= self._profile.duration
         if arrives:
@@ -333,7 +365,7 @@ class PathMove(Command):
         if arrives and self._blend is None:
             self.is_at_rest = self.is_over = True
         elif self._blend_begins(way, setpoint.q):
-            # Computed now, so that a corner out of reach is a violation in this cycle.
+            # Compute the end now, so that a corner out of reach is a violation in this cycle.
             self._path.end(self._last.q)
             self.is_over = True
         return setpoint
@@ -344,17 +376,17 @@ class PathMove(Command):
         return self._path.left(q) <= self._radius
 
     def restart(self, blend: Blend) -> None:
-        """Continue from rest elsewhere: the blend leads back to the path."""
+        """Continue from rest at another position: the blend returns to the path."""
         self._blend = blend
         self._last = Setpoint(self._last.q, REST, REST)
         self._way = (self._way[0], 0.0)
 
     @property
     def end_pose(self) -> list[float]:
-        """The pose of the TCP at the end, m and rad."""
+        """Pose of the TCP at the end, in m and rad."""
         return list(self._path.end_pose)
 
     @property
     def place(self) -> list[float]:
-        """The joints on the path itself, without the rest of an older one."""
+        """Joint positions on the path itself, without the blend from an older motion."""
         return self._last.q

@@ -1,20 +1,21 @@
-"""Motions without a path: set-points of the joints (servoj), and speeds (speedj, speedl; stopj and stopl).
+"""Motions without a path: set-points of the joints, and speeds.
 
-How a controller follows set-points is not published beyond the purpose of the arguments: the look-ahead time smooths,
-the gain sharpens. The model here is a guess that keeps to that: each joint follows like a critically damped spring,
-which lags behind a set-point of constant speed by half the look-ahead time and two over the gain, in seconds: 22 ms for
-0.03 and 300. It never overshoots a set-point that stands still. Firmware without the two arguments lags by the time of
-the set-point.
+The command for set-points is servoj. The commands for speeds are speedj, speedl, stopj and stopl.
+How a controller follows set-points is not published, except the purpose of the arguments: the look-ahead time smooths,
+the gain sharpens. The model here is assumed and has these properties. Each joint follows like a critically damped
+spring. It lags behind a set-point of constant speed by half the look-ahead time plus two divided by the gain, in
+seconds: 22 ms for 0.03 and 300. It never overshoots a set-point that is at rest. On firmware without the two arguments,
+the lag is the time of the set-point.
 
-A set-point that holds for several cycles is approached on a straight line over them. If none follows, the arm
-comes to rest on the last one.
+A set-point that holds for several cycles is approached on a straight line over them. If none follows, the arm comes to
+rest on the last one.
 
-The scaling stretches the time of a set-point: at 50 %, one of 2 ms lasts 4 ms, and at 0 it does not end. Whether it
-stretches the lag too is a parameter (`ScalingParameters.servoj_lag_stretches`).
+The scaling stretches the time of a set-point: at 50 %, a set-point of 2 ms lasts 4 ms, and at 0 it does not end.
+Whether it also stretches the lag is a parameter (`ScalingParameters.servoj_lag_stretches`).
 
-A stop is a speed of zero. The speed slider stretches the time of a speed: at a slider of 25 % it lasts four times as
-long, at a quarter of the speed, and at 0 it does not end (the vendor's client library tests that a spline of such
-commands ends on its path).
+A stop is a speed of zero. The speed slider stretches the time of a speed. At a slider of 25 %, it lasts four times as
+long, at a quarter of the speed, and at 0 it does not end. The vendor's client library tests that a spline of such
+commands ends on its path.
 """
 
 from __future__ import annotations
@@ -33,27 +34,27 @@ from .joint_limits import ArmWithTool, JointLimits, LimitViolation, moved
 from .path_motion import Command
 
 _OF_LOOKAHEAD = number("servoj_lag_of_lookahead")
-# rad and rad/s below which a joint has arrived
+# Tolerances in rad and rad/s within which a joint has arrived.
 _NEAR, _SLOW = 1e-9, 1e-7
 
 
 def lag_of(t: float, lookahead_time: float, gain: float) -> float:
-    """Seconds by which the arm lags behind a set-point of constant speed."""
+    """Return the lag of the arm behind a set-point of constant speed, in s."""
     if lookahead_time > 0.0 and gain > 0.0:
         return _OF_LOOKAHEAD * lookahead_time + 2.0 / gain
     return t
 
 
 class ServoMotion(Command):
-    """The motion to one set-point.
+    """Motion to one set-point.
 
     Attributes:
-        is_over: after one cycle of scaled time, or after `t` s of it if that is longer.
-        goal: present point of the line to the set-point, rad.
-        overrun: s of scaled time by which the last cycle exceeded the time of the set-point; the next one, if it
-            follows in the next cycle, begins with them.
-        speeds: six, rad per s of the time in which the lag lasts: scaled time, if it stretches.
-        excess: six, rad/s, on top of that: of a motion that was taken over while the scaling was close to 0.
+        is_over: Whether one cycle of scaled time has passed, or `t` s of it if that is longer.
+        goal: Current point on the line to the set-point, in rad.
+        overrun: Scaled time, in s, by which the last cycle exceeded the time of the set-point. If the next set-point
+            follows in the next cycle, it begins with this time.
+        speeds: Six speeds, in rad per s of the time of the lag. This is scaled time if the lag stretches.
+        excess: Six additional speeds, in rad/s, of a motion that was taken over while the scaling was close to 0.
     """
 
     def __init__(
@@ -69,7 +70,19 @@ class ServoMotion(Command):
         excess: Sequence[float],
         stretches: bool,
     ) -> None:
-        """A set-point of which `begun` s are over; `stretches`: whether the scaling stretches the lag."""
+        """Begin a set-point.
+
+        Args:
+            limits: Limits of the joints.
+            begin: Joint positions at the begin of the line, in rad.
+            end: Joint positions of the set-point, in rad.
+            t: Time of the set-point, in s.
+            lag: Lag, in s.
+            begun: Elapsed time of the set-point, in s.
+            speeds: See `speeds` above.
+            excess: See `excess` above.
+            stretches: Whether the scaling stretches the lag.
+        """
         self._limits, self._begin, self._end, self._duration, self._lag = limits, begin, list(end), t, lag
         self._time, self._stretches = begun, stretches
         self.goal = begin
@@ -77,10 +90,10 @@ class ServoMotion(Command):
         self._is_new = True
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
-        """The set-point one cycle later.
+        """Return the set-point one cycle later.
 
         Raises:
-            LimitViolation: the target is too far for the largest speed of a joint, or out of its range.
+            LimitViolation: If the target is too far for the maximum speed of a joint, or out of its range.
         """
         lag, duration = max(self._lag, seconds), max(self._duration, seconds)
         if self._is_new:
@@ -98,7 +111,7 @@ class ServoMotion(Command):
         else:
             part = self._time / duration
             self.goal = [a + part * (b - a) for a, b in zip(self._begin, self._end, strict=True)]
-        # The time in which the joints follow, and how much of a speed in it is one in the time of the controller.
+        # Time in which the joints follow, and the ratio of a speed in the controller's time to a speed in that time.
         time, share = (passed, scaling) if self._stretches else (seconds, 1.0)
         if time <= 0.0 and not any(self.excess):
             return Setpoint(last.q, REST, [-v / seconds for v in last.qd])
@@ -111,7 +124,7 @@ class ServoMotion(Command):
         for position, speed, old_goal, goal, extra in zip(
             last.q, self.speeds, old_goals, self.goal, slowed, strict=True
         ):
-            # Relative to what lags behind the moving goal, a deviation dies away.
+            # The deviation from the point that lags behind the moving goal decays exponentially.
             goal_speed = (goal - old_goal) / time if time > 0.0 else 0.0
             trail = lag * goal_speed
             error = position - old_goal + trail
@@ -130,14 +143,14 @@ class ServoMotion(Command):
         return Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
 
     def _pass(self, passed: float, duration: float, seconds: float) -> None:
-        """Let scaled time pass; the set-point is over when its own has."""
+        """Let scaled time pass; the set-point ends when its own time has passed."""
         self._time += passed
         if not self.is_over and self._time > duration - 0.01 * seconds:
             self.is_over = True
             self.overrun = max(self._time - duration, 0.0)
 
     def _slowed(self, seconds: float) -> list[float]:
-        """The `excess` one cycle later: all joints slow down in proportion."""
+        """Return the `excess` one cycle later; all joints slow down in proportion."""
         if not any(self.excess):
             return self.excess
         fastest = max(abs(v) / a for v, a in zip(self.excess, self._limits.acceleration, strict=True))
@@ -145,7 +158,7 @@ class ServoMotion(Command):
         return [left * v for v in self.excess]
 
     def _check(self, q: Sequence[float], horizon: float) -> None:
-        """Raise if a joint at its largest speed could not reach its target in this time."""
+        """Raise if a joint at its maximum speed could not reach its target in this time."""
         self._limits.check_target(self._end)
         allowed = self._limits.allowed_speed
         if all(map(le, map(abs, map(sub, self._end, q)), map(mul, allowed, repeat(horizon)))):
@@ -157,7 +170,7 @@ class ServoMotion(Command):
 
 @lru_cache(maxsize=256)
 def _follower(lag: float, seconds: float) -> tuple[float, float]:
-    """The rate of the spring in 1/s, and the part of a deviation that is left after a cycle."""
+    """Return the spring's rate in 1/s, and the fraction of a deviation left after a cycle."""
     omega = 2.0 / lag
     return omega, math.exp(-omega * seconds)
 
@@ -166,17 +179,23 @@ class JointSpeed(Command):
     """All joints change their speeds in proportion until each has its own, and keep it.
 
     Attributes:
-        is_over: after `t` s of scaled time; if `t` is None, when the speed is reached.
+        is_over: Whether `t` s of scaled time have passed, or, if `t` is None, the speed is reached.
     """
 
     def __init__(self, qd: Sequence[float], acceleration: Sequence[float], t: float | None) -> None:
-        """Six speeds, rad/s, and the largest acceleration of each joint, rad/s²."""
+        """Begin a change of the joint speeds.
+
+        Args:
+            qd: Six speeds, in rad/s.
+            acceleration: Maximum acceleration of each joint, in rad/s².
+            t: Scaled time until the command ends, in s; None ends it when the speed is reached.
+        """
         self._target, self._acceleration = list(qd), acceleration
         self._left = t
         self._stops = not any(qd)
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
-        """The set-point one cycle later."""
+        """Return the set-point one cycle later."""
         wanted = [scaling * v - old for v, old in zip(self._target, last.qd, strict=True)]
         part = 1.0
         for way, most in zip(wanted, self._acceleration, strict=True):
@@ -199,13 +218,13 @@ class JointSpeed(Command):
 
 
 class ToolSpeed(Command):
-    """The tool changes its speed straight to another one, and keeps that.
+    """The tool changes its speed to another one, along a straight line, and keeps it.
 
-    If it has to stop and the arm cannot continue along its line, because that ends or is singular there, the joints
-    brake instead.
+    If the tool has to stop, but its line ends or is singular there, the joints brake instead.
 
     Attributes:
-        is_over: after `t` s of scaled time; if `t` is None, when the speed is reached; for a stop, at rest.
+        is_over: Whether `t` s of scaled time have passed. If `t` is None, whether the speed is reached, or, for a stop,
+            the arm is at rest.
     """
 
     def __init__(
@@ -218,9 +237,16 @@ class ToolSpeed(Command):
         t: float | None,
         old: ToolSpeed | None,
     ) -> None:
-        """A speed of the TCP in m/s and rad/s in the base frame, and how fast it changes, in m/s² and rad/s².
+        """Begin a change of the tool speed; after an `old` one, the line continues exactly.
 
-        After an `old` one, the line continues exactly.
+        Args:
+            arm: Arm with its tool.
+            begin: Current set-point.
+            xd: Speed of the TCP in the base frame, in m/s and rad/s.
+            a: Acceleration, in m/s².
+            a_rot: Angular acceleration, in rad/s².
+            t: Scaled time until the command ends, in s; None ends it when the speed is reached.
+            old: Previous command, if it is a tool speed.
         """
         self._arm = arm
         self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
@@ -234,10 +260,10 @@ class ToolSpeed(Command):
         self._brake: JointSpeed | None = None
 
     def advance(self, last: Setpoint, seconds: float, scaling: float, change: float) -> Setpoint:
-        """The set-point one cycle later.
+        """Return the set-point one cycle later.
 
         Raises:
-            LimitViolation: the pose is out of reach.
+            LimitViolation: If the pose is out of reach.
         """
         if self._brake is not None:
             return self._braking(self._brake, last, seconds)
@@ -268,7 +294,7 @@ class ToolSpeed(Command):
         return setpoint
 
     def restart(self, begin: Setpoint) -> None:
-        """Continue from rest elsewhere."""
+        """Continue from rest at another position."""
         self._pose = self._arm.pose(begin.q)
         self._speed = list(REST)
 
@@ -279,7 +305,7 @@ class ToolSpeed(Command):
 
 
 def _passed(left: float, passed: float, seconds: float) -> tuple[float, float]:
-    """What is left of a time after some has passed, and by how much the cycle in which it ended exceeded it."""
+    """Return the rest of a time, and how much the cycle in which it ended exceeded it."""
     rest = left - passed
     if rest > 0.01 * seconds:
         return rest, 0.0
@@ -287,7 +313,7 @@ def _passed(left: float, passed: float, seconds: float) -> tuple[float, float]:
 
 
 def _towards(now: list[float], target: list[float], most: float) -> tuple[list[float], bool]:
-    """A vector closer to a target by at most `most`, and whether it has reached the target."""
+    """Return a vector closer to the target by at most `most`, and whether it is the target."""
     way = [b - a for a, b in zip(now, target, strict=True)]
     distance = math.hypot(*way)
     if distance <= most:

@@ -1,10 +1,10 @@
-"""The built-in functions of a controller, one module for each family."""
+"""Built-in functions of a controller, one module for each family."""
 
 from __future__ import annotations
 
 from urlink.protocol.firmware import Firmware
 
-# For what they declare.
+# Import these modules, because they declare functions.
 from . import (  # noqa: F401
     force,
     inputs_outputs,
@@ -24,5 +24,5 @@ __all__ = ["BUILTINS", "find"]
 
 
 def find(name: str, firmware: Firmware) -> Builtin | None:
-    """The function of that name in a firmware; None if it has none."""
+    """Return the function of that name in a firmware; None if there is none."""
     return next((each for each in BUILTINS.get(name, ()) if each.is_in(firmware)), None)

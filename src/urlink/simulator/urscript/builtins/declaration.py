@@ -1,7 +1,7 @@
 """Declaration of built-in functions, and checks of their arguments.
 
 Each is a Python function of the calling thread and of the parameters, with the names and defaults of the URScript
-function. One that takes time is a generator that yields once for every cycle that it waits.
+function. A function that takes time is a generator that yields once for every cycle that it waits.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..values import NUMBERS, PoseValue, type_name
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-#: The default value of a parameter that must be given.
+#: Default value of a parameter that must be given.
 REQUIRED = inspect.Parameter.empty
 
 
@@ -28,13 +28,13 @@ class Builtin:
     """A built-in function.
 
     Attributes:
-        function: called with the thread and every parameter, by position.
-        parameters: names and default values.
-        takes_time: whether it is a generator.
-        in_secondary: whether a `sec` program may call it.
-        is_variadic: whether it takes any arguments, named or not.
-        since: the first firmware of each generation that has it.
-        until: the first firmware without it, or with another form of it.
+        function: Python function. It is called with the thread and every parameter, by position.
+        parameters: Names and default values.
+        takes_time: Whether the function is a generator.
+        in_secondary: Whether a `sec` program may call it.
+        is_variadic: Whether it accepts any arguments, named or not.
+        since: First firmware of each generation that has the function.
+        until: First firmware that does not have it, or has another form of it.
     """
 
     function: Callable[..., Any]
@@ -46,11 +46,11 @@ class Builtin:
     until: Since | None
 
     def is_in(self, firmware: Firmware) -> bool:
-        """Whether the firmware has it."""
+        """Whether the firmware has the function."""
         return firmware in self.since and (self.until is None or firmware not in self.until)
 
 
-#: name -> the forms of a function, of which a firmware has one at most
+#: Name -> forms of the function. Each firmware has at most one of them.
 BUILTINS: dict[str, list[Builtin]] = {}
 
 
@@ -86,14 +86,14 @@ def declare(
 
 
 def number(value: Any, what: str) -> float:
-    """A number."""
+    """Check that a value is a number."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return value
     raise type_error(f"{what} is a number, not {type_name(value)}")
 
 
 def number_within(value: Any, what: str, low: float, high: float) -> float:
-    """A number within a range."""
+    """Check that a value is a number within a range."""
     found = number(value, what)
     if not low <= found <= high:
         raise Fault(f"{what} is from {low:g} to {high:g}, not {found:g}")
@@ -101,7 +101,7 @@ def number_within(value: Any, what: str, low: float, high: float) -> float:
 
 
 def integer(value: Any, what: str, low: int = -(2**31), high: int = 2**31 - 1) -> int:
-    """An integer within a range, or a float of such a value (a guess)."""
+    """Check that a value is an integer within a range, or a float with such a value (assumed)."""
     if value.__class__ is float and value.is_integer():
         value = int(value)
     if value.__class__ is not int:
@@ -112,26 +112,26 @@ def integer(value: Any, what: str, low: int = -(2**31), high: int = 2**31 - 1) -
 
 
 def boolean(value: Any, what: str) -> bool:
-    """A truth value."""
+    """Check that a value is a truth value."""
     if value is True or value is False:
         return bool(value)
     raise type_error(f"{what} is True or False, not {type_name(value)}")
 
 
 def string(value: Any, what: str) -> str:
-    """A string."""
+    """Check that a value is a string."""
     if value.__class__ is str:
         return value
     raise type_error(f"{what} is a string, not {type_name(value)}")
 
 
 def is_list(value: Any) -> bool:
-    """Whether it is a list and not a pose."""
+    """Whether a value is a list rather than a pose."""
     return value.__class__ is tuple
 
 
 def numbers(value: Any, what: str) -> list[float]:
-    """The numbers of a list or pose."""
+    """Return the numbers of a list or pose."""
     if value.__class__ is not tuple and value.__class__ is not PoseValue:
         raise type_error(f"{what} is a list, not {type_name(value)}")
     for item in value:
@@ -141,7 +141,7 @@ def numbers(value: Any, what: str) -> list[float]:
 
 
 def vector(value: Any, what: str, length: int) -> list[float]:
-    """The numbers of a list or pose of this length."""
+    """Return the numbers of a list or pose of this length."""
     found = numbers(value, what)
     if len(found) != length:
         raise Fault(f"{what} is {length} numbers, not {len(found)}")
@@ -149,24 +149,24 @@ def vector(value: Any, what: str, length: int) -> list[float]:
 
 
 def joints(value: Any, what: str) -> list[float]:
-    """A list of six numbers that is not a pose."""
+    """Check that a value is a list of six numbers rather than a pose."""
     if value.__class__ is PoseValue:
         raise type_error(f"{what} is a list, not a pose")
     return vector(value, what, 6)
 
 
 def joints_or(value: Any, present: Sequence[float], what: str) -> list[float]:
-    """A list of six numbers; `present` where none is given."""
+    """Return a list of six numbers; `present` if none is given."""
     return list(present) if value is None else joints(value, what)
 
 
 def six(value: Any, what: str) -> list[float]:
-    """Six numbers, a list or a pose."""
+    """Return six numbers, from a list or a pose."""
     return vector(value, what, 6)
 
 
 def pose(value: Any, what: str) -> list[float]:
-    """The six numbers of a pose."""
+    """Return the six numbers of a pose."""
     if value.__class__ is not PoseValue:
         raise type_error(f"{what} is a pose, not {type_name(value)}")
     return vector(value, what, 6)

@@ -1,13 +1,12 @@
-"""The force sensor, contacts, force mode and freedrive; direct torque, and the dynamics of the arm with its payload.
+"""Functions of force sensor, force mode, freedrive, direct torque and the arm's dynamics.
+For the model of the compliant arm, see `urlink.simulator.robot.generator.compliance`. Tests place the objects that it
+touches (`urlink.simulator.robot.surroundings`). Names, order and ranges of the arguments are from the vendor's manual
+(cited from memory). Two facts are assumed: the first release with a function, if no driver shows it, and that a number
+out of range is an error.
 
-How the arm yields is a model: see `urlink.simulator.robot.generator.compliance`; tests place the objects that it
-touches (`urlink.simulator.robot.surroundings`). Known from the vendor's manual, as remembered: names, order and ranges
-of the arguments. Guesses: the first release with a function where no driver shows it, and that a number out of range is
-an error.
-
-ur_rtde uses the functions of the dynamics on 5.23 and later, all without arguments. Guesses: their arguments, joint
-positions and speeds first; that the actual ones are the default; that a matrix is a list of its rows; and that rotors
-are left out of the mass matrix unless they are asked for.
+ur_rtde uses the functions of the dynamics on 5.23 and later, all without arguments. The following is assumed: their
+arguments, joint positions and speeds first, with the actual values as defaults. A matrix is a list of its rows. The
+mass matrix does not include the rotors unless they are requested.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _NOWHERE = (0.0, 0.0, 0.0)
 _BASE = (0.0,) * 6
 # Work of each function that computes with the arm, in elements of a list.
 _COST = 400
-# Squared manipulability of the posture, m⁶, below which the arm is near a singularity, and too near.
+# Squared manipulability of the posture, in m⁶, below which the arm is near a singularity, and too near.
 _CLOSE, _TOO_CLOSE = 1e-4, 1e-5
 
 
@@ -36,20 +35,21 @@ _CLOSE, _TOO_CLOSE = 1e-4, 1e-5
 
 @declare(since="3.0")
 def zero_ftsensor(thread: ScriptThread) -> None:
-    """Make the present force the zero of the sensor."""
+    """Make the current force the zero of the sensor."""
     thread.world.zero_force()
 
 
 @declare(since="5.4")
 def tool_contact(thread: ScriptThread, direction: Any = (0, 0, 0, 0, 0, 0)) -> int:
-    """Cycles since a contact in that direction of the tool began; 0 without one. Zeros mean any direction.
+    """Return the cycles since a contact in that direction of the tool began; 0 without one.
 
-    Only the first three numbers are used. The result is the argument of `get_actual_joint_positions_history`.
+    Zeros mean any direction. Only the first three numbers are used. The result is the argument of
+    `get_actual_joint_positions_history`.
     """
     return thread.world.contact_steps(six(direction, "tool_contact: direction")[:3])
 
 
-# The older of the two names is reported to have a sign error on real controllers; not modelled.
+# The older of the two names reportedly has a sign error on real controllers, which is not modelled.
 @declare(name="enable_external_ft_sensor", since="3.0")
 @declare(since="3.14/5.9")
 def ft_rtde_input_enable(
@@ -59,7 +59,10 @@ def ft_rtde_input_enable(
     sensor_measuring_offset: Any = _NOWHERE,
     sensor_cog: Any = _NOWHERE,
 ) -> None:
-    """Take the force at the TCP from the RTDE input `external_force_torque`; mass and places have no effect."""
+    """Use the RTDE input `external_force_torque` as the force at the TCP.
+
+    The mass and the positions have no effect.
+    """
     number(sensor_mass, "ft_rtde_input_enable: sensor_mass")
     vector(sensor_measuring_offset, "ft_rtde_input_enable: sensor_measuring_offset", 3)
     vector(sensor_cog, "ft_rtde_input_enable: sensor_cog", 3)
@@ -115,7 +118,10 @@ def _axes(values: Any, what: str) -> list[bool]:
 
 @declare(in_secondary=False, since="5.10")
 def freedrive_mode(thread: ScriptThread, freeAxes: Any = (1, 1, 1, 1, 1, 1), feature: Any = "base") -> None:
-    """Let the arm be moved by hand along and about axes of a feature: a pose in the base frame, "base" or "tool"."""
+    """Let a person move the arm by hand along and about the axes of a feature.
+
+    A feature is a pose in the base frame, "base" or "tool".
+    """
     thread.machine.spend(_COST)
     frames = {"base": _BASE, "tool": thread.world.pose_target}
     known = isinstance(feature, str) and feature in frames
@@ -126,7 +132,10 @@ def freedrive_mode(thread: ScriptThread, freeAxes: Any = (1, 1, 1, 1, 1, 1), fea
 @declare(name="freedrive_mode", in_secondary=False, since="3.0", until="5.10")
 @declare(in_secondary=False, since="1.6")
 def teach_mode(thread: ScriptThread) -> None:
-    """Freedrive in all directions: under its older name in every firmware, under the newer one before 5.10."""
+    """Begin freedrive in all directions.
+
+    Every firmware has the older name of this function. Before 5.10, the newer name is an alias.
+    """
     thread.world.freedrive([True] * 6, _BASE)
 
 
@@ -137,7 +146,10 @@ def end_freedrive_mode(thread: ScriptThread) -> None:
 
 @declare(since="5.10")
 def get_freedrive_status(thread: ScriptThread) -> int:
-    """0 normal, 1 near a singularity, 2 too near to be moved well. The distances are guesses."""
+    """Return 0 normal, 1 near a singularity, 2 too near for a good motion.
+
+    The distances are assumed.
+    """
     thread.machine.spend(_COST)
     left = float(thread.world.kinematics.manipulability(list(thread.world.q_target))) ** 2
     return 2 if left < _TOO_CLOSE else 1 if left < _CLOSE else 0
@@ -145,7 +157,7 @@ def get_freedrive_status(thread: ScriptThread) -> int:
 
 # -- dynamics --------------------------------------------------------------------------------------------
 
-# s, step of the central difference of the Jacobian: the errors of rounding and curvature are about equal.
+# Time step of the central difference of the Jacobian, in s. The errors of rounding and curvature are about equal.
 _MOMENT = 1e-5
 
 _Rows = tuple[tuple[float, ...], ...]
@@ -157,7 +169,7 @@ def _rows(matrix: Any) -> _Rows:
 
 @declare(since="5.23/10.11")
 def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> _Rows:
-    """The matrix from joint speeds to the velocity of the TCP in the base frame."""
+    """Return the matrix from joint speeds to the velocity of the TCP in the base frame."""
     thread.machine.spend(_COST)
     at = joints_or(q, thread.world.q_actual, "get_jacobian: q")
     return _rows(thread.world.kinematics.jacobian(at, tcp_of(thread, tcp, "get_jacobian: tcp")))
@@ -165,7 +177,7 @@ def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -
 
 @declare(since="5.23/10.11")
 def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = None, tcp: Any = "active_tcp") -> _Rows:
-    """The time derivative of the Jacobian at these joint speeds, per second."""
+    """Return the time derivative of the Jacobian at these joint speeds, per second."""
     thread.machine.spend(2 * _COST)
     at = joints_or(q, thread.world.q_actual, "get_jacobian_time_derivative: q")
     speeds = joints_or(qd, thread.world.qd_actual, "get_jacobian_time_derivative: qd")
@@ -179,7 +191,7 @@ def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = 
 
 @declare(since="5.23/10.11")
 def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia: Any = False) -> _Rows:
-    """The matrix from joint accelerations to torques, kg m²."""
+    """Return the matrix from joint accelerations to torques, in kg m²."""
     thread.machine.spend(_COST)
     matrix = thread.world.dynamics.mass_matrix(joints_or(q, thread.world.q_actual, "get_mass_matrix: q"))
     if not boolean(include_rotors_inertia, "get_mass_matrix: include_rotors_inertia"):
@@ -189,7 +201,7 @@ def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia:
 
 @declare(since="5.23/10.11")
 def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd: Any = None) -> tuple[float, ...]:
-    """Torques at constant joint speeds, without gravity, Nm."""
+    """Return the torques at constant joint speeds, without gravity, in Nm."""
     thread.machine.spend(_COST)
     at = joints_or(q, thread.world.q_actual, "get_coriolis_and_centrifugal_torques: q")
     speeds = joints_or(qd, thread.world.qd_actual, "get_coriolis_and_centrifugal_torques: qd")
@@ -206,7 +218,7 @@ def direct_torque(
 ) -> Waiting:
     """Apply joint torques for one cycle, in addition to gravity compensation.
 
-    The two scales, which later firmware has, are the compensated fractions of friction; here the smaller of both is
+    The two scales, which later firmware has, are the compensated fractions of friction. Here, the smaller of both is
     used for each joint.
     """
     thread.machine.spend(_COST)
@@ -224,12 +236,15 @@ def direct_torque(
 
 @declare(since="5.23/10.11")
 def set_friction_compensation(thread: ScriptThread, enable: Any) -> None:
-    """Without effect: an argument of `direct_torque` turns friction compensation on."""
+    """Check the argument; the function has no effect.
+
+    An argument of `direct_torque` turns friction compensation on.
+    """
     boolean(enable, "set_friction_compensation: enable")
 
 
 @declare(since="5.25/10.12")
 def set_friction_scales(thread: ScriptThread, viscous_scale: Any, coulomb_scale: Any) -> None:
-    """Without effect, as `set_friction_compensation`."""
+    """Check the arguments; the function has no effect, like `set_friction_compensation`."""
     six(viscous_scale, "set_friction_scales: viscous_scale")
     six(coulomb_scale, "set_friction_scales: coulomb_scale")

@@ -1,7 +1,7 @@
-"""Inputs, outputs and flags.
+"""Functions of inputs, outputs and flags.
 
-Outputs 8 and 9 of the functions without "standard", "configurable" or "tool" in their names are the tool's, as in the
-manuals of CB2 and CB3. An analogue output is set as a fraction of its range: 4 to 20 mA or 0 to 10 V.
+If the name of a function does not contain "standard", "configurable" or "tool", outputs 8 and 9 are the tool's, as in
+the manuals of CB2 and CB3. An analogue output is set as a fraction of its range: 4 to 20 mA or 0 to 10 V.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..errors import Fault
 from ..machine import ScriptThread
 from .declaration import boolean, declare, integer, number, number_within
 
-#: Infix of the names -> the bits with the numbers from 0 on, and the first firmware with these functions.
+#: Infix of the names -> bits, numbered from 0, and first firmware with these functions.
 _DIGITAL: dict[str, tuple[Sequence[int], str]] = {
     "": ((*range(8), 16, 17), "1.0"),
     "standard_": (range(8), "3.0"),
@@ -51,7 +51,7 @@ for _kind, (_bits, _since) in _DIGITAL.items():
 
 @declare()
 def get_analog_in(thread: ScriptThread, n: Any) -> float:
-    """A or V; 0 and 1 are of the control box, 2 and 3 of the tool."""
+    """Return an analogue input in A or V; 0 and 1 are in the control box, 2 and 3 in the tool."""
     return thread.world.signals.analog_inputs[integer(n, "get_analog_in: n", 0, 3)]
 
 
@@ -98,7 +98,7 @@ def get_standard_analog_out(thread: ScriptThread, n: Any) -> float:
 
 @declare()
 def set_analog_outputdomain(thread: ScriptThread, port: Any, domain: Any) -> None:
-    """0 current, 1 voltage; the output keeps its fraction of the range (a guess)."""
+    """Set the domain: 0 current, 1 voltage. The fraction of the range is kept (assumed)."""
     at = integer(port, "set_analog_outputdomain: port", 0, 1)
     level = _get_analog(thread, at, "set_analog_outputdomain")
     thread.world.signals.analog_output_domains[at] = integer(domain, "set_analog_outputdomain: domain", 0, 1)
@@ -127,13 +127,13 @@ def set_tool_voltage(thread: ScriptThread, voltage: Any) -> None:
 
 @declare(since="5.2")
 def set_tool_output_mode(thread: ScriptThread, mode: Any) -> None:
-    """0: digital outputs; 1: both pins are power."""
+    """Set the mode: 0 digital outputs; 1 both pins supply power."""
     thread.world.signals.tool_output_mode = integer(mode, "set_tool_output_mode: mode", 0, 1)
 
 
 @declare(since="5.2")
 def set_tool_digital_output_mode(thread: ScriptThread, n: Any, mode: Any) -> None:
-    """1 sinking, 2 sourcing, 3 push-pull."""
+    """Set the mode: 1 sinking, 2 sourcing, 3 push-pull."""
     at = integer(n, "set_tool_digital_output_mode: n", 0, 1)
     modes = thread.world.signals.tool_digital_output_modes
     modes[at] = integer(mode, "set_tool_digital_output_mode: mode", 1, 3)
@@ -149,7 +149,10 @@ def set_tool_communication(
     rx_idle_chars: Any,
     tx_idle_chars: Any,
 ) -> None:
-    """The serial line of the tool connector; the settings are shown, and nothing is connected."""
+    """Configure the serial line of the tool connector.
+
+    The interfaces report the settings, but nothing is connected.
+    """
     what = "set_tool_communication"
     thread.world.signals.tool_communication = ToolCommunication(
         boolean(enabled, f"{what}: enabled"),
@@ -161,13 +164,16 @@ def set_tool_communication(
     )
 
 
-# Actions of inputs, and how fast the arm changes between the limits of two safety modes. Arguments are checked, without
-# effect: no input has an action here, and there is one set of limits.
+# These functions set the actions of inputs, and how fast the arm changes between the limits of two safety modes.
+# Arguments are checked, but have no effect: no input has an action here, and there is only one set of limits.
 
 
 @declare()
 def set_analog_inputrange(thread: ScriptThread, port: Any, range: Any) -> None:
-    """Of older controllers: 0 and 1 of the control box have four ranges. Without effect: values here are in V."""
+    """Check the arguments; the function has no effect, because values here are in V.
+
+    On older controllers, inputs 0 and 1 of the control box have four ranges.
+    """
     integer(port, "set_analog_inputrange: port", 0, 3)
     integer(range, "set_analog_inputrange: range", 0, 3)
 
@@ -179,7 +185,7 @@ def set_input_actions_to_default(thread: ScriptThread) -> None:
 
 @declare(since="3.0")
 def set_safety_mode_transition_hardness(thread: ScriptThread, type: Any) -> None:
-    """0: hard, with the largest acceleration; 1: soft."""
+    """Check the argument: 0 hard, with the maximum acceleration; 1 soft."""
     integer(type, "set_safety_mode_transition_hardness: type", 0, 1)
 
 

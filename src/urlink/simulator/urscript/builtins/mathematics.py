@@ -1,4 +1,4 @@
-"""Functions that only compute: of numbers, of lists and strings, and conversions."""
+"""Functions that only compute: with numbers, lists and strings, and conversions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"\s*[+-]?(?:[0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?\
 
 
 def made(thread: ScriptThread, text: str) -> str:
-    """A new string of at most `MAX_STRING` characters."""
+    """Return a new string of at most `MAX_STRING` characters."""
     if len(text) > MAX_STRING:
         raise Fault(f"String too long: {len(text)} characters")
     thread.machine.charge(len(text))
@@ -25,13 +25,13 @@ def made(thread: ScriptThread, text: str) -> str:
 
 @declare("get_list_length", "size")
 def length(thread: ScriptThread, v: Any) -> int:
-    """The length of a list or string."""
+    """Return the length of a list or string."""
     if isinstance(v, (str, tuple)):
         return len(v)
     raise type_error(f"length of {type_name(v)}")
 
 
-# `to_str` is the function of `values` here.
+# In this module, `to_str` is the function of `values`.
 @declare(name="to_str")
 def to_string(thread: ScriptThread, val: Any) -> str:
     return made(thread, to_str(val))
@@ -49,7 +49,7 @@ def to_num(thread: ScriptThread, str_to_convert: Any) -> float | int:
 
 @declare()
 def str_cat(thread: ScriptThread, op1: Any, op2: Any) -> str:
-    """Two values, converted by `to_str`, in one string."""
+    """Return two values, converted by `to_str`, as one string."""
     return made(thread, to_str(op1) + to_str(op2))
 
 
@@ -74,7 +74,7 @@ def str_at(thread: ScriptThread, src: Any, index: Any) -> str:
 
 @declare()
 def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) -> str:
-    """At most `len` characters from `index` on."""
+    """Return at most `len` characters, starting at `index`."""
     text = string(src, "str_sub: src")
     at, count = integer(index, "str_sub: index", 0), integer(len, "str_sub: len", 0)
     if at > text.__len__():
@@ -84,7 +84,7 @@ def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) ->
 
 @declare()
 def str_find(thread: ScriptThread, src: Any, target: Any, start_from: Any = 0) -> int:
-    """The index of `target`, or -1."""
+    """Return the index of `target`, or -1."""
     text, wanted = string(src, "str_find: src"), string(target, "str_find: target")
     thread.machine.charge(len(text) // 16 + len(wanted) // 16)
     return text.find(wanted, integer(start_from, "str_find: start_from", 0))
@@ -92,14 +92,14 @@ def str_find(thread: ScriptThread, src: Any, target: Any, start_from: Any = 0) -
 
 @declare()
 def integer_to_binary_list(thread: ScriptThread, x: Any) -> tuple[bool, ...]:
-    """32 truth values, the lowest bit first."""
+    """Return 32 truth values, the lowest bit first."""
     value = integer(x, "integer_to_binary_list: x") & 0xFFFFFFFF
     return tuple([bool(value >> bit & 1) for bit in range(32)])
 
 
 @declare()
 def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
-    """From up to 32 truth values, the lowest bit first; bit 31 is the sign."""
+    """Return the integer of up to 32 truth values, the lowest bit first; bit 31 is the sign."""
     if not is_list(l) or len(l) > 32:
         raise type_error("binary_list_to_integer takes a list of up to 32 truth values")
     value = sum(boolean(bit, "binary_list_to_integer: l") << at for at, bit in enumerate(l))
@@ -108,7 +108,7 @@ def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
 
 @declare(since="3.15/5.10")
 def make_list(thread: ScriptThread, length: Any, initial_value: Any, capacity: Any = 0) -> tuple[Any, ...]:
-    """A list of `length` equal values. That `capacity` has no effect is a simplification."""
+    """Return a list of `length` equal values. As a simplification, `capacity` has no effect."""
     count = integer(length, "make_list: length", 0, MAX_ELEMENTS)
     return list_of([initial_value] * count, thread.machine.charge)
 
@@ -123,7 +123,7 @@ def sqrt(thread: ScriptThread, f: Any) -> float:
 
 @declare()
 def pow(thread: ScriptThread, base: Any, exponent: Any) -> float:
-    """Always a float (a guess)."""
+    """Return a power, always as a float (assumed)."""
     x, y = float(number(base, "pow: base")), float(number(exponent, "pow: exponent"))
     try:
         return checked(math.pow(x, y))
@@ -141,7 +141,7 @@ def exp(thread: ScriptThread, f: Any) -> float:
 
 @declare()
 def log(thread: ScriptThread, b: Any, f: Any) -> float:
-    """The logarithm of f to base b."""
+    """Return the logarithm of f to base b."""
     base, x = number(b, "log: b"), number(f, "log: f")
     if base <= 0 or base == 1 or x <= 0:
         raise Fault(f"log({base:g}, {x:g}) is no finite number")
@@ -187,7 +187,7 @@ def atan(thread: ScriptThread, f: Any) -> float:
 
 @declare()
 def atan2(thread: ScriptThread, x: Any, y: Any) -> float:
-    """The angle of the sine x and the cosine y."""
+    """Return the angle with the sine x and the cosine y."""
     return math.atan2(number(x, "atan2: x"), number(y, "atan2: y"))
 
 
@@ -213,20 +213,20 @@ def ceil(thread: ScriptThread, f: Any) -> float | int:
 
 @declare()
 def round(thread: ScriptThread, f: Any) -> float | int:
-    """Round halves away from zero, as in C. This and the function itself are guesses."""
+    """Round halves away from zero, as in C. This behaviour and the function itself are assumed."""
     x = number(f, "round: f")
     return checked(math.floor(abs(x) + 0.5) * (-1 if x < 0 else 1))
 
 
 @declare()
 def random(thread: ScriptThread) -> float:
-    """From 0 to 1; the same numbers in every run of a program."""
+    """Return a random number from 0 to 1; every run of a program gets the same numbers."""
     return thread.machine.random.random()
 
 
 @declare()
 def norm(thread: ScriptThread, a: Any) -> float | int:
-    """The length of a vector, or the magnitude of a number."""
+    """Return the length of a vector, or the magnitude of a number."""
     if a.__class__ is int or a.__class__ is float:
         return checked(-a if a < 0 else a)
     items = numbers(a, "norm: a")

@@ -1,8 +1,8 @@
-"""Modbus signals: the functions that add them, read and set them, and ask for their errors.
+"""Functions that add, read and set Modbus signals, and query their errors.
 
-No device is connected to the Modbus signals; see `robot.signals`. Their parameters are those of the manual, as far as
-they are remembered; `is_secondary_program` has no effect here. Arguments out of range, and a signal that was not added,
-end the program (a guess).
+No device is connected to the Modbus signals; see `robot.signals`. Their parameters are those of the manual (cited from
+memory). `is_secondary_program` has no effect here. Arguments out of range, and a signal that was not added, end the
+program (assumed).
 """
 
 from __future__ import annotations
@@ -52,9 +52,10 @@ def modbus_add_signals(
     sequential_mode: Any = False,
     register_count: Any = 1,
 ) -> None:
-    """With a count above 1, the signal is a list of so many bits or registers, as in the vendor's examples for 5.14.
+    """Add a signal. With a count above 1, it is a list of that many bits or registers.
 
-    Assumed: the parameter's name, its limits, which are those of Modbus, and that a count of 1 is a single value.
+    Such lists are in the vendor's examples for 5.14. The following is assumed: the parameter's name, its limits, which
+    are those of Modbus, and that a count of 1 is a single value.
     """
     _add(thread, IP, slave_number, signal_address, signal_type, signal_name, sequential_mode, register_count)
 
@@ -95,9 +96,10 @@ def modbus_add_rw_signal(
     signal_name: Any,
     sequential_mode: Any = False,
 ) -> None:
-    """Registers that are read and others that are written at once, with function code 23: lists of numbers.
+    """Add registers to read, and other registers to write, in one request with function code 23.
 
-    In the manual (17.18); the parameters, the counts, and the release that it came with are guesses.
+    The values are lists of numbers. The function is in the manual (17.18). The parameters, the counts, and the release
+    that introduced it are assumed.
     """
     what = "modbus_add_rw_signal"
     boolean(sequential_mode, f"{what}: sequential_mode")
@@ -116,13 +118,16 @@ def modbus_add_rw_signal(
 
 @declare(since="3.0")
 def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
-    """Delete a signal; False if there is none."""
+    """Delete a signal; return False if there is none."""
     return thread.world.modbus.delete(string(signal_name, "modbus_delete_signal: signal_name"))
 
 
 @declare(since="3.0")
 def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
-    """True or False for a digital signal, a number for a register, a list of these for several."""
+    """Return True or False for a digital signal, and a number for a register.
+
+    For several bits or registers, return a list.
+    """
     signal = _signal(thread, signal_name, "modbus_get_signal_status")
     if not signal.is_digital:
         return signal.value
@@ -132,7 +137,10 @@ def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondar
 def _set(
     thread: ScriptThread, name: Any, value: Any, what: str, argument: str, check: Callable[[Any, str], int]
 ) -> None:
-    """Set a digital output, whose `check` is `boolean`, or a register output; a list if it was added as one."""
+    """Set a digital output or a register output; if it was added as a list, set all its values.
+
+    The function `check` is `boolean` for a digital output.
+    """
     signal = _signal(thread, name, what)
     if signal.is_input or signal.is_digital is not (check is boolean):
         raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}")
@@ -153,7 +161,7 @@ def _register(value: Any, what: str) -> int:
 def modbus_set_output_signal(
     thread: ScriptThread, signal_name: Any, digital_value: Any, is_secondary_program: Any = False
 ) -> None:
-    """Of a signal that was added with a count, a list of truth values."""
+    """Set a digital output; for a signal that was added with a count, `digital_value` is a list."""
     _set(thread, signal_name, digital_value, "modbus_set_output_signal", "digital_value", boolean)
 
 
@@ -161,7 +169,10 @@ def modbus_set_output_signal(
 def modbus_set_output_register(
     thread: ScriptThread, signal_name: Any, register_value: Any, is_secondary_program: Any = False
 ) -> None:
-    """Of several registers a list; of those added by `modbus_add_rw_signal`, of all those that are written."""
+    """Set a register, or several registers with a list.
+
+    If `modbus_add_rw_signal` added the signal, the list contains all registers to write.
+    """
     what = "modbus_set_output_register"
     signal = _signal(thread, signal_name, what)
     if signal.kind != READ_AND_WRITE:
@@ -172,7 +183,10 @@ def modbus_set_output_register(
 
 @declare(since="3.0")
 def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, update_frequency: Any) -> None:
-    """A frequency of -1 reads the signal once, in an example of the vendor for 5.14; it is stored here."""
+    """Store the frequency in the signal.
+
+    In an example of the vendor for 5.14, a frequency of -1 reads the signal once.
+    """
     what = "modbus_set_signal_update_frequency"
     frequency = number_within(update_frequency, f"{what}: update_frequency", -1, 125)
     _signal(thread, signal_name, what).frequency = frequency
@@ -180,7 +194,10 @@ def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, u
 
 @declare(since="3.0")
 def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watched: Any) -> None:
-    """Stored in the signal; a failure does not stop a program here. An example of the vendor for 5.14 gives seconds."""
+    """Store whether the signal is watched; a failure does not stop a program here.
+
+    An example of the vendor for 5.14 passes seconds.
+    """
     what = "modbus_set_signal_watchdog"
     signal = _signal(thread, signal_name, what)
     if is_watched.__class__ is not bool and thread.world.firmware in _HAS_LISTS:
@@ -191,7 +208,10 @@ def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watche
 
 @declare(since="3.0")
 def modbus_set_runstate_dependent_choice(thread: ScriptThread, signal_name: Any, runstate_choice: Any) -> None:
-    """Stored in the signal; outputs keep their values here, whether a program runs or not."""
+    """Store the choice in the signal.
+
+    Outputs keep their values here, whether a program runs or not.
+    """
     what = "modbus_set_runstate_dependent_choice"
     _signal(thread, signal_name, what).choice = integer(runstate_choice, f"{what}: runstate_choice", 0, 4)
 
@@ -203,14 +223,14 @@ def modbus_get_error(thread: ScriptThread, signal_name: Any) -> int:
 
 @declare(since="3.0")
 def modbus_get_time_since_signal_invalid(thread: ScriptThread, signal_name: Any) -> float:
-    """s; 0 for a valid signal."""
+    """Return the time in s since a signal became invalid; 0 for a valid signal."""
     signal = _signal(thread, signal_name, "modbus_get_time_since_signal_invalid")
     return thread.world.modbus.seconds_invalid(signal)
 
 
 @declare(since="3.0")
 def modbus_send_custom_command(thread: ScriptThread, IP: Any, slave_number: Any, function_code: Any, data: Any) -> None:
-    """The arguments are checked; nothing is sent."""
+    """Check the arguments; nothing is sent."""
     what = "modbus_send_custom_command"
     string(IP, f"{what}: IP")
     integer(slave_number, f"{what}: slave_number", 0, 255)

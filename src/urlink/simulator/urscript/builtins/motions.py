@@ -1,7 +1,7 @@
-"""Functions that move the arm. Each takes time, and one thread at a time may be in one.
+"""Functions that move the arm. Each takes time, and only one thread at a time may call one.
 
-Known: the defaults of a and v of `movej` and `movel`. Guesses: those of the others; that `servoj` without a time takes
-one cycle.
+The defaults of a and v of `movej` and `movel` are known. The defaults of the other functions are assumed, and so is
+that `servoj` without a time takes one cycle.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _not_negative(value: Any, what: str) -> float:
 
 
 def _joints(thread: ScriptThread, target: Any, what: str) -> list[float]:
-    """Joint positions, or those of a pose that are closest to the present target."""
+    """Return joint positions; for a pose, the positions closest to the current target."""
     if is_list(target):
         return joints(target, what)
     found = solution(thread, pose(target, what))
@@ -41,7 +41,7 @@ def _joints(thread: ScriptThread, target: Any, what: str) -> list[float]:
 
 
 def _pose(thread: ScriptThread, target: Any, what: str) -> Sequence[float]:
-    """A pose, or that of joint positions."""
+    """Return a pose; for joint positions, their pose."""
     if is_list(target):
         arm = thread.world.kinematics
         return arm.forward(joints(target, what), list(thread.world.tcp)).tolist()  # type: ignore[no-any-return]
@@ -81,7 +81,10 @@ def movec(
 
 @declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
-    """As `movej`, with fractions of the lowest limits of the joints; no search for the fastest profile."""
+    """Move like `movej`, with fractions of the lowest limits of the joints.
+
+    There is no search for the fastest profile.
+    """
     model = thread.world.kinematics.model
     target = _joints(thread, q, "optimovej: q")
     acceleration = _fraction(a, "optimovej: a") * float(model.max_acceleration.min())
@@ -91,9 +94,9 @@ def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any =
 
 @declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
-    """As `movel`, with fractions of 1 m/s and 2 m/s², lowered to the limits of the joints on the path.
+    """Move like `movel`, with fractions of 1 m/s and 2 m/s².
 
-    The reference values of a controller are not known.
+    They are lowered to the joint limits on the path. The reference values of a controller are unknown.
     """
     target = _pose(thread, pose, "optimovel: pose")
     acceleration, speed = 2.0 * _fraction(a, "optimovel: a"), _fraction(v, "optimovel: v")
@@ -102,7 +105,7 @@ def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: An
 
 
 def _fraction(value: Any, what: str) -> float:
-    """A fraction; its range and the default values are guesses."""
+    """Return a fraction; its range and the default values are assumed."""
     part = _positive(value, what)
     if part > 1.0:
         raise Fault(f"{what} is at most 1, not {part:g}")
@@ -110,7 +113,10 @@ def _fraction(value: Any, what: str) -> float:
 
 
 def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, float, float]:
-    """Arguments of a path move. A time overrides acceleration and speed, which may be zero then (a guess)."""
+    """Return the arguments of a path move.
+
+    A time overrides acceleration and speed, which can then be zero (assumed).
+    """
     seconds, blend = _not_negative(t, f"{name}: t"), _not_negative(r, f"{name}: r")
     if seconds > 0:
         return _not_negative(a, f"{name}: a") or 1.0, _not_negative(v, f"{name}: v") or 1.0, seconds, blend
@@ -119,7 +125,7 @@ def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, floa
 
 @declare(takes_time=True, in_secondary=False, until="3.0")
 def servoj(thread: ScriptThread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
-    """Of CB2, without lookahead time and gain; the drive gets zeros for them."""
+    """Follow a set-point on CB2, without lookahead time and gain; the drive gets zeros for them."""
     return _servoj(thread, q, a, v, t, 0.0, 0.0)
 
 
@@ -127,7 +133,10 @@ def servoj(thread: ScriptThread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) 
 def servoj_with_gain(
     thread: ScriptThread, q: Any, a: Any = 0, v: Any = 0, t: Any = 0, lookahead_time: Any = 0.1, gain: Any = 300
 ) -> Waiting:
-    """The ranges of the last two are those of the manuals, as remembered."""
+    """Follow a set-point.
+
+    The ranges of the last two arguments are from the manuals (cited from memory).
+    """
     ahead = number_within(lookahead_time, "servoj: lookahead_time", 0.03, 0.2)
     stiffness = number_within(gain, "servoj: gain", 100, 2000)
     return _servoj(thread, q, a, v, t, ahead, stiffness)
@@ -135,7 +144,7 @@ def servoj_with_gain(
 
 def _servoj(thread: ScriptThread, q: Any, a: Any, v: Any, t: Any, ahead: float, stiffness: float) -> Waiting:
     target = joints(q, "servoj: q")
-    # Not used by the controller either.
+    # The controller does not use these two arguments either.
     number(a, "servoj: a")
     number(v, "servoj: v")
     seconds = _not_negative(t, "servoj: t") or thread.world.period
@@ -150,12 +159,15 @@ def servoc(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any 
 
 
 def _change(a: Any, what: str) -> float:
-    """An acceleration, at least 1e-6: a driver gives zero where the speed need not change."""
+    """Return an acceleration, at least 1e-6: a driver passes zero if the speed does not change."""
     return max(_not_negative(a, what), 1e-6)
 
 
 def _seconds(t: Any, what: str) -> float | None:
-    """A time. Firmware before 3.3 requires it (1.x) or has none (3.1, 3.2); here it is always optional."""
+    """Return a time; None for no limit.
+
+    Firmware before 3.3 requires it (1.x) or does not have it (3.1, 3.2). Here it is always optional.
+    """
     return None if t is None or (t.__class__ in NUMBERS and t == 0) else _not_negative(t, what)
 
 
@@ -188,7 +200,7 @@ def stopl(thread: ScriptThread, a: Any = 1.2, aRot: Any = "a") -> Waiting:
 
 
 def _turning(aRot: Any, a: float, what: str) -> float:
-    """rad/s²; by default the same number as the acceleration in m/s²."""
+    """Return rad/s²; the default is the same number as the acceleration in m/s²."""
     if isinstance(aRot, str):
         if aRot != "a":
             raise type_error(f"{what} is a number, not {type_name(aRot)}")
@@ -198,5 +210,5 @@ def _turning(aRot: Any, a: float, what: str) -> float:
 
 @declare()
 def is_steady(thread: ScriptThread) -> bool:
-    """Whether the arm stands still; how long a real one must have done so is not modelled."""
+    """Whether the arm is at rest. How long a real arm must have been at rest is not modelled."""
     return thread.world.motion.is_standing

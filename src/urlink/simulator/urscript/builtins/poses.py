@@ -1,7 +1,7 @@
 """Functions of poses and of joint positions.
 
-Guesses: `pose_add` and `pose_sub` add and subtract positions and multiply rotations, both in the base frame;
-`pose_dist` is the root of the sum of the squares of distance and angle.
+The following is assumed: `pose_add` and `pose_sub` add and subtract positions and multiply rotations, both in the base
+frame. `pose_dist` is the root of the sum of the squares of distance and angle.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..matrices import rows_of
 from ..values import PoseValue, list_of
 from .declaration import declare, is_list, joints, joints_or, number, pose, vector
 
-# Work of each, in elements of a list.
+# Work of each operation, in elements of a list.
 _TRANSFORMATION, _FORWARD, _INVERSE = 20, 40, 400
 
 _NOWHERE = (0.0, 0.0, 0.0)
@@ -39,7 +39,10 @@ def pose_inv(thread: ScriptThread, p_from: Any) -> PoseValue:
 
 @declare(since="3.0")
 def inv(thread: ScriptThread, m: Any) -> Any:
-    """The inverse of a pose, as `pose_inv`; from 3.14 and 5.9 on also of a square matrix."""
+    """Return the inverse of a pose, like `pose_inv`.
+
+    In 3.14, 5.9 and later, it also inverts a square matrix.
+    """
     if m.__class__ is PoseValue or not thread.machine.has_matrices:
         return _inverse(thread, pose(m, "inv: m"))
     rows = rows_of(m, thread.machine.charge)
@@ -55,9 +58,9 @@ def inv(thread: ScriptThread, m: Any) -> Any:
 
 @declare(since="3.0")
 def wrench_trans(thread: ScriptThread, T_from_to: Any, w_from: Any) -> tuple[float, ...]:
-    """A wrench of the first frame, expressed in the second: the torque is about the origin of the second.
+    """Return a wrench of the first frame, expressed in the second.
 
-    That a wrench is six numbers, force before torque, is a guess.
+    The torque is about the origin of the second frame. It is assumed that a wrench is six numbers, force before torque.
     """
     there = pose(T_from_to, "wrench_trans: T_from_to")
     wrench = vector(w_from, "wrench_trans: w_from", 6)
@@ -102,7 +105,7 @@ def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -
 
 @declare()
 def rotvec2rpy(thread: ScriptThread, rotation_vector: Any) -> tuple[float, ...]:
-    """Roll, pitch and yaw of a rotation vector, about the fixed x, y and z axes in that order; rad."""
+    """Return roll, pitch and yaw, in rad, about the fixed x, y and z axes in that order."""
     return tuple(poses.rotvec_to_rpy(vector(rotation_vector, "rotvec2rpy: vector", 3)).tolist())
 
 
@@ -142,7 +145,7 @@ def get_inverse_kin(
     return get_inverse_kin_tcp(thread, x, qnear)
 
 
-# By one project's test matrix, 5.9.4 has it and 5.8.2 does not; that CB3 has it from 3.14 on is a guess.
+# According to one project's test matrix, 5.9.4 has it and 5.8.2 does not. CB3 has it since 3.14 (assumed).
 @declare(since="3.14/5.9")
 def get_inverse_kin_has_solution(
     thread: ScriptThread,
@@ -160,7 +163,10 @@ _pose = pose
 
 @declare(since="3.0")
 def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
-    """Whether joint positions or a pose are within the joint limits; the simulator has no safety planes."""
+    """Whether joint positions or a pose are within the joint limits.
+
+    The simulator has no safety planes.
+    """
     q: Sequence[float] | None
     if is_list(pose):
         q = joints(pose, "is_within_safety_limits: q")
@@ -172,11 +178,14 @@ def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
 def solution(
     thread: ScriptThread, x: Sequence[float], qnear: Any = None, tcp: Any = "active_tcp"
 ) -> list[float] | None:
-    """The joint positions for a pose that are closest to `qnear`, or to the present target; None if out of reach."""
+    """Return the joint positions for a pose that are closest to `qnear`; None if out of reach.
+
+    The default of `qnear` is the current target.
+    """
     near = joints_or(qnear, thread.world.q_target, "qnear")
     thread.machine.spend(_INVERSE)
     try:
-        # A controller takes any rotation vector; `Arm.inverse` takes those of up to one turn.
+        # A controller accepts any rotation vector; `Arm.inverse` accepts rotations up to one turn.
         turned = rigid.to_pose(rigid.from_pose(list(x)))
         found: list[float] = thread.world.kinematics.inverse(
             turned, near, tcp_of(thread, tcp, "tcp"), is_limited=False
@@ -187,7 +196,7 @@ def solution(
 
 
 def tcp_of(thread: ScriptThread, tcp: Any, what: str) -> list[float]:
-    """The TCP in the flange frame: a pose, or the active one for a string."""
+    """Return the TCP in the flange frame: a pose, or the active TCP for a string."""
     return list(thread.world.tcp) if isinstance(tcp, str) else pose(tcp, what)
 
 

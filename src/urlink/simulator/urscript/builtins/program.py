@@ -1,7 +1,8 @@
-"""Functions of the program itself: time, critical sections, messages; and those that are not modelled.
+"""Functions of the program itself (time, critical sections, messages), and unmodelled functions.
 
-A program with one that is not modelled compiles, and calling it is a run-time error. A function that becomes modelled
-moves to its family. Which firmware introduced each is left open, except that CB2 certainly has none.
+A program with a function that is not modelled compiles, but calling the function is a run-time error. A function that
+becomes modelled moves to its family. The firmware that introduced each function is not checked, except that CB2
+certainly has none.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def sync(thread: ScriptThread) -> Waiting:
 
 @declare(takes_time=True, in_secondary=False)
 def sleep(thread: ScriptThread, t: Any) -> Waiting:
-    """Wait `t` seconds, rounded up to whole cycles, at least one (a guess)."""
+    """Wait `t` seconds, rounded up to whole cycles, at least one (assumed)."""
     seconds = number(t, "sleep: t")
     if seconds < 0:
         raise Fault("sleep: t is not negative")
@@ -40,7 +41,7 @@ def sleep(thread: ScriptThread, t: Any) -> Waiting:
 
 @declare("exit_critical")
 def enter_critical(thread: ScriptThread) -> None:
-    """Without effect; see `machine`."""
+    """Do nothing; see `machine`."""
 
 
 @declare()
@@ -53,7 +54,7 @@ def textmsg(thread: ScriptThread, s1: Any, s2: Any = "") -> None:
 def popup(
     thread: ScriptThread, s: Any, title: Any = "Popup", warning: Any = False, error: Any = False, blocking: Any = False
 ) -> Waiting:
-    """Show a popup; a blocking one waits until it is closed."""
+    """Show a popup. If it is blocking, wait until it is closed."""
     waits = boolean(blocking, "popup: blocking")
     thread.world.popup(
         made(thread, to_str(s)),
@@ -68,14 +69,20 @@ def popup(
 
 @declare(since="3.8/5.0")
 def protective_stop(thread: ScriptThread) -> None:
-    """Make a protective stop. Assumed: a program with statements that take time left is paused until it is unlocked."""
+    """Make a protective stop.
+
+    Assumption: if the program has more statements that take time, it is paused until the stop is unlocked.
+    """
     thread.world.protective_stop()
 
 
 @declare(takes_time=True, in_secondary=False, since="3.0")
 def jump_to_label(thread: ScriptThread, label: Any) -> Waiting:
-    """Go on at the node of the same function with this name, or number (a guess): `$ 3 "home"` before it in the text.
-    The compiler emits an instruction instead; this is never called."""
+    """Continue at the node of the same function with this name, or number (assumed).
+
+    A node is marked by a label such as `$ 3 "home"` before it in the text. The compiler emits an instruction instead,
+    so this function is never called.
+    """
     yield
 
 
@@ -84,7 +91,10 @@ def jump_to_label(thread: ScriptThread, label: Any) -> Waiting:
 
 @declare(takes_time=True, in_secondary=False, since="5.10")
 def interpreter_mode(thread: ScriptThread, clearQueueOnEnter: Any = True, clearOnEnd: Any = True) -> Waiting:
-    """Run statements from clients of port 30020. The compiler emits instructions instead; this is never called."""
+    """Run statements from clients of port 30020.
+
+    The compiler emits instructions instead, so this function is never called.
+    """
     yield
 
 
@@ -96,11 +106,11 @@ def end_interpreter(thread: ScriptThread) -> None:
 
 @declare(since="5.10")
 def clear_interpreter(thread: ScriptThread) -> None:
-    """Clear the statements that were begun, which makes room for others."""
+    """Clear the statements that have begun, which makes room for others."""
     thread.machine.statements.clear()
 
 
-#: Why not -> the functions.
+#: Reason -> functions that are not modelled.
 _UNMODELLED = {
     "EtherNet/IP is": ("eip_reader_factory", "eip_writer_factory"),
     "conveyors are": (
@@ -109,8 +119,8 @@ _UNMODELLED = {
         "stop_conveyor_tracking",
         "track_conveyor_linear",
     ),
-    # In public programs, but in no manual as far as they are remembered.
-    "what it gives is not known, and it is": ("tool_pose",),
+    # It occurs in public programs, but in no manual (cited from memory).
+    "its result is unknown, and it is": ("tool_pose",),
 }
 
 

@@ -1,4 +1,4 @@
-"""The state of the arm, and its payload."""
+"""Functions that read the state of the arm, and functions of its payload."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from ..values import PoseValue, list_of
 from ..world import ScriptWorld
 from .declaration import declare, integer, number, pose, string, vector
 
-# Work of recomputing the arm's state, as with another tool, in elements of a list.
+# Work of recomputing the arm's state, for example with another tool, in elements of a list.
 _LOOK = 400
 
-#: Name -> whether it returns a list or a pose, what it reads, and the first firmware with the function.
+#: Name -> type of the result (list or pose), function that reads it, and first firmware with the function.
 _STATE: dict[str, tuple[type[tuple[float, ...]], Callable[[ScriptWorld], Sequence[float]], str]] = {
     "get_actual_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
-    # The name occurs in a driver's program; that it means the actual positions is a guess.
+    # The name occurs in a driver's program; that it means the actual positions is assumed.
     "get_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
     "get_actual_joint_speeds": (tuple, lambda world: world.qd_actual, "1.0"),
     "get_target_joint_positions": (tuple, lambda world: world.q_target, "1.0"),
     "get_target_joint_speeds": (tuple, lambda world: world.qd_target, "1.0"),
     "get_target_joint_accelerations": (tuple, lambda world: world.qdd_target, "5.23/10.11"),
     "get_joint_torques": (tuple, lambda world: world.torques, "1.0"),
-    # Of the target movement, gravity included, Nm. The name is a guess.
+    # Torques of the target motion including gravity, in Nm. The name is assumed.
     "get_target_joint_torques": (tuple, lambda world: world.torques, "5.23/10.11"),
     "get_actual_tcp_pose": (PoseValue, lambda world: world.pose_actual, "1.0"),
     "get_target_tcp_pose": (PoseValue, lambda world: world.pose_target, "1.0"),
@@ -50,14 +50,17 @@ for _name, (_kind, _read, _since) in _STATE.items():
 
 @declare(since="3.0")
 def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> tuple[float, ...]:
-    """The joint positions of `steps` cycles ago; at most back to the program's start, and 500 cycles (a guess)."""
+    """Return the joint positions of `steps` cycles ago.
+
+    The history begins at the program's start, and has at most 500 cycles (assumed).
+    """
     past = thread.machine.history
     return past[-1 - min(integer(steps, "get_actual_joint_positions_history: steps", 0), len(past) - 1)]
 
 
 @declare(since="3.0")
 def get_target_waypoint(thread: ScriptThread) -> PoseValue:
-    """The end of the present path move; without one, the target pose of the TCP (a guess)."""
+    """Return the end of the current path move, or else the target pose of the TCP (assumed)."""
     waypoint = thread.world.motion.waypoint
     return PoseValue(map(float, thread.world.pose_target if waypoint is None else waypoint))
 
@@ -69,7 +72,7 @@ def get_actual_tool_flange_pose(thread: ScriptThread) -> PoseValue:
 
 @declare()
 def force(thread: ScriptThread) -> float:
-    """The magnitude of the force at the TCP, N."""
+    """Return the magnitude of the force at the TCP, in N."""
     x, y, z = map(float, thread.world.force[:3])
     return float((x * x + y * y + z * z) ** 0.5)
 
@@ -85,7 +88,7 @@ _pose = pose
 
 @declare()
 def set_payload(thread: ScriptThread, m: Any, cog: Any = None) -> None:
-    """Without a centre of mass the controller uses the TCP (CB) or the flange."""
+    """Set the payload. Without a centre of mass, the controller uses the TCP (CB) or the flange."""
     thread.world.set_payload(_mass(m, "set_payload: m"), _cog(cog, "set_payload: cog"), None)
 
 
@@ -122,10 +125,13 @@ def get_steptime(thread: ScriptThread) -> float:
     return thread.world.period
 
 
-# In the manuals from 5.25.1 and 10.14 on; the vendor's examples for 5.23 call it.
+# The manuals have it since 5.25.1 and 10.14. The vendor's examples for 5.23 call it.
 @declare(since="5.23/10.11")
 def get_rtde_value(thread: ScriptThread, name: Any) -> Any:
-    """An RTDE output of the cycle before: a number, a truth value or a list. That a pose is a list is a guess."""
+    """Return an RTDE output of the previous cycle: a number, a truth value or a list.
+
+    It is assumed that a pose is returned as a list.
+    """
     value = thread.world.rtde_value(string(name, "get_rtde_value: name"))
     if isinstance(value, (bool, float)):
         return value

@@ -1,8 +1,9 @@
-"""The general-purpose registers and their watchdog: values that programs share with fieldbuses and RTDE clients.
+"""General-purpose registers and their watchdog.
 
-Known (docs/protocols/rtde.md, Releases): which firmware has which registers; the action of the watchdog is "ignore",
-"pause" or "stop", in upper or lower case, and "pause" by default. Guesses: that a register which the firmware lacks,
-and a variable that is not an RTDE input, are run-time errors; that a frequency of zero ends the watchdog.
+Registers are values that programs share with fieldbuses and RTDE clients. The registers of each firmware are known
+(docs/protocols/rtde.md, Releases). The action of the watchdog is "ignore", "pause" or "stop", in upper or lower case,
+and "pause" by default. The following is assumed: a register that the firmware lacks, and a variable that is not an RTDE
+input, are run-time errors, and a frequency of zero ends the watchdog.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _ACTIONS: dict[str, Action] = {"ignore": "ignore", "pause": "pause", "stop": "st
 
 
 def _address(thread: ScriptThread, address: Any, kind: _Kind, what: str) -> int:
-    """The number of a register, checked for the firmware."""
+    """Return the number of a register, after checking it for the firmware."""
     count = BITS if kind == "boolean" else NUMBERS
     if thread.world.firmware not in _HAS_UPPER_RANGE:
         count //= 2
@@ -38,7 +39,7 @@ def _reader(name: str, kind: _Kind, *, is_input: bool) -> Callable[..., bool | i
         at = _address(thread, address, kind, name)
         if kind == "boolean":
             return bool(bank.bits >> at & 1)
-        # Tests write numpy numbers too, which the machine does not accept as numbers.
+        # Tests also write numpy numbers, which the machine does not accept as numbers.
         return int(bank.integers[at]) if kind == "integer" else float(bank.floats[at])
 
     return read
@@ -58,7 +59,7 @@ def _writer(name: str, kind: _Kind) -> Callable[..., None]:
     return write
 
 
-# RTDE has them from 3.4 on; whether programs have them from 3.0 on is not known, so they are allowed.
+# RTDE has them since 3.4. Whether programs have them since 3.0 is unknown, so they are allowed.
 for _kind in get_args(_Kind):
     for _direction in ("input", "output"):
         _name = f"read_{_direction}_{_kind}_register"
@@ -69,7 +70,7 @@ for _kind in get_args(_Kind):
 
 @declare(since="3.0")
 def rtde_set_watchdog(thread: ScriptThread, variable_name: Any, min_frequency: Any, action: Any = "pause") -> None:
-    """Require the variable `min_frequency` times a second from now on, or take the action."""
+    """Require the variable `min_frequency` times per second, and otherwise take the action."""
     variable = string(variable_name, "rtde_set_watchdog: variable_name")
     frequency = float(number(min_frequency, "rtde_set_watchdog: min_frequency"))
     wanted = _ACTIONS.get(string(action, "rtde_set_watchdog: action").lower())

@@ -1,9 +1,12 @@
-"""XML-RPC: `h = rpc_factory("xmlrpc", "http://127.0.0.1:40404/RPC2")`, and then `h.method(arguments)`.
+"""Remote procedure calls (XML-RPC) of programs.
 
-A call is an HTTP request over one of the program's connections, so it reaches what its sockets reach: this computer,
-and those that are connected to the controller. A pose is a struct of x, y, z, rx, ry and rz, by the manual. Guesses:
-that each call opens a connection, that it fails after `TIMEOUT`, that a failing method, or a missing method or server,
-ends the program, and that structs with other members are structs of URScript too.
+A program calls `h = rpc_factory("xmlrpc", "http://127.0.0.1:40404/RPC2")`, and then `h.method(arguments)`. A call is an
+HTTP request over one of the program's connections. So it can reach the same computers as the program's sockets: this
+computer, and the computers that are connected to the controller. A pose is a struct of x, y, z, rx, ry and rz,
+according to the manual.
+
+The following is assumed: each call opens a connection, and it fails after `TIMEOUT`. A failing method, or a missing
+method or server, ends the program. Structs with other members become structs of URScript.
 """
 
 from __future__ import annotations
@@ -21,14 +24,14 @@ from ..machine import ScriptThread, Waiting
 from ..values import Charge, PoseValue, RpcHandle, Struct, checked, list_of, struct_of, type_name
 from .declaration import declare, string
 
-#: Seconds that a call may take.
+#: Maximum duration of a call, in s.
 TIMEOUT = 30.0
 _POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @declare(since="3.0")
 def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
-    """A handle with the methods of a server; no connection is opened before the first call."""
+    """Return a handle with the methods of a server; the first call opens a connection."""
     if string(type, "rpc_factory: type") != "xmlrpc":
         raise Fault(f"rpc_factory: type is 'xmlrpc', not '{type}'")
     address = string(url, "rpc_factory: url")
@@ -43,13 +46,13 @@ def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
 
 
 def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[Any]) -> Waiting:
-    """`base.name(arguments)`"""
+    """Call `base.name(arguments)`."""
     if not isinstance(base, RpcHandle):
         raise type_error(f"{type_name(base)} has no method '{name}'")
     if name == "closeXMLRPCClientConnection":
         return None
     name = base.prefix + name
-    # Imported where it is used: it loads a large part of the standard library.
+    # Import here, where it is used, because it loads a large part of the standard library.
     from xmlrpc.client import dumps
 
     body = dumps(tuple(map(_sent, arguments)), methodname=name).encode()
@@ -59,10 +62,10 @@ def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[
 
 
 def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -> Waiting:
-    """Send a request; returns the body of the response."""
+    """Send a request, and return the body of the response."""
     what, sockets = f"{name}: {handle.url}", thread.world.sockets
     thread.machine.remote_calls += 1
-    # No literal of a program is such a name: it cannot contain both kinds of quotes.
+    # No string of a program can have this name, because it cannot contain both kinds of quotes.
     socket, left = f"rpc '{thread.machine.remote_calls}\"", TIMEOUT / thread.world.period
     sockets.open(socket, handle.host, handle.port)
     try:
@@ -101,7 +104,7 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
 
 
 def _sent(value: Any) -> Any:
-    """The value as an argument of `dumps`."""
+    """Return the value as an argument of `dumps`."""
     if isinstance(value, PoseValue):
         return dict(zip(_POSE, map(float, value), strict=True))
     if value.__class__ is tuple:
@@ -114,15 +117,16 @@ def _sent(value: Any) -> Any:
 
 
 def parse_answer(body: bytes, what: str, charge: Charge) -> Any:
-    """The value in an answer.
+    """Return the value in an answer.
 
     Args:
-        body: of the HTTP response.
-        what: method and server, for the message.
-        charge: counts the work and the memory of the program.
+        body: Body of the HTTP response.
+        what: Method and server, used in the error message.
+        charge: Function that counts the work and the memory of the program.
 
     Raises:
-        Fault: it is not an answer, says that the method has failed, or holds what cannot be a value of URScript.
+        Fault: If it is not an answer, reports that the method has failed, or contains a value that URScript does not
+            have.
     """
     from xmlrpc.client import Fault as RemoteFault
     from xmlrpc.client import loads
@@ -132,7 +136,7 @@ def parse_answer(body: bytes, what: str, charge: Charge) -> Any:
         (result,), _ = loads(body)
     except RemoteFault as fault:
         raise Fault(f"{what} answers with fault {fault.faultCode}: {fault.faultString}") from None
-    except Exception:  # what the standard library raises for wrong bytes depends on the place of the mistake
+    except Exception:  # the standard library raises various exceptions, depending on the place of the error
         raise Fault(f"{what} does not answer as a server of XML-RPC") from None
     return _value(result, what, charge, 0)
 
@@ -158,7 +162,7 @@ def _value(result: Any, what: str, charge: Charge, depth: int) -> Any:
 
 
 def _number(result: float | int) -> float | int:
-    """An integer that 32 bits do not hold becomes a float."""
+    """Return a number; an integer that exceeds 32 bits becomes a float."""
     if isinstance(result, float) or -(2**31) <= result < 2**31:
         return checked(result)
     return checked(float(result) if abs(result) < 1e300 else math.inf)

@@ -1,13 +1,19 @@
-"""Functions of the program's sockets; each has a name, "socket_0" if none is given.
+"""Functions of the program's sockets. The default name of a socket is "socket_0".
 
-Drivers rely on this: integers are big endian, and the first element of a list that was read is the count of values
-read. Remembered from the manuals: at most 30 values are read at once; on a timeout the count is 0 and the values are
--1, or NaN for floats; a timeout of zero or less waits forever; names and defaults of parameters.
+Drivers rely on two facts. Integers are big endian, and the first element of a list that was read is the count of
+values. The manuals (cited from memory) contain the following: at most 30 values are read at once. On a timeout, the
+count is 0 and the values are -1, or NaN for floats. A timeout of zero or less waits forever. Names and defaults of
+parameters are also from the manuals.
 
-Guesses: connecting times out after 2 s; a program reads at most 20 times in a cycle; on a timeout the received bytes
-are kept for the next read; reading from a socket that is not open returns nothing after one cycle; ASCII numbers have
-the form `(1.0,2.0,3.0)`, and the text up to the closing bracket is consumed even if it cannot be parsed. Text is bytes,
-one character each.
+The following is assumed:
+
+- Connecting times out after 2 s.
+- A program reads at most 20 times in a cycle.
+- On a timeout, the received bytes are kept for the next read.
+- Reading from a socket that is not open returns nothing after one cycle.
+- ASCII numbers have the form `(1.0,2.0,3.0)`. The text up to the closing bracket is consumed even if it cannot be
+  parsed.
+- Text is bytes, one character each.
 """
 
 from __future__ import annotations
@@ -27,8 +33,8 @@ from .mathematics import made
 _NAME = "socket_0"
 _CONNECTING = 2.0
 _MOST = 30
-# Most reads of all threads in a cycle; further ones wait for the next. Otherwise no time would pass in a loop that
-# reads from a peer which sends without end.
+# Maximum number of reads of all threads in a cycle; further reads wait for the next cycle. Otherwise no time would pass
+# in a loop that reads from a peer which sends without end.
 _READS = 20
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,5})?")
 
@@ -38,7 +44,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,
 
 @declare(takes_time=True)
 def socket_open(thread: ScriptThread, address: Any, port: Any, socket_name: Any = _NAME) -> Waiting:
-    """True once connected; False otherwise."""
+    """Connect, and return whether it succeeded."""
     name, sockets = string(socket_name, "socket_open: socket_name"), thread.world.sockets
     host, number_ = string(address, "socket_open: address"), integer(port, "socket_open: port", 0, 65535)
     sockets.close(name)
@@ -92,7 +98,10 @@ def socket_send_int(thread: ScriptThread, value: Any, socket_name: Any = _NAME) 
 
 @declare()
 def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any = _NAME) -> bool:
-    """The manual speaks of integers; public programs pass other numbers, of which `to_str` gives the text (a guess)."""
+    """Send `SET name value`.
+
+    The manual mentions integers. Public programs pass other numbers, which are sent as their `to_str` text (assumed).
+    """
     what, new = string(name, "socket_set_var: name"), number(value, "socket_set_var: value")
     return _send(thread, socket_name, _bytes(f"SET {what} {to_str(new)}\n"))
 
@@ -101,7 +110,10 @@ def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any
 
 
 def _await(thread: ScriptThread, socket_name: Any, timeout: Any, is_there: Callable[[bytearray], bool]) -> Waiting:
-    """The receive buffer once `is_there` is true for it; None on a timeout, or if the socket is not open."""
+    """Return the receive buffer when `is_there` is true for it.
+
+    Returns None on a timeout, or if the socket is not open.
+    """
     sockets = thread.world.sockets
     name, seconds = string(socket_name, "socket_name"), number(timeout, "timeout")
     if thread.machine.reads >= _READS:
@@ -122,7 +134,10 @@ def _await(thread: ScriptThread, socket_name: Any, timeout: Any, is_there: Calla
 
 
 def _read_line(thread: ScriptThread, socket_name: Any, timeout: Any) -> Waiting:
-    """A line without its line feed, which is consumed; None on a timeout, or if the socket is not open."""
+    """Return a line without its line feed, which is consumed.
+
+    Returns None on a timeout, or if the socket is not open.
+    """
     buffer = yield from _await(thread, socket_name, timeout, lambda data: b"\n" in data)
     if buffer is None:
         return None
@@ -132,7 +147,10 @@ def _read_line(thread: ScriptThread, socket_name: Any, timeout: Any) -> Waiting:
 
 
 def _read_numbers(thread: ScriptThread, count: int, code: str, socket_name: Any, timeout: Any) -> Waiting:
-    """A list of `count` and the numbers, of the format `code` of `struct`; of 0 and as many -1 on a timeout."""
+    """Return a list of `count` and the numbers, with the format `code` of `struct`.
+
+    On a timeout, the list contains 0 and `count` times -1.
+    """
     layout = struct.Struct(f">{count}{code}")
     buffer = yield from _await(thread, socket_name, timeout, lambda data: len(data) >= layout.size)
     if buffer is None:
@@ -176,7 +194,10 @@ def socket_read_ascii_float(thread: ScriptThread, number: Any, socket_name: Any 
 
 @declare(takes_time=True)
 def socket_read_line(thread: ScriptThread, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
-    """A line without its line feed and a carriage return before it, both consumed; empty on a timeout."""
+    """Return a line; empty on a timeout.
+
+    The line feed, and a carriage return before it, are consumed but not returned.
+    """
     line = yield from _read_line(thread, socket_name, timeout)
     return "" if line is None else made(thread, line.removesuffix(b"\r").decode("latin-1"))
 
@@ -190,7 +211,7 @@ def socket_read_string(
     interpret_escape: Any = False,
     timeout: Any = 2,
 ) -> Waiting:
-    """All received text, or the text between prefix and suffix if they are given."""
+    """Return all received text, or the text between prefix and suffix if they are given."""
     begin, end = string(prefix, "prefix"), string(suffix, "suffix")
     if boolean(interpret_escape, "interpret_escape"):
         begin, end = _unescaped(begin), _unescaped(end)
@@ -216,7 +237,10 @@ def _unescaped(text: str) -> str:
 
 @declare(takes_time=True)
 def socket_get_var(thread: ScriptThread, name: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
-    """Send `GET name`; returns the integer of the reply `name value`, or 0 without a reply (a guess)."""
+    """Send `GET name`, and return the integer of the reply `name value`.
+
+    Without a reply, return 0 (assumed).
+    """
     what = string(name, "socket_get_var: name")
     if not _send(thread, socket_name, _bytes(f"GET {what}\n")):
         return 0
