@@ -22,6 +22,9 @@ _FIRST = 400
 _IN, _PRI, _OUT, _ERR, _HUP, _NVAL, _RDHUP = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20, 0x2000
 _ALWAYS = _ERR | _HUP | _NVAL
 
+#: The flag of `recv` and `send`; Windows does not have it.
+_DONTWAIT = getattr(_socket, "MSG_DONTWAIT", 0)
+
 _RealSocket = _socket.socket
 
 
@@ -134,7 +137,7 @@ class Socket(Pollable):
             return
         linger = self._options.get((_socket.SOL_SOCKET, _socket.SO_LINGER))
         if isinstance(linger, bytes):
-            is_on, seconds = struct.unpack("ii", linger)
+            is_on, seconds = struct.unpack("ii" if len(linger) == 8 else "hh", linger)
             end.linger = float(seconds) if is_on else None
         # Only Linux has the option.
         limit = self._options.get((_socket.IPPROTO_TCP, getattr(_socket, "TCP_USER_TIMEOUT", -1)))
@@ -229,7 +232,7 @@ class Socket(Pollable):
         end = self._connected()
         self._step()
         if not (end.received or end.is_ended or end.error or not end.is_open or self._is_shut_for_reading):
-            if flags & _socket.MSG_DONTWAIT:
+            if flags & _DONTWAIT:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
             timeout = self._timeout
             self._asked = 0 if flags & _socket.MSG_PEEK else size
@@ -261,7 +264,7 @@ class Socket(Pollable):
         self._step()
         data = bytes(data)
         if end.is_open and not end.is_shut and not end.room:
-            if flags & _socket.MSG_DONTWAIT:
+            if flags & _DONTWAIT:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
             self._wait(_OUT, self._timeout)
         self._raise_error(end)
