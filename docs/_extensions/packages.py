@@ -65,8 +65,8 @@ def _package_rows(package: Package) -> Iterator[tuple[str, ...]]:
     )
     if package.item:
         items = "rows" if package is TABLE else "entries"
-        order = "the place of a row is the id of its variable" if package is TABLE else "ids need not be in order"
-        yield "2", "count", _NUMBERS["i"], str(INT.size), f"how many {items} follow"
+        order = "the index of a row is the id of its variable" if package is TABLE else "ids need not be in order"
+        yield "2", "count", _NUMBERS["i"], str(INT.size), f"number of {items} that follow"
         yield str(2 + INT.size), items, items, "", order
 
 
@@ -101,15 +101,15 @@ class ConnectionDirective(SphinxDirective):
         tables = {"w": tuple(database.write.rows), "r": tuple(database.read.rows)}
         from_client, from_server = list(dissect(asked, "client", tables)), list(dissect(answer, "server"))
         asks = [piece.package for piece in from_server].index("ee") + 1
-        told: list[nodes.Node] = []
+        found: list[nodes.Node] = []
         for sentence, pieces in (
-            ("The client says:", from_client[:1]),
-            ("The server answers with the handshake:", from_server[:asks]),
-            ("The client sets speedl, and asks:", from_client[1:]),
-            ("The server answers at its next tick:", from_server[asks:]),
+            ("The client sends:", from_client[:1]),
+            ("The server replies with the handshake:", from_server[:asks]),
+            ("The client sets speedl and requests a batch:", from_client[1:]),
+            ("The server replies at its next tick:", from_server[asks:]),
         ):
-            told += [nodes.paragraph("", sentence), _block(pieces)]
-        return told
+            found += [nodes.paragraph("", sentence), _block(pieces)]
+        return found
 
 
 def _block(pieces: list[Piece]) -> nodes.literal_block:
