@@ -62,7 +62,7 @@ class RecordingsDirective(SphinxDirective):
             names = ", ".join(info["name"] for info in channels)
             rows.append((str(path.relative_to(_CAPTURES.parent)), firmware, model, names))
         if not rows:
-            return [nodes.paragraph("", "This checkout holds no recordings.")]
+            return [nodes.paragraph("", "This checkout does not contain recordings.")]
         return [table(("file", "firmware", "arm", "interfaces"), rows, code=(0,))]
 
 

@@ -128,7 +128,7 @@ def header_rows(layout: Layout) -> Iterator[tuple[str, ...]]:
     offset = 0
     for name, number in layout.header.parts.items():
         end = offset + number.width
-        meaning = "bytes of the packet, these included" if name == "size" else "type byte"
+        meaning = "size of the packet in bytes, including this field" if name == "size" else "type byte"
         yield str(offset), str(end), name, np.dtype(number.kind).name, "", meaning
         offset = end
 

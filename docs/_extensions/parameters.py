@@ -29,7 +29,8 @@ class ParametersDirective(SphinxDirective):
             raise self.error(f"no parameters are called {self.arguments[0]}; expected {' or '.join(kinds)}")
         chosen = [each for each in parameters().values() if (each.value == "assumed") is kinds[self.arguments[0]]]
         if kinds[self.arguments[0]]:
-            return [table(("name", "assumed because", "used in"), [(p.name, p.source, p.used) for p in chosen], (0, 2))]
+            head = ("name", "reason for the assumption", "used in")
+            return [table(head, [(p.name, p.source, p.used) for p in chosen], (0, 2))]
         return [table(_HEAD, map(_row, chosen), code=(0, 5))]
 
 

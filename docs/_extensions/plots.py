@@ -69,7 +69,7 @@ def setup(app: Any) -> dict[str, Any]:
             try:
                 path, caption = draw(name)
             except FileNotFoundError:
-                return [nodes.paragraph("", "This checkout holds no results of it.")]
+                return [nodes.paragraph("", "This checkout does not contain the results.")]
             image = nodes.image(uri=path.relative_to(_DOCS).as_posix(), alt=caption)
             return [nodes.figure("", image, nodes.caption(caption, caption))]
 
