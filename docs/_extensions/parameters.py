@@ -1,4 +1,4 @@
-"""The directive `parameters`: rows of the table of what is known of robots, by the modules that stand on them."""
+"""The directive `parameters`: rows of the table of parameters, with the modules that use them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ParametersDirective(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """One row for each parameter."""
+        """Return a table with one row for each parameter."""
         self.env.note_dependency(str(Path(urlink.arm.parameters.__file__).with_suffix(".tsv")))
         kinds = {"numbers": False, "assumptions": True}
         if self.arguments[0] not in kinds:
