@@ -22,7 +22,7 @@ SECONDS = 0.5
 
 
 def row(bundle: Bundle) -> str:
-    """A row of the table in docs/compatibility.md, "Controllers that were accepted"."""
+    """Return a row of the table in docs/compatibility.md, "Accepted controllers"."""
     evidence, verdicts = bundle.evidence, judge(bundle.evidence, bundle.requirements)
     known, about = evidence.identity, evidence.last("about") or {}
     wrong = ", ".join(each.requirement.name for each in verdicts if each.state == "not held")

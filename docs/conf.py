@@ -35,7 +35,7 @@ extensions = [
     "summary",
     "variables",
 ]
-# tables: for readers without a build, who do not see what directives generate
+# tables: for readers of the repository, who do not see the output of directives
 exclude_patterns = ["_build", "_extensions", "_plots", "tables"]
 
 html_theme = "furo"
@@ -46,11 +46,11 @@ html_favicon = "_static/logo.svg"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
 
-# What is copied is what one would type.
+# The copy button copies only the text that a user types.
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
-# Pages link to each other's sections, as they do when read on a forge.
+# Pages link to sections of other pages. The same links work on the web page of a repository.
 myst_heading_anchors = 3
 myst_enable_extensions = ["attrs_block", "colon_fence", "deflist"]
 
@@ -60,7 +60,7 @@ autodoc_typehints_description_target = "documented"
 
 
 def resolve(app: Any, function: Any, is_bound: bool) -> None:
-    """Look up the names in annotations where they are written: there are two classes called Motion."""
+    """Resolve the names in annotations in their own module, because there are two classes called Motion."""
     with contextlib.suppress(AttributeError, NameError, TypeError):
         function.__annotations__ = typing.get_type_hints(function)
 
@@ -68,27 +68,27 @@ def resolve(app: Any, function: Any, is_bound: bool) -> None:
 def hide_constructor(
     app: Any, what: str, name: str, found: Any, options: Any, signature: str, returned: str
 ) -> tuple[str, str] | None:
-    """Show no arguments of a class that is made by the library: the page says so by `:exclude-members: __init__`."""
+    """Hide the arguments of a class that only the library creates: its page has `:exclude-members: __init__`."""
     return ("", "") if what == "class" and "__init__" in (options.exclude_members or ()) else None
 
 
 def strip_blocks(app: Any, document: Any) -> None:
-    """Examples end in an empty line, by which doctest knows the end of the last output. Readers need none."""
+    """Remove the empty line at the end of examples, which only doctest needs."""
     for block in document.findall(nodes.literal_block):
         text = block.astext().rstrip("\n")
-        # A block whose source is not its text would not be highlighted.
+        # A block is highlighted only if its source is equal to its text.
         block.rawsource = text
         block.children = []
         block += nodes.Text(text)
 
 
 def drop_links_to_tables(app: Any, docname: str, source: list[str]) -> None:
-    """Leave out the links to docs/tables/: the built page has the table itself."""
+    """Remove the links to docs/tables/, because the built page contains the tables."""
     source[0] = re.sub(r"\n?If you read this page in the repository[^)]*\)\.", "", source[0])
 
 
 def setup(app: Any) -> None:
-    """Called by Sphinx."""
+    """Register the functions above; called by Sphinx."""
     app.connect("source-read", drop_links_to_tables)
     app.connect("doctree-read", strip_blocks)
     app.connect("autodoc-before-process-signature", resolve)

@@ -1,10 +1,13 @@
-"""Write the generated reference tables to docs/tables/, so that they can be read without a build.
+"""Write the generated reference tables to docs/tables/ for readers of the repository.
 
-    python docs/make_tables.py           # after a change of a schema, a variable, a release or a command
-    python docs/make_tables.py --check   # `nox -s docs` does this: status 1 if a file is not up to date
+    python docs/make_tables.py
+    python docs/make_tables.py --check
 
-The pages of the documentation have the same tables, by the directives in docs/_extensions. A page that shows the text
-of such a directive, as on the web page of a repository, links the file here.
+Run it after a change of a schema, a variable, a release or a command. With `--check` it writes nothing, and exits with
+status 1 if a file is out of date; `nox -s docs` does this.
+
+The built documentation has the same tables, which the directives in docs/_extensions generate. The web page of a
+repository shows only the text of such a directive. Therefore the pages link to the files in docs/tables/.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ import dashboard  # noqa: E402
 import layouts  # noqa: E402
 import variables  # noqa: E402
 
-#: Directive -> the nodes that it puts into a page.
+#: Name of a directive -> function that returns its nodes.
 _DIRECTIVES: dict[str, Callable[..., list[nodes.Node]]] = {
     "layouts": layouts.tables,
     "variables": variables.tables,
@@ -35,7 +38,7 @@ _DIRECTIVES: dict[str, Callable[..., list[nodes.Node]]] = {
     "dashboard": dashboard.tables,
 }
 
-#: Page -> title of its tables.
+#: Name of a page -> title of the file with its tables.
 PAGES = {
     "layouts": "Layouts: every field of every packet",
     "rtde-variables": "RTDE variables",
@@ -47,7 +50,7 @@ _PART = re.compile(r"^(#{2,3} .+)$|^```\{(\w+)\}(?: (\w+))?\n```$", re.MULTILINE
 
 
 def tables_of(page: str) -> str:
-    """The headings and the generated tables of a page, as Markdown."""
+    """Return the headings and the generated tables of a page, as Markdown."""
     lines = [
         f"# {PAGES[page]}",
         f"`docs/make_tables.py` writes this file; do not edit it. [The page](../{page}.md) explains the columns.",
@@ -55,7 +58,7 @@ def tables_of(page: str) -> str:
     headings: list[str] = []
     for heading, directive, argument in _PART.findall((DOCS / f"{page}.md").read_text(encoding="utf-8")):
         if heading:
-            # A heading without a table below is left out, but a section keeps the heading above its own.
+            # A heading without a table below it is left out, but a section keeps its parent heading.
             headings = [*(each for each in headings if _depth(each) < _depth(heading)), heading]
         elif directive in _DIRECTIVES:
             lines += headings
@@ -86,9 +89,9 @@ def _cell(entry: nodes.entry) -> str:
 
 
 def main() -> int:
-    """Write the files, or compare them."""
+    """Write the files, or compare them with `--check`."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--check", action="store_true", help="only compare, and write nothing")
+    parser.add_argument("--check", action="store_true", help="compare only, and write nothing")
     is_check = parser.parse_args().check
     old = []
     for page in PAGES:
@@ -100,7 +103,7 @@ def main() -> int:
             TABLES.mkdir(exist_ok=True)
             file.write_text(text, encoding="utf-8")
     if old:
-        print(f"docs/tables: {', '.join(old)} is not up to date; run: python docs/make_tables.py", file=sys.stderr)
+        print(f"docs/tables: {', '.join(old)} is out of date; run: python docs/make_tables.py", file=sys.stderr)
     return 1 if old else 0
 
 

@@ -62,7 +62,7 @@ TASKS = (
     Task("start a program of the pendant", "dashboard", "The commands"),
     Task("grasp something", "grippers", "Grippers"),
     Task("send statements one at a time", "interpreter", "Interpreter mode: execute URScript line by line"),
-    Task("have the simulated robot fail", "simulator", "Faults"),
+    Task("have the simulated robot fail", "simulator", "Inject faults"),
     Task("drive a mobile robot", "rhd", "The first ten minutes"),
     Task("run a mission", "missions", "Run a mission from Python"),
 )

@@ -1,6 +1,6 @@
 """The words of the public surface: an argument has the name, the kind and the default of its like everywhere.
 
-CONTRIBUTING.md, The words of arguments, has the table that these tests hold.
+CONTRIBUTING.md, section "Names of arguments", has the table that these tests check.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the extensions of these pages share: tables as docutils nodes, and releases in words."""
+"""Shared functions of the extensions: tables as docutils nodes, and ranges of releases as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["spans", "table"]
 
 
 def spans(numbers: Sequence[int]) -> str:
-    """Rows of the firmware table as text: "3.5 to 3.9, 5.0 to 5.3"."""
+    """Return rows of the firmware table as text, such as "3.5 to 3.9, 5.0 to 5.3"."""
     texts: list[str] = []
     begin = None
     for number in sorted(numbers):
@@ -31,7 +31,7 @@ def spans(numbers: Sequence[int]) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], code: Sequence[int] = ()) -> nodes.table:
-    """A table of plain text; the columns whose numbers are in `code` are set as code."""
+    """Return a table of plain text; the columns with the numbers in `code` are formatted as code."""
     group = nodes.tgroup(cols=len(head))
     group += [nodes.colspec(colwidth=1) for _ in head]
     group += nodes.thead("", _row([[nodes.Text(text)] for text in head]))
@@ -45,7 +45,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], code: Sequence[int
     group += body
     # A width of "auto" lets the browser fit the columns to their text.
     made = nodes.table("", group, classes=["colwidths-auto"])
-    # Wide ones scroll in a box of their own instead of leaving the page.
+    # Wide tables scroll in their own box instead of leaving the page.
     made["classes"].append("docutils")
     return made
 

@@ -1,4 +1,4 @@
-"""The directives `releases` and `recordings`: what the firmware table says, and what stands behind it."""
+"""The directives `releases` and `recordings`: the firmware table, and the recordings in the repository."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sphinx.util.docutils import SphinxDirective
 from linkcore.recording.file import RecordingFile
 from urlink.protocol.firmware import RELEASES
 
-#: Says that bytes of a controller back a row: "real bytes", "real connection heads", but not "real-time".
+#: Matches the evidence of a row that is confirmed by bytes of a controller: "real bytes", but not "real-time".
 _REAL = re.compile(r"\breal (?=bytes|connection)")
 
 _CAPTURES = Path(__file__).parents[2] / "captures"
@@ -24,12 +24,12 @@ class ReleasesDirective(SphinxDirective):
     """The firmware table."""
 
     def run(self) -> list[nodes.Node]:
-        """One row for each release that changed a size."""
+        """Return a table with one row for each release that changed a size."""
         return tables()
 
 
 def tables() -> list[nodes.Node]:
-    """The firmware table."""
+    """Return the firmware table."""
     head = ("firmware", "controller", "real-time", "first state", "later states", "real bytes", "evidence")
     return [table(head, [_row(number) for number in range(len(RELEASES))])]
 
@@ -52,7 +52,7 @@ class RecordingsDirective(SphinxDirective):
     """The recordings in the repository's captures/."""
 
     def run(self) -> list[nodes.Node]:
-        """One row for each recording, read from the file itself."""
+        """Return a table with one row for each recording, which is read from the file."""
         rows = []
         for path in sorted(_CAPTURES.rglob("*.urlog")):
             self.env.note_dependency(str(path))
@@ -62,7 +62,7 @@ class RecordingsDirective(SphinxDirective):
             names = ", ".join(info["name"] for info in channels)
             rows.append((str(path.relative_to(_CAPTURES.parent)), firmware, model, names))
         if not rows:
-            return [nodes.paragraph("", "This checkout holds no recordings.")]
+            return [nodes.paragraph("", "This checkout does not contain recordings.")]
         return [table(("file", "firmware", "arm", "interfaces"), rows, code=(0,))]
 
 

@@ -1,6 +1,7 @@
 """The directive `dashboard`: the methods of `robot.dashboard`, from the table of commands and the class itself.
 
-Which method sends which command is read off the class, so the page can neither miss one nor name one too many.
+The directive reads from the class which method sends which command. So the page cannot miss a command, or name a wrong
+one.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class DashboardDirective(SphinxDirective):
     """The table of methods and commands."""
 
     def run(self) -> list[nodes.Node]:
-        """One row for each command, in the order of the class."""
+        """Return a table with one row for each command, in the order of the class."""
         self.env.note_dependency(str(Path(inspect.getfile(Dashboard))))
         missing = sorted(COMMANDS.keys() - {command for _, command, _ in methods()})
         if missing:
@@ -36,12 +37,12 @@ class DashboardDirective(SphinxDirective):
 
 
 def tables() -> list[nodes.Node]:
-    """The table of methods and commands."""
+    """Return the table of methods and commands."""
     return [table(_HEAD, [_row(*one) for one in methods()], code=(0, 1))]
 
 
 def methods() -> list[tuple[str, str, str]]:
-    """(signature, command, first sentence) of each method that sends one command."""
+    """Return (signature, command, first sentence) of each method that sends one command."""
     (tree,) = ast.parse(inspect.getsource(Dashboard)).body
     assert isinstance(tree, ast.ClassDef)
     found = []

@@ -1,7 +1,7 @@
-"""Our own drawings become part of the page, so that they take the colours of its theme, dark or light.
+"""Insert the project's own drawings into the page, so that they use the colours of its dark or light theme.
 
-In the sources a drawing is an image as any other, which a forge shows too: `![what it shows](images/data-path.svg)`.
-What belongs to us is told by the class that `docs/_drawing.py` gives it.
+In the sources, a drawing is a normal image, which the web page of a repository shows too:
+`![what it shows](images/data-path.svg)`. The project's own drawings have a class that `docs/_drawing.py` sets.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from sphinx.transforms.post_transforms import SphinxPostTransform
 
 
 class InlineDrawings(SphinxPostTransform):
-    """Put the file of each drawing in the place of its image."""
+    """Replace the image of each drawing by the content of its file."""
 
     default_priority = 5
     formats = ("html",)
 
     def run(self, **kwargs: Any) -> None:
-        """Replace them all."""
+        """Replace all images of drawings."""
         for image in list(self.document.findall(nodes.image)):
             path = Path(self.env.srcdir, image["uri"])
             if path.suffix != ".svg" or not path.is_file():

@@ -1,10 +1,10 @@
-"""The directive `drive`: an example is run, and the picture that it draws is shown.
+"""The directive `drive`: run an example, and show the figure that it draws.
 
     ```{drive} rhd_spiral
     A square spiral with a closing diagonal.
     ```
 
-The examples run in lockstep, so the picture is the same each time. It goes where the pages are built, not beside them.
+The examples run in lockstep, so the figure is the same each time. It is written to the folder of the built pages.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 class DriveDirective(SphinxDirective):
-    """The picture of a drive, with what the program printed."""
+    """The figure of a drive, and the output of the program."""
 
     required_arguments = 1
     has_content = True
 
     def run(self) -> list[nodes.Node]:
-        """Run the example, and show what it drew."""
+        """Run the example, and show its figure."""
         program = _EXAMPLES / f"{self.arguments[0]}.py"
         self.env.note_dependency(str(program))
         folder = Path(self.env.app.outdir) / "_static"
@@ -40,7 +40,7 @@ class DriveDirective(SphinxDirective):
         if done.returncode:
             raise self.error(f"{program.name} failed: {done.stderr}")
         caption = " ".join(self.content)
-        # Not an image node: Sphinx would look for the file beside the pages.
+        # Not an image node, because Sphinx would search the file next to the sources.
         figure = (
             f'<figure class="align-center"><img src="_static/{picture.name}" alt="{caption}" width="400"/>'
             f"<figcaption>{caption}</figcaption></figure>"

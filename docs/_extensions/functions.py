@@ -1,4 +1,4 @@
-"""The directive `functions`: the URScript functions that the simulated controller has, family by family."""
+"""The directive `functions`: the URScript functions of the simulated controller, by family."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _ALWAYS = "1.0"
 
 
 class FunctionsDirective(SphinxDirective):
-    """One row for each family, named as its module."""
+    """Table with one row for each family, which has the name of its module."""
 
     def run(self) -> list[nodes.Node]:
-        """The table."""
+        """Return the table."""
         families: dict[str, list[str]] = {}
         for name, found in sorted(BUILTINS.items()):
             family = found[0].function.__module__.rpartition(".")[2].replace("_", " ")

@@ -3,9 +3,9 @@
     ```{layouts} RobotModeData
     ```
 
-A packet class has one layout for each set of fields that some release sends. Where one layout is the beginning of a
-longer one, the longer one's table shows both: the column `end` says how long a packet is that stops there. With the
-option `firmware` there is only the layout of that release.
+A packet class has one layout for each set of fields that a release sends. If a layout is the beginning of a longer
+layout, the table of the longer layout shows both: the column `end` is the length of a packet that ends there. With the
+option `firmware`, the directive shows only the layout of that release.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from urlink.protocol.primary.robot_state import SUB_PACKAGES
 
 _log = logging.getLogger(__name__)
 
-# As few columns as will do: a table has to fit the page.
+# Only the necessary columns, because a table has to fit the page.
 _HEAD = ("offset", "end", "field", "wire type", "since", "meaning")
 
 
@@ -44,7 +44,7 @@ class LayoutsDirective(SphinxDirective):
     option_spec: ClassVar[dict[str, Any]] = {"firmware": directives.unchanged_required}
 
     def run(self) -> list[nodes.Node]:
-        """The class's own sentence, and a table for each layout that no longer one begins with."""
+        """Return the summary of the class, and a table for each layout that is not part of a longer one."""
         name = self.arguments[0]
         cls: type[State] | None = getattr(packets, name, None)
         if cls is None or not hasattr(cls, "LAYOUTS"):
@@ -54,7 +54,7 @@ class LayoutsDirective(SphinxDirective):
 
 
 def tables(name: str, firmware: str | None = None) -> list[nodes.Node]:
-    """The sentence of a packet class and its layouts: all, or that of one release."""
+    """Return the summary of a packet class and its layouts: all layouts, or the layout of one release."""
     cls: type[State] = getattr(packets, name)
     chosen = [cls.LAYOUTS.of(firmware)] if firmware is not None else longest(cls)
     found: list[nodes.Node] = [nodes.paragraph("", (cls.__doc__ or "").partition("\n\n")[0].replace("\n", " "))]
@@ -65,7 +65,7 @@ def tables(name: str, firmware: str | None = None) -> list[nodes.Node]:
 
 
 def documented(env: BuildEnvironment) -> dict[str, set[str]]:
-    """Page -> the packet classes whose tables are on it."""
+    """Return the packet classes whose tables are on each page."""
     pages: dict[str, set[str]] | None = getattr(env, "layouts_documented", None)
     if pages is None:
         pages = {}
@@ -74,7 +74,7 @@ def documented(env: BuildEnvironment) -> dict[str, set[str]]:
 
 
 def longest(cls: type[State]) -> list[Layout]:
-    """The layouts that are not the beginning of a longer one, oldest first."""
+    """Return the layouts that are not the beginning of a longer layout, oldest first."""
     every = cls.LAYOUTS.all
     return [one for one in every if not any(one is not other and begins(one, other) for other in every)]
 
@@ -85,10 +85,10 @@ def begins(short: Layout, long: Layout) -> bool:
 
 
 def sizes(cls: type[State], layout: Layout) -> str:
-    """How many bytes of this table which releases send."""
+    """Return the sizes of the packets in a table, each with the releases that send it."""
     parts = []
     for each in cls.LAYOUTS.all:
-        # A short one that several begin with belongs to the newest of them.
+        # A short layout that is the beginning of several layouts belongs to the newest of them.
         home = [other for other in longest(cls) if other is each or begins(each, other)][-1]
         if home is layout:
             size = f"{'at least ' if each.has_text else ''}{each.size} bytes"
@@ -97,7 +97,7 @@ def sizes(cls: type[State], layout: Layout) -> str:
 
 
 def releases(cls: type[State], layout: Layout) -> str:
-    """Which releases send this layout; nothing where no release is known to send another."""
+    """Return the releases that send this layout; empty if no release is known to send another one."""
     if layout.first == (0, 0) and len({each.first for each in cls.LAYOUTS.all}) == 1:
         return ""
     numbers = []
@@ -112,7 +112,7 @@ def releases(cls: type[State], layout: Layout) -> str:
 
 
 def fields_table(layout: Layout) -> nodes.table:
-    """The header's rows, then one for each field; without the column `since` where every release sends everything."""
+    """Return the table of a layout; without the column `since` if every release sends all fields."""
     found = list(header_rows(layout))
     is_fixed = True
     for place in layout.places.values():
@@ -124,17 +124,17 @@ def fields_table(layout: Layout) -> nodes.table:
 
 
 def header_rows(layout: Layout) -> Iterator[tuple[str, ...]]:
-    """What precedes the fields."""
+    """Yield the rows of the header, which precede the fields."""
     offset = 0
     for name, number in layout.header.parts.items():
         end = offset + number.width
-        meaning = "bytes of the packet, these included" if name == "size" else "type byte"
+        meaning = "size of the packet in bytes, including this field" if name == "size" else "type byte"
         yield str(offset), str(end), name, np.dtype(number.kind).name, "", meaning
         offset = end
 
 
 def row(place: Place, is_fixed: bool) -> tuple[str, ...]:
-    """One field. What follows a text has no fixed offset."""
+    """Return the row of a field. A field that follows a text has no fixed offset."""
     field = place.field
     count = place.count or 1
     offset, end = str(place.offset), str(place.offset + place.stride * (count - 1) + place.width)
@@ -153,7 +153,7 @@ def row(place: Place, is_fixed: bool) -> tuple[str, ...]:
 
 
 def shape(place: Place) -> str:
-    """The type on the wire, and what its number stands for."""
+    """Return the type on the wire, and the enum of its number."""
     element = place.shape.element if isinstance(place.shape, Array) else place.shape
     if isinstance(element, Raw):
         what = "text" if isinstance(element, Text) else "bytes"
@@ -168,7 +168,7 @@ def shape(place: Place) -> str:
 
 
 def check(app: Sphinx, env: BuildEnvironment) -> None:
-    """Warn of a packet class that no page shows."""
+    """Warn about packet classes that no page shows."""
     shown = set().union(*documented(env).values())
     every = {cls.__name__ for group in SUB_PACKAGES.values() for cls in group}
     every |= {cls.__name__ for cls in (*MESSAGES.values(), *PACKAGES.values())}
@@ -177,7 +177,7 @@ def check(app: Sphinx, env: BuildEnvironment) -> None:
 
 
 def forget(app: Sphinx, env: BuildEnvironment, docname: str) -> None:
-    """A page is read anew."""
+    """Forget the classes of a page before Sphinx reads it again."""
     documented(env).pop(docname, None)
 
 

@@ -1,4 +1,4 @@
-"""The directive `life`: a table of transitions as it is in the code: of a connection, for example."""
+"""The directive `life`: a table of state transitions from the code, for example of a connection."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from urlink.command import given_up
 from urlink.motion.stream import feed_life
 
 _NONE = "-"
-#: name -> the module with its TRANSITIONS, its phases, and its events
+#: Name -> the module with its TRANSITIONS, its phases, and its events
 _LIVES: dict[str, tuple[Any, type[Enum], type[Enum]]] = {
     "connection": (connection_life, connection_life.ConnectionPhase, connection_life.LifeEvent),
     "handle": (handle, handle.Phase, handle.Event),
@@ -27,15 +27,15 @@ _LIVES: dict[str, tuple[Any, type[Enum], type[Enum]]] = {
 
 
 class LifeDirective(SphinxDirective):
-    """A row for each event, a column for each phase: the phase after it, and in brackets what subscribers are told.
+    """A row for each event and a column for each phase. A cell is the next phase, with the notification in brackets.
 
-    Where an event needs another one before it, a last column has that.
+    If an event requires an earlier one, a last column contains the earlier event.
     """
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """The table of the life that is named."""
+        """Return the table of the named life."""
         after: dict[tuple[Any, Any], str] = {}
         name = self.arguments[0]
         if name not in _LIVES:

@@ -1,4 +1,4 @@
-"""The directives of the page on missions: a mission that is run, and the differences between the profiles.
+"""The directives of the pages on missions: run a mission, and show the differences between the profiles.
 
     ```{mission} arc.smr --turtle
     :profiles: sound mrc
@@ -11,9 +11,8 @@
     ```{mission-bounds}
     ```
 
-A script of `examples/missions` is run by the command that is shown, once for each profile, and its pictures stand side
-by side. The simulated robot is the same each time, so the pictures are too. The tables are those of
-`rhdlink.smrcl.profile`.
+A script of `examples/missions` is run with the shown command, once for each profile, and the figures are shown side by
+side. The simulated robot is the same each time, so the figures are too. The tables are from `rhdlink.smrcl.profile`.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _ROOT = Path(__file__).parents[2]
 
 
 class MissionDirective(SphinxDirective):
-    """The pictures of a mission, and the command that draws them."""
+    """The figures of a mission, and the command that draws them."""
 
     required_arguments = 1
     final_argument_whitespace = True
@@ -58,13 +57,13 @@ class MissionDirective(SphinxDirective):
             end = self._draw([*words, "--profile", profile, "--svg", str(folder / picture)])
             ends.append(f"{profile}: {end}")
             images.append(f'<img src="_static/{picture}" alt="{profile}" width="{680 // max(len(profiles), 2)}"/>')
-        # Not an image node: Sphinx would look for the file beside the pages.
+        # Not an image node, because Sphinx would search the file next to the sources.
         figure = f'<figure class="align-center">{"".join(images)}<figcaption>{caption}</figcaption></figure>'
         told = f"$ {shlex.join(['rhdlink', *words, '--svg', 'way.svg'])}\n" + "\n".join(ends)
         return [nodes.raw("", figure, format="html"), nodes.literal_block(told, told, language="text")]
 
     def _draw(self, words: list[str]) -> str:
-        """Where the robot was at the end."""
+        """Run the command, and return its last message: the position of the robot at the end."""
         done = subprocess.run(
             [sys.executable, "-m", "rhdlink.cli", *words],
             cwd=_ROOT,
@@ -79,24 +78,24 @@ class MissionDirective(SphinxDirective):
 
 
 class DifferencesDirective(SphinxDirective):
-    """What the original does, and what the sound profile does instead."""
+    """Table of the differences between the profiles."""
 
     def run(self) -> list[nodes.Node]:
-        """One row for each difference."""
+        """Return a table with one row for each difference."""
         rows = [(f"`{each.name}`", each.mrc, each.sound) for each in differences()]
         return _table(self, ("field", '`"mrc"`: what the original does', '`"sound"`'), rows)
 
 
 class BoundsDirective(SphinxDirective):
-    """What neither profile does as the original."""
+    """Table of the points in which both profiles differ from the original."""
 
     def run(self) -> list[nodes.Node]:
-        """One row for each."""
+        """Return a table with one row for each point."""
         return _table(self, ("the original", "here, under both profiles"), BOTH)
 
 
 def _table(directive: SphinxDirective, head: tuple[str, ...], rows: Any) -> list[nodes.Node]:
-    """A table whose cells are in the markup of the pages."""
+    """Return a table whose cells contain Markdown."""
     lines = [head, tuple("---" for _ in head), *rows]
     text = ["| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines]
     return directive.parse_text_to_nodes("\n".join(text))

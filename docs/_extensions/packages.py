@@ -1,4 +1,4 @@
-"""The directives of the page on RHD's wire: tables of its packages, and a connection taken apart.
+"""The directives of the page on the RHD protocol: tables of its packages, and an annotated connection.
 
     ```{rhd-package} ROW
     ```
@@ -6,8 +6,8 @@
     ```{rhd-connection}
     ```
 
-The tables are those of the declarations in `rhdlink.wire.schema`; the bytes come from the encoders and the words
-beside them from what `rhdlink dissect` prints. Nothing of it is written down twice.
+The tables are generated from the declarations in `rhdlink.wire.schema`. The encoders generate the bytes, and
+`rhdlink dissect` the text next to them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rhdlink.wire.schema import INT, PACKAGES, TABLE, WORD, Package
 _HEAD = ("offset", "field", "type", "bytes", "meaning")
 _NUMBERS = {"i": "int32", "I": "uint32"}
 
-#: The packages by the names that the pages have for them; an item is shown apart from its package.
+#: Names of the packages on the pages. An item is shown separately from its package.
 _PACKAGES = {"ACCESS": "a", "TABLE": "t", "DATA": "d", "READY": "r", "END": "e"}
 _ITEMS = {"ROW": "t", "ENTRY": "d"}
 
@@ -41,7 +41,7 @@ class PackageDirective(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """One row for each field."""
+        """Return a table with one row for each field."""
         name = self.arguments[0]
         if name in _PACKAGES:
             rows = _package_rows(PACKAGES[_PACKAGES[name]])
@@ -65,8 +65,8 @@ def _package_rows(package: Package) -> Iterator[tuple[str, ...]]:
     )
     if package.item:
         items = "rows" if package is TABLE else "entries"
-        order = "the place of a row is the id of its variable" if package is TABLE else "ids need not be in order"
-        yield "2", "count", _NUMBERS["i"], str(INT.size), f"how many {items} follow"
+        order = "the index of a row is the id of its variable" if package is TABLE else "ids need not be in order"
+        yield "2", "count", _NUMBERS["i"], str(INT.size), f"number of {items} that follow"
         yield str(2 + INT.size), items, items, "", order
 
 
@@ -77,17 +77,17 @@ def _item_rows(package: Package) -> Iterator[tuple[str, ...]]:
         size = None if field.words else WORD if number else int(field.code.removesuffix("s"))
         kind = "text" if number is None else f"{number}, each" if field.words == "length" else number
         if field.words == "width":
-            # The canonical width; the page says when it is another.
+            # The usual width; the page states when it is different.
             size, kind = 2 * WORD, f"2 x {number}"
         yield "" if offset is None else str(offset), field.name, kind, "" if size is None else str(size), field.doc
         offset = None if offset is None or size is None else offset + size
 
 
 class ConnectionDirective(SphinxDirective):
-    """A small connection of a master, both directions, byte by byte."""
+    """A short connection of a master in both directions, byte by byte."""
 
     def run(self) -> list[nodes.Node]:
-        """The handshake, one request and its answer."""
+        """Return the handshake, one request and its reply."""
         database = Database()
         database.read.add("tick")
         database.read.add("encl")
@@ -101,15 +101,15 @@ class ConnectionDirective(SphinxDirective):
         tables = {"w": tuple(database.write.rows), "r": tuple(database.read.rows)}
         from_client, from_server = list(dissect(asked, "client", tables)), list(dissect(answer, "server"))
         asks = [piece.package for piece in from_server].index("ee") + 1
-        told: list[nodes.Node] = []
+        found: list[nodes.Node] = []
         for sentence, pieces in (
-            ("The client says:", from_client[:1]),
-            ("The server answers with the handshake:", from_server[:asks]),
-            ("The client sets speedl, and asks:", from_client[1:]),
-            ("The server answers at its next tick:", from_server[asks:]),
+            ("The client sends:", from_client[:1]),
+            ("The server replies with the handshake:", from_server[:asks]),
+            ("The client sets speedl and requests a batch:", from_client[1:]),
+            ("The server replies at its next tick:", from_server[asks:]),
         ):
-            told += [nodes.paragraph("", sentence), _block(pieces)]
-        return told
+            found += [nodes.paragraph("", sentence), _block(pieces)]
+        return found
 
 
 def _block(pieces: list[Piece]) -> nodes.literal_block:

@@ -1,4 +1,4 @@
-"""The directive `parameters`: rows of the table of what is known of robots, by the modules that stand on them."""
+"""The directive `parameters`: rows of the table of parameters, with the modules that use them."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ class ParametersDirective(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """One row for each parameter."""
+        """Return a table with one row for each parameter."""
         self.env.note_dependency(str(Path(urlink.arm.parameters.__file__).with_suffix(".tsv")))
         kinds = {"numbers": False, "assumptions": True}
         if self.arguments[0] not in kinds:
             raise self.error(f"no parameters are called {self.arguments[0]}; expected {' or '.join(kinds)}")
         chosen = [each for each in parameters().values() if (each.value == "assumed") is kinds[self.arguments[0]]]
         if kinds[self.arguments[0]]:
-            return [table(("name", "assumed because", "used in"), [(p.name, p.source, p.used) for p in chosen], (0, 2))]
+            head = ("name", "reason for the assumption", "used in")
+            return [table(head, [(p.name, p.source, p.used) for p in chosen], (0, 2))]
         return [table(_HEAD, map(_row, chosen), code=(0, 5))]
 
 

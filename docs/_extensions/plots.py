@@ -1,12 +1,12 @@
-"""The directive `plot`: a figure that is drawn whenever the pages are built, from what the library does.
+"""The directive `plot`: a figure that is drawn with the library each time the pages are built.
 
     ```{plot} pressing
     ```
 
-`docs/_plots/pressing.py` draws it. Such a module has the size of its figure in inches, `SIZE`, and a function `draw`,
-which draws on a figure of matplotlib and returns the caption; with the numbers that it has measured, so that the text
-cannot say others than the figure shows. The simulated controllers that they look at are stepped, so that the same code
-gives the same bytes. `python docs/_extensions/plots.py` draws them all, or those that it is given by name.
+`docs/_plots/pressing.py` draws this figure. Such a module contains the size of the figure in inches, `SIZE`, and a
+function `draw`. The function draws on a figure of matplotlib and returns the caption. The caption contains the measured
+numbers, so that text and figure always agree. The simulated controllers are stepped, so that the same code gives the
+same bytes. `python docs/_extensions/plots.py` draws all figures, or the named ones.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _STYLE = {
 
 
 def draw(name: str) -> tuple[Path, str]:
-    """Draw one figure: its file, and its caption.
+    """Draw one figure, and return its file and its caption.
 
     Raises:
-        FileNotFoundError: what it is drawn from is not in this checkout.
+        FileNotFoundError: If this checkout does not contain the data of the figure.
     """
     import matplotlib
     from matplotlib.figure import Figure
@@ -58,18 +58,18 @@ def setup(app: Any) -> dict[str, Any]:
     from sphinx.util.docutils import SphinxDirective
 
     class PlotDirective(SphinxDirective):
-        """The figure with its caption, or a sentence where there is nothing to draw it from."""
+        """The figure with its caption, or a sentence if its data is missing."""
 
         required_arguments = 1
 
         def run(self) -> list[nodes.Node]:
-            """Draw it and show it."""
+            """Draw the figure and show it."""
             name = self.arguments[0]
             self.env.note_dependency(str(_MODULES / f"{name}.py"))
             try:
                 path, caption = draw(name)
             except FileNotFoundError:
-                return [nodes.paragraph("", "This checkout holds no results of it.")]
+                return [nodes.paragraph("", "This checkout does not contain the results.")]
             image = nodes.image(uri=path.relative_to(_DOCS).as_posix(), alt=caption)
             return [nodes.figure("", image, nodes.caption(caption, caption))]
 

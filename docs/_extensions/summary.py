@@ -1,6 +1,6 @@
 """The directive `summary`: every name that a page documents, with its first sentence, in the order of the page.
 
-Beneath a class stand its methods.
+The methods of a class are listed below the class.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ class _Name(NamedTuple):
 
 
 class _Place(nodes.General, nodes.Element):
-    """Where the summary goes, once the names of the page are known."""
+    """Placeholder of the summary, which is replaced when the names of the page are known."""
 
 
 class SummaryDirective(SphinxDirective):
-    """The place of the summary."""
+    """The summary of a page."""
 
     def run(self) -> list[nodes.Node]:
-        """Nothing yet."""
+        """Return a placeholder."""
         return [_Place()]
 
 
 def fill(app: Sphinx, document: nodes.document, page: str) -> None:
-    """Put a table for each section in the place: a name that leads to its description, and what it is."""
+    """Replace the placeholder by a table for each section: names with links, and their first sentences."""
     for place in list(document.findall(_Place)):
         found: list[nodes.Node] = []
         for section in document.findall(nodes.section):
@@ -47,7 +47,7 @@ def fill(app: Sphinx, document: nodes.document, page: str) -> None:
 
 
 def _rows(section: nodes.section) -> Iterator[_Name]:
-    """Of each description that is directly in a section: its anchor, its name, its first sentence, and its methods."""
+    """Yield anchor, name, first sentence and methods of each description that is directly in a section."""
     for described in section.children:
         if not isinstance(described, addnodes.desc):
             continue

@@ -1,6 +1,6 @@
-"""The directive `variables`: the table of RTDE variables, from the table that the code stands on.
+"""The directive `variables`: the table of RTDE variables, from the table that the code uses.
 
-Registers of one kind follow each other and differ by a number only; they stand in one row.
+Registers of one kind follow each other and differ only by a number, so they share a row.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _KNOWN = {"outputs": OUTPUTS, "inputs": INPUTS}
 
 
 class VariablesDirective(SphinxDirective):
-    """The outputs, or the inputs."""
+    """Table of the outputs or of the inputs."""
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """One row for each variable, and one for each range of registers."""
+        """Return a table with one row for each variable, and one for each range of registers."""
         self.env.note_dependency(str(Path(inspect.getfile(variables))))
         if self.arguments[0] not in _KNOWN:
             raise self.error(f"no table of {self.arguments[0]}; expected {' or '.join(_KNOWN)}")
@@ -38,7 +38,7 @@ class VariablesDirective(SphinxDirective):
 
 
 def tables(direction: str) -> list[nodes.Node]:
-    """The table of the outputs or the inputs."""
+    """Return the table of the outputs or of the inputs."""
     return [table(_HEAD, _rows(_KNOWN[direction].values()), code=(0, 1))]
 
 
@@ -61,7 +61,7 @@ _NUMBER = re.compile(r"_register_([0-9]+)$")
 
 
 def _key(variable: Variable) -> Any:
-    """What the rows of one range have in common; of any other variable itself."""
+    """Return a key that all registers of a range share; for any other variable, its name."""
     if _NUMBER.search(variable.name) is None:
         return variable.name
     return (_NUMBER.sub("", variable.name), None if variable.since is None else variable.since.text)

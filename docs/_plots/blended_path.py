@@ -66,7 +66,7 @@ def draw(figure: Figure) -> str:
     speed.set(xlabel="controller time, s", ylabel="speed of the tool, m/s", ylim=(0.0, None))
     blends = " and ".join(f"{1e3 * blend:g} mm" for _, blend, _ in WAYPOINTS if blend)
     return (
-        f"A path of {len(WAYPOINTS)} lines on a simulated UR5e, with blends of {blends} about waypoints 0 and 1. Each "
-        "segment has a colour, and begins with the blend before it. The arm stops only where there is no blend. Dotted "
-        f"is the speed that each was told; {times[-1]:.1f} s in all."
+        f"A path of {len(WAYPOINTS)} lines on a simulated UR5e, with blends of {blends} at waypoints 0 and 1. Each "
+        "segment has its own colour, and begins with the blend before it. The arm stops only at waypoints without a "
+        f"blend. The dotted lines are the commanded speeds. The path takes {times[-1]:.1f} s."
     )

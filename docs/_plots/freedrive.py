@@ -46,9 +46,9 @@ def draw(figure: Figure) -> str:
     way.set(ylabel="tool above its start, mm", xlabel="controller time, s")
     way.legend()
     return (
-        f"A simulated UR5e is pushed up with {PUSH:g} N for {ENDS - BEGINS:g} s. In freedrive it yields by "
-        f"{max(ways):.0f} mm and stands again {settled(times, ways) - ENDS:.1f} s after the hand has let go; otherwise "
-        "it holds its place."
+        f"A hand pushes a simulated UR5e up with {PUSH:g} N for {ENDS - BEGINS:g} s. In freedrive, the arm yields by "
+        f"{max(ways):.0f} mm, and is at rest {settled(times, ways) - ENDS:.1f} s after the end of the push. Otherwise "
+        "it holds its position."
     )
 
 

@@ -44,6 +44,6 @@ def draw(figure: Figure) -> str:
     current.set(ylabel="mA", xlabel="controller time, s")
     held = seen["POS"][round(1.5 * rate)]
     return (
-        f"The simulated gripper closes upon something of {1e3 * WIDTH:g} mm and opens again: what its port answers for "
-        f"PRE and POS, OBJ and COU. The fingers stop at {held} of the 255 that were requested, and OBJ says why."
+        f"The simulated gripper closes on an object of {1e3 * WIDTH:g} mm, and opens again. The lines are the answers "
+        f"of its port for PRE, POS, OBJ and COU. The fingers stop at {held} instead of 255; OBJ shows the reason."
     )

@@ -84,6 +84,6 @@ def draw(figure: Figure) -> str:
     follow.plot(times, [1e3 * place[0] for place in places], color="#2b6cb0")
     follow.set(ylabel="base, mrad", xlabel="controller time, s")
     return (
-        "Above, a push to the side of a simulated UR5e, with three stiffnesses. Below, targets that come 10 times a "
-        "second (grey), of which two are missing, and the arm: about one interval behind, without steps."
+        "Above: a push to the side of a simulated UR5e, with three stiffnesses. Below: targets that arrive 10 times "
+        "per second (grey; two are missing), and the arm. The arm follows about one interval later, without steps."
     )

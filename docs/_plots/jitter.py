@@ -33,6 +33,6 @@ def draw(figure: Figure) -> str:
     axes.legend()
     return (
         f"Time between two packets at {results['rate']:g} Hz for {results['seconds']:g} s: "
-        f"{results['share_in_band']:.2%} lie between {period - BAND:g} and {period + BAND:g} ms. "
-        "The outermost bars hold what lies beyond them."
+        f"{results['share_in_band']:.2%} are between {period - BAND:g} and {period + BAND:g} ms. "
+        "The outermost bars include all times beyond them."
     )

@@ -46,6 +46,6 @@ def draw(figure: Figure) -> str:
         ncols=3,
     )
     return (
-        f"What answers each command of the dashboard, by the firmware: the server of the e-Series answers "
-        f"{len(shared) + others}, and {len(shared)} of them have a request of the Robot API."
+        f"Interface that answers each dashboard command, by firmware. The server of the e-Series answers "
+        f"{len(shared) + others} commands. The Robot API has a request for {len(shared)} of them."
     )

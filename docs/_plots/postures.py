@@ -43,4 +43,4 @@ def draw(figure: Figure) -> str:
         axes.set(xticklabels=[], yticklabels=[], zticklabels=[])
         axes.view_init(elev=18, azim=-55)
     figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.94, wspace=0.0, hspace=0.08)
-    return f"The eight ways in which a {MODEL} brings its flange to the same pose, by the row of Arm.branches."
+    return f"The eight postures in which a {MODEL} brings its flange to the same pose, in the order of Arm.branches."

@@ -46,6 +46,6 @@ def draw(figure: Figure) -> str:
     depth.set(ylabel="tool below its start, mm", xlabel="controller time, s")
     force.legend(ncols=2)
     return (
-        "A tool 10 mm above a plane is pressed on it with 10 N by the simulated controller, on three planes: "
-        "it goes down at its limit of 0.05 m/s, touches, and settles."
+        "The simulated controller presses a tool with 10 N on three planes. The tool starts 10 mm above the plane, "
+        "moves down at its limit of 0.05 m/s, touches the plane, and settles."
     )

@@ -94,6 +94,7 @@ def draw(figure: Figure) -> str:
     error.set(ylabel="desired − actual, mrad", xlabel="controller time, s")
     error.legend(loc="lower right")
     return (
-        f"A simulated UR5e follows a wave of wrist 3. The measured delay is {1e3 * delay:.1f} ms. As it is, the arm is "
-        f"up to {worst[0]:.1f} mrad off; with a law that is computed for so much later, up to {worst[1]:.2f} mrad."
+        f"A simulated UR5e follows a wave of wrist 3. The measured delay is {1e3 * delay:.1f} ms. The largest error is "
+        f"{worst[0]:.1f} mrad. If the set-points are computed for a time that is later by the delay, it is "
+        f"{worst[1]:.2f} mrad."
     )

@@ -77,6 +77,6 @@ def draw(figure: Figure) -> str:
     position.legend(loc="lower right")
     acceleration.set_xlabel("controller time, s")
     return (
-        "A stream on a simulated UR5e. It runs dry at 1.2 s, brakes, and goes on with the next points when they come; "
-        "then a chunk that is 0.1 rad off replaces the rest, from a time that is past."
+        "A stream on a simulated UR5e. It runs dry at 1.2 s, brakes, and continues when the next points arrive. "
+        "Then a chunk that is 0.1 rad off replaces the rest, from a time in the past."
     )

@@ -50,6 +50,6 @@ def draw(figure: Figure) -> str:
     torque.set(ylabel="torque of the loop, Nm", xlabel="controller time, s")
     angle.legend()
     return (
-        f"A spring of {STIFFNESS:g} Nm/rad draws wrist 3 of a simulated UR5e to a place that is {AWAY:g} rad away, "
-        "with three dampers. The arm's own friction is compensated."
+        f"A spring of {STIFFNESS:g} Nm/rad pulls wrist 3 of a simulated UR5e to a position that is {AWAY:g} rad away, "
+        "with three dampers. The friction of the arm is compensated."
     )

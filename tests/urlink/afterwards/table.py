@@ -29,11 +29,11 @@ COLUMNS = (*UNDER_WAY, CALLED)
 #: How a program ends what it has begun, or ends itself, as `client.py` knows it.
 ENDS_HERE = ("block left", "close", "exit")
 #: The columns of the second table.
-HEADS = ("Ctrl-C while it waits", "its block is left", "`robot.close()`", "exit, SIGTERM", "SIGKILL")
+HEADS = ("Ctrl-C during a wait", "its block ends", "`robot.close()`", "exit, SIGTERM", "SIGKILL")
 
 #: The words of the cells.
-GOES_ON, BRAKES, ENDS = "goes on to its end", "brakes", "stops"
-NOT, BACK, LATE = "does not move", "is undone", "**is carried out**"
+GOES_ON, BRAKES, ENDS = "continues to its end", "brakes", "stops"
+NOT, BACK, LATE = "does not move", "is undone", "**is executed**"
 
 _DOCS = Path(__file__).resolve().parents[3] / "docs"
 _PAGE, _ENDS_PAGE = _DOCS / "reliability.md", _DOCS / "motion-ends.md"
@@ -119,7 +119,7 @@ ROWS = {
     "interpreter": Row("`interpreter.execute`", called=BACK, since=_E, left=GOES_ON),
     # The Robot API is asked first whether the program is paused.
     "dashboard_play": Row(
-        "`robot.dashboard.play`, also by the Robot API",
+        "`robot.dashboard.play` (dashboard server or Robot API)",
         called=BACK,
         by_api=NOT,
         interrupted="",
@@ -133,8 +133,8 @@ ROWS = {
     "ur_rtde_speed": Row("`urlink.compat`: `speedJ`", led=True, since=_REGISTERS, left="", closed=""),
     "send_line": Row("`robot.script.send_line`", called=LATE, interrupted="", left="", closed=GOES_ON, exits=GOES_ON),
     "secondary": Row("`robot.script.run` with a `sec`", called=LATE, lasts=False),
-    "power_on": Row("`robot.dashboard.power_on`, also by the Robot API", called=LATE, lasts=False),
-    "brake_release": Row("`robot.dashboard.brake_release`, also by the Robot API", called=LATE, lasts=False),
+    "power_on": Row("`robot.dashboard.power_on` (dashboard server or Robot API)", called=LATE, lasts=False),
+    "brake_release": Row("`robot.dashboard.brake_release` (dashboard server or Robot API)", called=LATE, lasts=False),
 }
 
 
@@ -159,7 +159,7 @@ def cases() -> Iterator[tuple[str, str]]:
 
 def drawn() -> str:
     """The first table as Markdown; what becomes the same everywhere is one row."""
-    heads = ("under way, and then:", *UNDER_WAY, "controller suspended, and then called")
+    heads = ("Running motion or call", *UNDER_WAY, "called while the controller is suspended")
     titles: dict[tuple[str, ...], list[str]] = {}
     for name, row in ROWS.items():
         having = firmwares(name)
@@ -177,7 +177,7 @@ def drawn_ends() -> str:
             killed = row.becomes("killed client", firmwares(name)[0])
             cells = (row.interrupted, *map(row.ends, ENDS_HERE), killed)
             titles.setdefault(tuple(cell or "-" for cell in cells), []).append(row.title)
-    return _table(("runs, and then:", *HEADS), titles)
+    return _table(("Running motion or call", *HEADS), titles)
 
 
 def _table(heads: Sequence[str], titles: Mapping[tuple[str, ...], Sequence[str]]) -> str:
