@@ -99,7 +99,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: r.script.run(""), LocalError, "program"),
     (lambda r: r.script.run("movej(["), LocalError, "ends in the middle of a statement"),
     (lambda r: r.script.run(None), LocalError, "program"),
-    (lambda r: r.script.run("pick.script"), LocalError, "name of a file"),
+    (lambda r: r.script.run("pick.script"), LocalError, "is a file name"),
     (lambda r: r.script.run("programs/my pick.script"), LocalError, "pass pathlib.Path"),
     (lambda r: r.realtime.wait(timeout=True), LocalError, "timeout=True; expected a number of seconds"),
     (lambda r: r.realtime.wait("5"), LocalError, "timeout='5'; expected a number of seconds"),
@@ -200,7 +200,7 @@ def test_private_names_get_no_advice(robot: Any) -> None:
 @pytest.mark.parametrize("part", ["", "motion", "safety", "io"])
 def test_a_notebook_shows_the_robot_and_its_parts(robot: Any, part: str) -> None:
     shown = (getattr(robot, part) if part else robot)._repr_html_()
-    wanted = {"": "5.11", "motion": "move_joints", "safety": "let through", "io": "digital outputs"}[part]
+    wanted = {"": "5.11", "motion": "move_joints", "safety": "permitted", "io": "digital outputs"}[part]
     assert wanted in shown
     assert shown.count("<tr>") >= 2
 

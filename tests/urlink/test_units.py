@@ -100,7 +100,7 @@ CASES: dict[str, tuple[Callable[[Tried], object], str]] = {
     "set_tcp mm": (lambda t: t.robot.set_tcp([0, 0, 120, 0, 0, 0]), "position in tcp .* 120 m; .* 5 m " + IN_MM),
     "set_tcp degrees": (lambda t: t.robot.set_tcp([0, 0, 0.1, 0, 0, 45]), "rotation vector in tcp .*" + IN_DEGREES),
     "cog mm": (lambda t: t.robot.set_payload(1, [0, 0, 40]), "z of the payload's cog is 40 m; .* 1 m " + IN_MM),
-    "payload g": (lambda t: t.robot.set_payload(90.0), "mass is 90 kg; a UR5e or UR7e carries 7.5 kg at most$"),
+    "payload g": (lambda t: t.robot.set_payload(90.0), "mass is 90 kg; a UR5e or UR7e carries at most 7.5 kg$"),
     "payload 1500 g": (lambda t: t.robot.set_payload(1500.0), r"1500 kg; .* 100 kg \(in g\?\)$"),
     # joints
     "move_joints degrees": (lambda t: t.robot.motion.move_joints(Q_DEGREES), "the limits of a UR5e " + IN_DEGREES),

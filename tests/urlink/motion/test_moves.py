@@ -101,7 +101,7 @@ def test_what_begins_after_its_handle_has_failed_is_not_let_go_on(rehearsal: Cal
     robot = rehearsal(start_timeout=0.2)
     late = robot.motion.move_joints(HOME)
     robot.until(lambda: late.done)
-    with pytest.raises(LinkTimeout, match=r"not begun within 0\.2 s.*moves nothing if it begins later.*local control"):
+    with pytest.raises(LinkTimeout, match=r"not begin within 0\.2 s.*moves nothing if it begins later.*local control"):
         late.wait(0)
     robot.key("PROGRAM_XXX_STARTED", robot.program)
     robot.text(start_marker(robot.program))
@@ -133,7 +133,7 @@ def test_one_that_was_not_let_go_on_in_time_has_ended(robot: Rehearsal) -> None:
     robot.key("PROGRAM_XXX_STARTED", robot.program)
     robot.text(expiry_marker(robot.program))
     robot.key("PROGRAM_XXX_STOPPED", robot.program)
-    with pytest.raises(LinkTimeout, match=r"not let go on within 5 s, and has ended without moving the arm"):
+    with pytest.raises(LinkTimeout, match=r"got no start permission within 5 s, and has ended without moving the arm"):
         motion.wait(TIMEOUT)
 
 
@@ -372,7 +372,7 @@ def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
     robot.begin()
     robot.vanish()
     robot.until(lambda: motion.done)
-    with pytest.raises(ProgramStopped, match="before its end, from elsewhere"):
+    with pytest.raises(ProgramStopped, match="was stopped early by another client or a person"):
         motion.wait(TIMEOUT)
     assert motion.phase is Phase.FAILED
 

@@ -83,7 +83,7 @@ def test_a_trajectory_that_this_computer_answered_too_seldom_is_not_judged(each:
 def test_a_stream_that_could_not_begin_while_this_computer_was_held_up_is_not_judged(gap: float, state: str) -> None:
     arrivals = _PERIOD * np.arange(1, 301)
     arrivals[150:] += gap
-    ended = "NotRunning: the robot has said nothing on the primary interface for 1.0 s"
+    ended = "NotRunning: nothing arrived on the primary interface for 1.0 s"
     notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "starved", {"event": "begin"})]
     notes.append(Note(arrivals[-1], "starved", {"event": "end", "error": None, "ended": ended}))
     assert verdict("starved", evidence(np.zeros((300, 6)), notes, arrivals))[0] == state

@@ -20,7 +20,7 @@ from ..acceptance.requirements import from_file, requirements
 
 @command(
     "accept",
-    "prove a controller, and leave evidence",
+    "test a controller and record evidence",
     *address("?"),
     argument("--stage", type=int, action="append", choices=list(stages.STAGES), help="run this one; repeatable (all)"),
     argument("--yes", action="store_true", help="consent to the stages that --stage names"),

@@ -29,7 +29,7 @@ def _degrees(text: str) -> float:
 
 @command(
     "exercise",
-    "a slow motion to record",
+    "move the arm slowly, to record it",
     *ADDRESS,
     argument("--out", metavar="FILE", help="record it in this new file, for `urlink identify`"),
     argument("--swing", type=_degrees, default=17.0, metavar="DEG", help="degrees to either side, 6 to 45 (17)"),
@@ -100,7 +100,7 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
 
 @command(
     "compare",
-    "a recording beside the simulator",
+    "compare a recording with the simulator",
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--like", metavar="FILE", help="the arm, as urlink identify wrote it"),
     argument("--model", metavar="NAME", help="arm, if neither --like nor the recording says it"),
@@ -149,7 +149,7 @@ def _compare(args: argparse.Namespace) -> int:
 
 @command(
     "identify",
-    "what a recording tells of its arm",
+    "estimate the parameters of an arm from a recording",
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--model", metavar="NAME", help="arm, if the recording does not say it"),
     argument("--out", metavar="FILE", help="write what was found, for sim://...?like=FILE"),
