@@ -61,5 +61,5 @@ def refusal_hint(firmware: Firmware | None) -> str:
     ''
     """
     if firmware is None:
-        return f"from firmware {_SINCE} on, and on PolyScope X, {_WHERE}"
+        return f"on firmware {_SINCE} or later, and on PolyScope X, {_WHERE}"
     return f"on firmware {firmware} {_WHERE}" if firmware >= _SINCE else ""

@@ -314,7 +314,7 @@ def test_a_refused_connection_says_that_the_service_may_be_off() -> None:
             ):
                 with pytest.raises(ConnectFailed, match=where):
                     use()
-        with pytest.raises(ConnectFailed, match=r"from firmware 5\.17 on, and on PolyScope X, the service may"):
+        with pytest.raises(ConnectFailed, match=r"on firmware 5\.17 or later, and on PolyScope X, the service may"):
             urlink.connect(f"ur://127.0.0.1?primary={dead}&secondary={dead}")
 
 
