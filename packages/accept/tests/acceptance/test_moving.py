@@ -73,7 +73,7 @@ class LetsGo(OfTheSimulator):
 def test_letting_go_of_the_key_stops_the_arm(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         ended = tried(controller, tmp_path / "run.urlog", LetsGo(controller, 200))
-        assert ended == "stopped: the dead man's input was let go of"
+        assert ended == "stopped: the dead-man switch was released"
         assert np.abs(controller.arm.sample.qd_target).max() < 1e-3
     assert Evidence(tmp_path / "run.urlog").last("guard") is not None
 

@@ -218,7 +218,7 @@ def test_letting_go_of_the_switch_stops_it_and_no_other_joint_begins(tmp_path: P
         with (
             logbook,
             urlink.connect(controller.address) as robot,
-            pytest.raises(urlink.Cancelled, match="let go of"),
+            pytest.raises(urlink.Cancelled, match="was released"),
         ):
             swing(robot, logbook, lambda state: bool(state.qd_target.max() < 0.1), ask)
         assert len(asked) == 1
