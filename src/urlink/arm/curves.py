@@ -25,7 +25,7 @@ class Line:
         start: Pose at the beginning, in m and rad.
         end: Pose at the end, in m and rad.
         length: Length of the path of the tool centre, in m.
-        turn: Angle by which the tool turns on the path, in rad.
+        turn: Angle of the rotation of the tool on the path, in rad.
     """
 
     def __init__(self, start: Sequence[float], end: Sequence[float]) -> None:
@@ -41,7 +41,7 @@ class Line:
         return position + _rotated(self.start, self._rotation, part)
 
     def part(self, position: Sequence[float]) -> float:
-        """Return the fraction of the path, 0 to 1, at which the tool is closest to a position, shape (3,), in m."""
+        """Return the fraction of the path, 0 to 1, where the tool is closest to a position, shape (3,), in m."""
         if self.length == 0.0:
             return 0.0
         along = _dot(_minus(position[:3], self.start[:3]), self._way) / (self.length * self.length)
@@ -96,7 +96,7 @@ class Arc:
         return position + turned[3:]
 
     def part(self, position: Sequence[float]) -> float:
-        """Return the fraction of the path at which the tool is closest to a position."""
+        """Return the fraction of the path where the tool is closest to a position."""
         angle = self._angle_of(position)
         if angle > self._angle:
             # The position is beyond the end: use the closer one of both ends.

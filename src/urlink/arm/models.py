@@ -68,7 +68,7 @@ _AXES = (1, 0, 0, 1, 1, 2)
 class UnknownModel(LocalError, ValueError):
     """Error for a name that no arm in `MODELS` has."""
 
-    __module__ = "urlink"  # the module from which users import it, shown in tracebacks
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
 
 @dataclass(frozen=True, eq=False)

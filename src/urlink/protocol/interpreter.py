@@ -92,7 +92,7 @@ def parse_reply(line: str) -> Reply:
 
 
 class InterpreterProtocol:
-    """State of one connection, on which lines and replies alternate. There is no greeting.
+    """State of one connection. Lines and replies alternate, without a greeting.
 
     Attributes:
         is_greeted: Always True.

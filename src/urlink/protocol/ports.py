@@ -41,7 +41,7 @@ def interface_of(port: str) -> str:
 
 
 def service_of(host: str, port: int) -> Hashable:
-    """Return the key by which this process recognises a service."""
+    """Return the key that identifies a service within this process."""
     return host.casefold(), port
 
 

@@ -15,7 +15,7 @@ from urlink.arm.poses import rotvec_to_quaternion, rpy_to_rotvec
 from urlink.arm.urdf import LINKS, link_poses, to_urdf
 from urlink.tools import FloatArray, needs
 
-#: Link of a URDF -> frame of this library in which it is drawn. The vendor's base link for bodies is the controller's
+#: Link of a URDF -> frame of this library for drawing it. The vendor's base link for bodies is the controller's
 #: base.
 _FRAMES = {"base_link_inertia": "base_link", **{name: name for name in ("base_link", *LINKS, "tool0")}}
 _JOINTS_COLOUR = (93, 138, 168)

@@ -32,8 +32,8 @@ def refusal(host: str | None, origin: str | None, is_upgrade: bool, names: froze
     """Return the reason why a request is refused; None if it is allowed.
 
     Args:
-        host: Header Host of the request: the name under which the page was requested.
-        origin: Header Origin of the request: the page for which a browser sends it.
+        host: Header Host of the request: the requested name of the page.
+        origin: Header Origin of the request: the page that makes the browser send it.
         is_upgrade: Whether the request is for a WebSocket. A browser always sends an origin with it.
         names: Allowed names of the page. Another name may have been redirected to this computer (DNS rebinding). None
             allows every name.

@@ -30,7 +30,7 @@ _SAME = 1e-6
 class Unreachable(BadValue):
     """Error if a pose is out of reach: no joint positions move the tool to it."""
 
-    __module__ = "urlink"  # the module from which users import it, shown in tracebacks
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
 
 class Arm(StrictAttributes):

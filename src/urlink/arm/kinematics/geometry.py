@@ -123,7 +123,7 @@ class Geometry:
 
     Attributes:
         links: Six links.
-        is_nominal: Whether it is the published geometry, for which the closed forms are valid.
+        is_nominal: Whether it is the published geometry. Only then the closed forms are valid.
         lengths: Lengths in m. For a calibrated arm, those of the closest arm whose link twists are right angles.
         offsets: Offsets of the six joints, in rad; all zero for a published arm.
         rows: Offset, a, d, cosine and sine of alpha, cosine and sine of beta of each link, for `chain`.

@@ -48,14 +48,14 @@ from .protocol import (
 from .robot_api import RobotApi
 from .stored_programs import StoredProgram
 
-#: Interval, in seconds, at which to poll the robot mode while the arm starts.
+#: Interval for polling the robot mode while the arm starts, in seconds.
 _POLL = 0.2
 #: Maximum time, in seconds, from the command to switch off until the arm no longer runs.
 _OFF_WITHIN = 5.0
 #: Commands that do not wait while another thread waits for its reply.
 _STOPS = ("stop", "pause", "power off")
 
-# Beginning of the reply after which a controller requires a new connection.
+# Beginning of the reply that makes a new connection necessary.
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 

@@ -6,7 +6,7 @@ changed between generations. Therefore they are matched from their beginning, wi
 
 - Further commands that need remote control (`stop`, `pause`, `shutdown`, `power off`, `restart safety`), and the text
   of that refusal: reports of users of the e-Series.
-- The bare number by which a CB2 controller reports its mode: the vendor's older table and two public clients.
+- The mode as a bare number, from a CB2 controller: the vendor's older table and two public clients.
 - `No log message to add`, `Failed setting user role` and `Program loaded`: public clients that follow the vendor's
   older table.
 - `could not understand`: the vendor's own client expects this reply of a controller that does not have a command.
@@ -37,7 +37,7 @@ class DashboardRefused(RemoteError):
         reply: Reply of the controller, unchanged.
     """
 
-    __module__ = "urlink"  # the module from which users import it, shown in tracebacks
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
     def __init__(self, command: str, reply: str) -> None:
         super().__init__(command, reply)

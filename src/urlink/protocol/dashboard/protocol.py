@@ -97,7 +97,7 @@ def command_line(command: DashboardCommand, argument: str | None = None) -> str:
 
 
 class DashboardProtocol:
-    """State of one connection, on which commands and replies alternate after the greeting.
+    """State of one connection. After the greeting, commands and replies alternate.
 
     Attributes:
         is_greeted: Whether the greeting was received, so that commands can be sent.

@@ -18,7 +18,7 @@ from linkcore.wire.fields import OpenInt
 from ..ports import service_of
 from .protocol import GripperProtocol, get_line, set_line, value_of
 
-#: Interval, in seconds, at which to poll a moving gripper.
+#: Interval for polling a moving gripper, in seconds.
 _POLL = 0.02
 #: Stroke of the fingers of the 2F-85, in m.
 _STROKE = 0.085
@@ -45,7 +45,7 @@ class GripperFault(RemoteError):
         fault: Number of the fault; 0 if the gripper itself reports none.
     """
 
-    __module__ = "urlink"  # the module from which users import it, shown in tracebacks
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
     def __init__(self, text: str, fault: int = 0) -> None:
         super().__init__(text, fault)

@@ -83,7 +83,7 @@ def value_of(name: str, reply: str) -> int | None:
 
 
 class GripperProtocol:
-    """State of one connection, on which lines and replies alternate. There is no greeting.
+    """State of one connection. Lines and replies alternate, without a greeting.
 
     Attributes:
         is_greeted: Always True.

@@ -140,7 +140,7 @@ class UnnamedMessage12(RobotMessage):
 
 @packet(header=PACKAGE, type=20)
 class UnknownMessage(RobotMessage):
-    """Robot message for which this library has no layout. Its bytes are kept unchanged."""
+    """Robot message without a layout in this library. Its bytes are kept unchanged."""
 
     payload: bytes = wire(Raw(), "", "bytes after the common fields")
 
@@ -166,7 +166,7 @@ class ProgramStateMessage(State):
 
 @packet(header=PACKAGE)
 class OtherPackage(State):
-    """Package for which this library has no layout (5, 22, 23, ...). Its bytes are kept unchanged."""
+    """Package without a layout in this library (5, 22, 23, ...). Its bytes are kept unchanged."""
 
     payload: bytes = wire(Raw(), "", "bytes after the header")
 

@@ -303,7 +303,7 @@ class SingularityInfo(SubPackage):
 
 @packet(header=PACKAGE)
 class UnknownSubPackage(SubPackage):
-    """Sub-package for which this library has no layout. Its bytes are kept unchanged."""
+    """Sub-package without a layout in this library. Its bytes are kept unchanged."""
 
     payload: bytes = wire(Raw(), "", "bytes after the header")
 

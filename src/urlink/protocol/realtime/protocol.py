@@ -57,14 +57,14 @@ class RealtimeBoundary:
         self.head = b""
         # Unpacked only when a lost boundary is searched.
         self.last: bytes | bytearray = b""
-        #: Number of bytes from the position of the last search in which no header continues the time.
+        #: Number of bytes from the position of the last search without a header that continues the time.
         self._judged = 0
 
     def __str__(self) -> str:
         return REALTIME_INTERFACE
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        """In step, all packets have one size, so it is enough to check the header of each packet."""
+        """Check only the header of each packet, because all packets have one size in step."""
         size = self.size
         if not self.last:
             return []

@@ -71,7 +71,7 @@ class RtdeRefused(RemoteError):
         names: Refused variables; empty if the controller does not name them.
     """
 
-    __module__ = "urlink"  # the module from which users import it, shown in tracebacks
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
     def __init__(self, text: str, names: tuple[str, ...] = ()) -> None:
         super().__init__(text, names)
@@ -84,13 +84,13 @@ class RtdeRefused(RemoteError):
 class NoSuchVariable(RtdeRefused):
     """Error if the controller does not have a variable: it replied NOT_FOUND, or an unknown type."""
 
-    __module__ = "urlink"  # the module from which users import it, shown in tracebacks
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
 
 class InputInUse(RtdeRefused):
     """Error if another client or a fieldbus holds an input: the controller replied IN_USE."""
 
-    __module__ = "urlink"  # the module from which users import it, shown in tracebacks
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:

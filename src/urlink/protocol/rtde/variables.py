@@ -67,7 +67,7 @@ class Variable(NamedTuple):
 
 
 def shape_of(variable: Variable | None, type: str) -> Shape:
-    """Return the shape of a variable for which a controller reports this type.
+    """Return the shape of a variable with this type, as the controller reports it.
 
     The numbers are converted to their meaning if the type is that of the table. If `variable` is None, it is unknown.
 
@@ -93,7 +93,7 @@ def _registers(direction: str, first: str, evidence: Evidence) -> Iterator[Varia
         name = f"{direction}_bit_registers{low}_to_{high}"
         yield Variable(name, "UINT32", "bits", f"{whose}s, bits {low} to {high}", Since(first), evidence)
     for number in range(64, 128):
-        # TestCommUR has UINT32 here. The UR Client Library, and the controllers on which it is tested, have BOOL.
+        # TestCommUR has UINT32 here. The UR Client Library, and the controllers of its tests, have BOOL.
         name = f"{direction}_bit_register_{number}"
         yield Variable(name, "BOOL", "", f"{whose}, bit {number}", Since("3.9/5.3"), "vendor")
     for kind, type in (("int", "INT32"), ("double", "DOUBLE")):

@@ -96,7 +96,7 @@ class _Joined(NamedTuple):
     Attributes:
         own: Indices on the real-time interface, shape (n,).
         other: Indices on the other interface, shape (n,).
-        offset: Time in s by which the clock of the other interface is ahead; None if no values show it.
+        offset: Lead of the clock of the other interface, in s; None if no values show it.
     """
 
     own: NDArray[np.intp]
@@ -124,7 +124,7 @@ def _join(evidence: Evidence, which: str) -> _Joined:
 
 
 def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float | None:
-    """Return the time in s by which the other clock is ahead, from values that both interfaces have sent."""
+    """Return the lead of the other clock in s, from values that both interfaces have sent."""
     for each in _FIELDS:
         if each.realtime not in _KEYS:
             continue
@@ -146,7 +146,7 @@ def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float
 
 
 def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
-    """Return the same time from the smallest delays, if no values change, rounded to a cycle."""
+    """Return the same lead from the smallest delays, if no values change, rounded to a cycle."""
     packets: Came = getattr(evidence, which)
     ahead = float((evidence.realtime.arrived - own).min() - (packets.arrived - other).min())
     assert evidence.firmware is not None

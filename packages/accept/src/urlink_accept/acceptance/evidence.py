@@ -57,7 +57,7 @@ class Wire:
         interface: Name of the interface: "realtime", "primary", ... or "reverse".
         is_beside: Whether another connection to the interface was already open.
         is_sent: Whether these are the sent bytes rather than the received bytes.
-        chunks: Bytes, with the time at which they were received or sent.
+        chunks: Bytes, with the time when they were received or sent.
     """
 
     interface: str

@@ -34,7 +34,7 @@ from .requirements import Check, Measured, NotTried, counted
 #: Queries that are not sent to the dashboard: one ends the connection, the other would identify the arm.
 _NOT_ASKED = ("quit", "get serial number")
 _TIMEOUT = 5.0
-#: Interval in s at which to check the clock.
+#: Interval between checks of the clock, in s.
 _STEP = 0.01
 #: Kinds of evidence for a release in the table of variables that a controller without the variable contradicts.
 _BACKED = ("vendor", "drivers")
@@ -63,7 +63,7 @@ def listen(robot: Robot, place: RobotAddress, book: Logbook, seconds: float) -> 
 
 
 def _wait(seconds: float) -> float:
-    """Wait in short steps; return the largest delay with which this thread was woken, in s."""
+    """Wait in short steps; return the largest wake-up delay of this thread, in s."""
     until, worst = clock.now() + seconds, 0.0
     while (left := until - clock.now()) > 0.0:
         due = clock.now() + min(left, _STEP)

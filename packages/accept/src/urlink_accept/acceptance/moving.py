@@ -21,12 +21,12 @@ from .logbook import Logbook
 from .person import Person, is_held_by
 from .standing import Told, try_each
 
-#: Joint that moves; its motion and the distance at which it is stopped in rad; speed in rad/s, acceleration in rad/s².
+#: Joint that moves; its motion and its stopping limit in rad; speed in rad/s, acceleration in rad/s².
 WRIST, SWING, BOX, SPEED, _ACCELERATION = 5, 0.05, math.radians(5.5), 0.3, 3.0
 #: Time in s of the trajectory at a slider of 100 %, watchdog of a starved stream, and time for which this program is
 #: frozen.
 FOLLOWED, WATCHDOG, _FROZEN = 1.0, 0.2, 1.0
-#: Slow slider, and sliders at which a trajectory is followed.
+#: Slow slider, and sliders for following a trajectory.
 _SLOW, _SLIDERS = 0.1, (1.0, 0.5, 0.1)
 _SOON, _LONG = 5.0, 40.0
 

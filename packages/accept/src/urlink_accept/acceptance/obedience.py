@@ -21,7 +21,7 @@ HELD_UP, _QUICK = 0.1, 0.05
 
 
 def span(evidence: Evidence, step: str) -> tuple[float, float]:
-    """Return the monotonic times in s at which a step began and ended.
+    """Return the monotonic start and end times of a step, in s.
 
     Raises:
         NotTried: If the step was not tried.

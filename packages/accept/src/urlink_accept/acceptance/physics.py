@@ -18,7 +18,7 @@ from .requirements import Check, Measured, NotTried, counted
 
 #: Speed in rad/s below which an arm is at rest, and above which its velocities can be judged.
 _STANDS, _MOVES = 1e-3, 0.02
-#: Moment in Nm from which a current has the direction of the moment, whatever the friction.
+#: Moment in Nm above which the current has the direction of the moment despite friction.
 _HEAVY = 5.0
 _GRAVITY = 9.82
 #: Fraction of the acceleration at rest along the axis of the base of an upright arm.

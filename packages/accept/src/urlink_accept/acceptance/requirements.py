@@ -37,7 +37,7 @@ class Requirement:
 
     Attributes:
         name: Name, used in tests, reports and your own files.
-        stage: Stage of the test in which it is tried.
+        stage: Stage of the test that tries it.
         what: Description of the measured value.
         limit: Largest value that is held.
         unit: Unit of the limit; "" for a count or a ratio.

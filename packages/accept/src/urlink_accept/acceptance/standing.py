@@ -22,7 +22,7 @@ _REGISTER = "input_int_register_46", "input_int_register_22"
 _ECHOES = 10
 #: Maximum time in s for an immediate reaction of the controller; maximum time in s for any reaction.
 _SOON, _LONG = 5.0, 20.0
-#: Time in s for which a client does not read.
+#: Time in s without reading by a client.
 _SILENT = 2.0
 #: Changes of the slider, the tool and the payload, which are restored later.
 _SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1

@@ -44,14 +44,14 @@ _FACTOR = 1.5
 _WRIST_3 = 0.1
 #: Relative tolerance at the ends of an interval, for the fit of a noise-free arm, whose interval has no width.
 _ROUNDING = 1e-6
-#: Number of digits to which the residual of a fit is rounded. Further digits differ between computers.
+#: Number of digits for rounding the residual of a fit. Further digits differ between computers.
 _DIGITS = 9
 
 _SHOWS_ARM = Firmware(3, 0)
 
 
 def _step_of(joint: int) -> str:
-    """Return the name of the step in which a joint swings, for example "swing-wrist-1"."""
+    """Return the step name of the swing of a joint, for example "swing-wrist-1"."""
     return f"swing-{JOINTS[joint].replace(' ', '-')}"
 
 
@@ -142,7 +142,7 @@ class _Swings:
         joints: Numbers of the joints.
         packets: Packets of the real-time interface during the stage.
         away: Distance of each joint from its position at the beginning of the stage, shape (n, 6), in rad.
-        spans: Number of a joint -> monotonic times at which its swing began and ended, in s.
+        spans: Number of a joint -> monotonic start and end times of its swing, in s.
     """
 
     def __init__(self, evidence: Evidence) -> None:

@@ -78,7 +78,7 @@ class _Moved:
 
 
 def _messages(evidence: Evidence, begin: float, end: float) -> list[float]:
-    """Return the times at which set-points were sent to a program that reads them, in s."""
+    """Return the times of set-points that were sent to a program, in s."""
     chunks = (at for wire in evidence.wires if wire.is_sent and wire.interface == "reverse" for at, _ in wire.chunks)
     return sorted(at.monotonic for at in chunks if begin <= at.monotonic <= end)
 

@@ -19,7 +19,7 @@ from urlink.tools import ArmFile, FloatArray, Progress, unseen
 
 from .samples import COLUMNS, Samples
 
-#: Maximum deviation of the targets of a movement, in rad, for which it counts as the same command.
+#: Maximum deviation of the targets of a movement, in rad, to count as the same command.
 _SAME = 0.1
 #: Compared quantities, with their units.
 QUANTITIES = {"target_q": "rad", "target_moment": "Nm", "target_current": "A", "actual_q": "rad", "actual_current": "A"}
@@ -109,7 +109,7 @@ def _run(samples: Samples, like: ArmFile, begin: int, end: int) -> tuple[Movemen
             continue
         span = np.arange(moving[0], moving[-1] + 1)
         columns = {name: np.array(each) for name, each in shown.items()}
-        # Time at which the leading joint is at its recorded position.
+        # Time when the leading joint is at its recorded position.
         reached = np.interp(way * q[rows, lead], way * columns["target_q"][span, lead], span)
         at = np.clip(np.round(reached).astype(int), moving[0], moving[-1])
         late = (reached - reached[0]) / controller.firmware.rate - (times[rows] - times[rows[0]])

@@ -15,7 +15,7 @@ from .samples import Samples
 _SETTLING = 0.3
 #: Minimum number of rows of a rest that can be used.
 _ROWS = 8
-#: Maximum time in s between two rows at which a ramp of 0.16 s is visible.
+#: Maximum time in s between two rows that still show a ramp of 0.16 s.
 _FINE = 0.05
 
 
