@@ -112,8 +112,8 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
 )
 def _compare(args: argparse.Namespace) -> int:
     """Run the motions of a recording on the simulator, and print the differences: for each movement between two rests
-    the additional time of the simulator, and for each quantity the root mean square by joint. The exit status is 1 if a
-    movement differs by more than --tolerance seconds, so the command can serve as a regression test of a cell.
+    the additional time of the simulator, and for each quantity the root mean square by joint. The exit status is 1 if
+    a movement differs by more than --tolerance seconds, so the command can serve as a regression test of a cell.
 
     A recording does not contain commands, so each movement is run as the movej or movel that fits its targets.
 
@@ -160,10 +160,10 @@ def _compare(args: argparse.Namespace) -> int:
     argument("--json", action="store_true", help="print one object per line: name, joint, value, low, high, needs"),
 )
 def _identify(args: argparse.Namespace) -> int:
-    """Identify an arm from a recording of its motion: calibration, payload, rotor inertias, torque constants, friction,
-    lag, the ramp of programs, noise. Each number has the interval that contains it with 99 %. If the recording does not
-    show a number, the motion that would show it is named. With the file that --out writes, the simulator behaves like
-    that arm: sim://ur5e?like=arm.json.
+    """Identify an arm from a recording of its motion: calibration, payload, rotor inertias, torque constants,
+    friction, lag, the ramp of programs, noise. Each number has the interval that contains it with 99 %. If the
+    recording does not show a number, the motion that would show it is named. With the file that --out writes, the
+    simulator behaves like that arm: sim://ur5e?like=arm.json.
 
     RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), a table
     of RTDE variables as `urlink rtde --csv` prints it, or a bundle of `urlink accept` (.zip) with its stage 3.
