@@ -108,7 +108,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: r.kinematics.inverse(POSE[:3], Q), LocalError, "must be 6 finite numbers"),
     (lambda r: r.record("run.csv"), LocalError, "record a .urlog"),
     (lambda r: urlink.connect("192.168.56.101:30003"), LocalError, "30003"),
-    (lambda r: urlink.connect("sim://ur7"), LocalError, "known are"),
+    (lambda r: urlink.connect("sim://ur7"), LocalError, "expected one of"),
     (lambda r: urlink.connect("sim://", timeout=True), LocalError, "timeout is True; expected a number"),
     (lambda r: urlink.connect(""), LocalError, "address"),
     (lambda r: urlink.load("no such file.urlog"), LocalError, "no such file"),

@@ -94,7 +94,7 @@ REFUSED: list[tuple[list[Waypoint], str]] = [
         r"waypoint 1: blends of 0.06 m at its beginning and 0.05 m at its end do not fit on a way of 0.1 m",
     ),
     ([Joint(READY, blend=0.01), Linear(moved(z=0.1))], "do not fit on a way of 0 m"),
-    ([Circular(moved(z=0.05), moved(z=0.1))], "waypoint 0: .* on no circle"),
+    ([Circular(moved(z=0.05), moved(z=0.1))], "waypoint 0: .* are on a straight line"),
 ]
 
 
@@ -397,7 +397,7 @@ def test_a_circle_is_measured_along_it(robot: Rehearsal) -> None:
 
 @pytest.mark.simulated_time
 def test_points_in_a_row_are_no_circle(robot: Rehearsal) -> None:
-    with pytest.raises(BadValue, match="no circle"):
+    with pytest.raises(BadValue, match="are on a straight line"):
         robot.motion.move_circular(shifted(robot.pose, 0, 0.1, 0), shifted(robot.pose, 0, 0.2, 0))
     assert robot.sent == []
 

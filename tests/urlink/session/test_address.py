@@ -108,8 +108,8 @@ def test_recordings(text: str, path: str, rate: float) -> None:
         ("sim://?motion=dance", "motion='dance'; expected still or demo"),
         ("sim://?motion=", "motion=''; expected still or demo"),
         ("sim://?firmware=new", "'new' is not a version"),
-        ("sim://?firmware=0.1", "nothing is known of firmware 0.1"),
-        ("sim://?firmware=6.1", "nothing is known of firmware 6.1"),
+        ("sim://?firmware=0.1", "unknown firmware 0.1"),
+        ("sim://?firmware=6.1", "unknown firmware 6.1"),
         (
             "sim://?firmware=99.1",
             "no controller has firmware 99.1; expected 1.x up to 1.8, 3.x up to 3.15, 5.x or 10.x",

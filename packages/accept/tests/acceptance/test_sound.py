@@ -154,7 +154,7 @@ def test_an_arm_that_was_not_seen_to_stand_is_not_judged_where_nothing_came(gap:
 def test_a_stage_in_which_no_packet_came_is_not_judged(name: str) -> None:
     notes = [Note(0.0, "stage", {"number": 2}), Note(9.0, "moving", {"start": [0.0] * 6, "slider": 0.1})]
     of = evidence(np.zeros((400, 6)), notes)
-    assert verdict(name, of) == ("not tried", "no packet of the real-time interface came")
+    assert verdict(name, of) == ("not tried", "no packet of the real-time interface arrived")
 
 
 @pytest.mark.parametrize("count", [8, 20])
@@ -166,5 +166,5 @@ def test_swings_of_which_few_packets_came_tell_nothing(count: int) -> None:
     for state in of.realtime.states:
         for field in COLUMNS.values():
             state.__dict__.setdefault(field, None)
-    expected = f"nothing is told by it: the logbook: {count} rows; 30 or more are expected"
+    expected = f"the recording shows nothing: the logbook has {count} rows; expected 30 or more"
     assert verdict("swing-moments", of) == ("not tried", expected)
