@@ -58,7 +58,9 @@ def test_single_elements_are_plotted(run: urlink.Recording) -> None:
 
 def test_list_of_names_is_refused_with_a_hint(run: urlink.Recording) -> None:
     fields: list[str] = ["q_actual"]
-    with pytest.raises(urlink.BadValue, match=r"field \['q_actual'\] is not a string; expected each name as an argument"):
+    with pytest.raises(
+        urlink.BadValue, match=r"field \['q_actual'\] is not a string; expected each name as an argument"
+    ):
         run.plot(fields)  # type: ignore[arg-type]
 
 
@@ -66,7 +68,7 @@ def test_recording_and_tables_name_their_columns(run: urlink.Recording) -> None:
     held: Any = run
     with pytest.raises(AttributeError, match=r"write recording.realtime\['q_actual'\]"):
         held.actual_q  # noqa: B018
-    with pytest.raises(AttributeError, match=r"it is a column, write table\['q_actual'\]"):
+    with pytest.raises(AttributeError, match=r"it is a column; write table\['q_actual'\]"):
         held.realtime.q_actual  # noqa: B018
 
 
