@@ -318,7 +318,7 @@ async def test_closing_ends_loops_and_does_not_wait_for_a_connection() -> None:
 async def test_other_threads_wait_send_and_abort_and_the_loop_is_refused() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         threaded, connection = stream.stream, stream.stream._connection
-        with pytest.raises(LocalError, match=r"thread of the event loop.*await it"):
+        with pytest.raises(LocalError, match=r"thread of the event loop.*await the call instead"):
             threaded.start()
         waiting = asyncio.create_task(asyncio.to_thread(threaded.wait, SOON))
         writer = await peer.accepted()
