@@ -226,7 +226,7 @@ def test_a_plugin_that_does_not_come_back_is_named_by_close() -> None:
     assert host._thread is not None
     waited: list[float | None] = []
     host._thread.join = waited.append  # type: ignore[assignment]
-    with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not answer"):
+    with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not respond"):
         host.close()
     assert waited == [10.0]
     Hangs.released.set()

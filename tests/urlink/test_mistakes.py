@@ -35,7 +35,7 @@ Try = Callable[[Any], object]
 #: (what is tried, kind of error, part of its message)
 MISTAKES: list[tuple[Try, type[Exception], str]] = [
     # names of URScript, ur_rtde and urx
-    (lambda r: r.motion.movej(Q), AttributeError, r"here it is: robot.motion.move_joints\(q\)"),
+    (lambda r: r.motion.movej(Q), AttributeError, r"equivalent here: robot.motion.move_joints\(q\)"),
     (lambda r: r.motion.movel(POSE), AttributeError, "move_linear"),
     (lambda r: r.motion.movec(POSE, POSE), AttributeError, "move_circular"),
     (lambda r: r.motion.movep(POSE), AttributeError, r"robot.motion.path\("),
@@ -165,18 +165,18 @@ def test_other_interfaces_names_are_answered() -> None:
         outputs: Any = held.rtde.outputs("actual_q")
         realtime, primary = held.realtime.wait(), held.primary.wait()
         for owner, name, hint in (
-            (realtime, "actual_q", "RealtimeState has no 'actual_q'; here it is: q_actual"),
-            (realtime, "actual_TCP_pose", "here it is: tool_vector_actual"),
-            (realtime, "T_motor", "here it is: motor_temperatures"),
-            (realtime, "tcp", "here it is: tool_vector_actual"),
-            (primary, "q_actual", "RobotState has no 'q_actual'; here it is: joint_data.q_actual"),
-            (primary.joint_data, "actual_q", "JointData has no 'actual_q'; here it is: q_actual"),
-            (outputs.wait(), "q_actual", "Outputs has no 'q_actual'; here it is: actual_q"),
-            (outputs, "q_actual", r"its packets have it: wait\(\).actual_q"),
+            (realtime, "actual_q", "RealtimeState has no 'actual_q'; equivalent here: q_actual"),
+            (realtime, "actual_TCP_pose", "equivalent here: tool_vector_actual"),
+            (realtime, "T_motor", "equivalent here: motor_temperatures"),
+            (realtime, "tcp", "equivalent here: tool_vector_actual"),
+            (primary, "q_actual", "RobotState has no 'q_actual'; equivalent here: joint_data.q_actual"),
+            (primary.joint_data, "actual_q", "JointData has no 'actual_q'; equivalent here: q_actual"),
+            (outputs.wait(), "q_actual", "Outputs has no 'q_actual'; equivalent here: actual_q"),
+            (outputs, "q_actual", r"it is a field of the packets: use wait\(\).actual_q"),
             (outputs, "qd_actual", r"request it with robot.rtde.outputs\('actual_qd'\)"),
-            (held.realtime, "q_actual", r"its packets have it: wait\(\).q_actual"),
-            (held.realtime, "actual_q", r"its packets have it: wait\(\).q_actual"),
-            (held.primary, "q_actual", r"its packets have it: wait\(\).joint_data.q_actual"),
+            (held.realtime, "q_actual", r"it is a field of the packets: use wait\(\).q_actual"),
+            (held.realtime, "actual_q", r"it is a field of the packets: use wait\(\).q_actual"),
+            (held.primary, "q_actual", r"it is a field of the packets: use wait\(\).joint_data.q_actual"),
             (held, "actual_q", r"robot.realtime.wait\(\).q_actual, or robot.rtde.outputs\('actual_q'\)"),
             (held.dashboard, "poweron", r"robot.dashboard.power_on\(\)"),
             (held.kinematics, "ik", "robot.kinematics.inverse"),

@@ -122,7 +122,7 @@ def test_options_of_playing_need_a_rate(run: Run, recording: Path) -> None:
 def test_interface_that_was_not_recorded(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording), "--rate", "max", "--interface", "secondary")
     assert (status, out) == (1, "")
-    assert "holds no secondary; it holds realtime, primary" in err
+    assert "contains no secondary; it contains realtime, primary" in err
 
 
 def test_unknown_field(run: Run, recording: Path) -> None:

@@ -164,7 +164,7 @@ def test_a_statement_that_was_given_up_is_taken_back(
     with robot.interpreter() as interpreter:
         interpreter.execute(movej(HOME), wait=True)
         controller.faults.stall(1.0, "interpreter")
-        with pytest.raises(LinkTimeout, match="it may still be carried out"):
+        with pytest.raises(LinkTimeout, match="it might still be executed"):
             interpreter.execute(movej(AWAY, 0.2))
         assert robot._commanded()._undos.settle(TIMEOUT)
         until(lambda: max(map(abs, controller.arm.setpoint.qd)) == 0.0)

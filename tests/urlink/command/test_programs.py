@@ -522,7 +522,7 @@ def test_from_a_file(robot: ScriptedController, tmp_path: Path) -> None:
 
 def test_waiting_has_an_end(robot: ScriptedController) -> None:
     program = run(robot)
-    with pytest.raises(LinkTimeout, match=r"is sent, and not over within 0\.01 s"):
+    with pytest.raises(LinkTimeout, match=r"has not ended within 0\.01 s, and continues; its phase is sent"):
         program.wait(0.01)
     assert not program.done
     robot.clear()

@@ -268,9 +268,9 @@ def test_fingers_of_a_command_that_was_given_up_are_stopped(
 ) -> None:
     replies = {"GET STA": b"STA 3\n"}
     gripper = answering(replies)
-    with pytest.raises(LinkTimeout, match="it may still be carried out"):
+    with pytest.raises(LinkTimeout, match="it might still be executed"):
         gripper.set(POS=255, GTO=1)
-    with pytest.raises(LinkTimeout, match="'gripper' was given up before"):
+    with pytest.raises(LinkTimeout, match="the abandoned command 'gripper' might still"):
         gripper.set(SPE=9)
     replies.update({"SET GTO 0": b"ack\n", "SET SPE 9": b"ack\n"})
     assert gripper._undos.settle(10.0)

@@ -136,7 +136,7 @@ def test_nonsense_is_refused(robot: urlink.Robot, call: Callable[[urlink.Robot],
 
 def test_a_line_that_is_not_enabled_answers_nothing_and_says_how_much_came(robot: urlink.Robot) -> None:
     with pytest.raises(
-        urlink.LinkTimeout, match=r"only 0 of 7 bytes arrived within 0\.2 s; it may still be carried out"
+        urlink.LinkTimeout, match=r"only 0 of 7 bytes arrived within 0\.2 s; it might still be executed"
     ):
         robot.tool_serial.ask(STATUS, 7, timeout=0.2)
     robot.io.set_tool_communication()

@@ -179,7 +179,7 @@ def test_a_recording_without_the_interface_says_so_at_once(tmp_path: Path) -> No
         robot.primary.wait()
     with urlink.connect(f"replay://{tmp_path}/run.urlog?rate=max") as replayed:
         assert (str(replayed.firmware), replayed.model) == ("3.4", "UR5")
-        with pytest.raises(BadRecording, match="holds no realtime; it holds primary"):
+        with pytest.raises(BadRecording, match="contains no realtime; it contains primary"):
             replayed.realtime  # noqa: B018
         assert list(replayed.primary)
 
