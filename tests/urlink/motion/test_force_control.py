@@ -184,7 +184,7 @@ def test_what_makes_no_sense_is_refused_before_anything_is_sent(made: Callable[[
         ("1.8", "force mode is used from firmware 3.0", lambda robot: press(robot)),
         ("1.8", "freedrive is used from firmware 3.0", lambda robot: robot.freedrive()),
         ("1.8", "no zero", lambda robot: robot.zero_force_sensor()),
-        ("3.1", "cannot do this: 3.3", lambda robot: robot.motion.until_contact([0, 0, 1])),
+        ("3.1", "cannot move until contact; 3.3 or later", lambda robot: robot.motion.until_contact([0, 0, 1])),
         (
             "3.4",
             "takes no damping",

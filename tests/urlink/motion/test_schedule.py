@@ -396,5 +396,5 @@ class TestServo:
                 servo.send(HOME)
                 with pytest.raises(LocalError, match=message):
                     servo.schedule(HOME, at=robot.time + 1)
-        with pytest.raises(LocalError, match="led by its own clock"):
+        with pytest.raises(LocalError, match="follows its own clock"):
             robot.motion.follow(Trajectory.from_arrays([0, 1], [HOME, turned(0.1)]), low_bandwidth=True, delay=0.02)

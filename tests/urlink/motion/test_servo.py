@@ -530,7 +530,7 @@ def test_what_is_heard_in_time_is_why_nothing_can_be_sent(rehearsal: Callable[..
 def test_firmware_without_these_registers(rehearsal: Callable[..., Rehearsal]) -> None:
     for firmware, arm in (("1.8", "UR5"), ("3.8", "UR5"), ("5.2", "UR5e")):
         robot = rehearsal(firmware, arm)
-        with pytest.raises(LocalError, match=r"has no input registers for this \(3\.9 and 5\.3"):
+        with pytest.raises(LocalError, match=r"does not have the registers for link='rtde'; 3\.9, 5\.3 or later"):
             robot.motion.servo(link="rtde")
         assert robot.sent == []
 

@@ -255,7 +255,7 @@ def test_what_is_refused(connect: Callable[..., Robot]) -> None:
         old.motion.stream()
     with (
         urlink.connect("sim://ur5?firmware=3.8") as old,
-        pytest.raises(LocalError, match=r"3\.9 and 5\.3 are the first"),
+        pytest.raises(LocalError, match=r"3\.9, 5\.3 or later is required"),
     ):
         old.motion.stream(link="rtde")
     with urlink.connect("sim://ur5?firmware=3.1") as old, pytest.raises(LocalError, match=r"3\.4 is the first"):
