@@ -69,7 +69,7 @@ def test_before_its_block_nothing_is_told(robot: Rehearsal) -> None:
         stream.wait_until_dry,
     ]
     for call in calls:
-        with pytest.raises(LocalError, match="is told something within its block"):
+        with pytest.raises(LocalError, match="is not open; use it within its block"):
             call()
 
 

@@ -436,7 +436,7 @@ def test_the_link_is_cut(robot: Rehearsal) -> None:
         robot.link.close()
         robot.text("urlink: the link ended")
         until(lambda: servo.done)
-        with pytest.raises(ConnectionLost, match="brakes by itself"):
+        with pytest.raises(ConnectionLost, match="brakes on its own"):
             servo.send(HOME)
 
 
@@ -510,7 +510,7 @@ def test_the_registers_cannot_be_written_any_more(
         # The arm brakes by itself, and nobody says why.
         robot.time += 1.1
         robot.until(lambda: servo.done)
-        with pytest.raises(ConnectionLost, match="it brakes by itself: cut"):
+        with pytest.raises(ConnectionLost, match="it brakes on its own: cut"):
             servo.send(HOME)
 
 
