@@ -293,7 +293,7 @@ def test_a_dialogue_that_cannot_go_on(talk: Talk, failure: Exception) -> None:
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ("urlink: cannot connect", ConnectFailed, "absent: it reported that the connection was refused"),
+        ("urlink: cannot connect", ConnectFailed, "absent: it reported that it was refused"),
         ("urlink: the link ended", ConnectionLost, "reported that its connection ended"),
         (
             "urlink: nothing to go to",

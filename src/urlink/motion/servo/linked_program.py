@@ -283,7 +283,7 @@ class LinkedProgram:
         error: LinkError
         if text.startswith(links.NO_CONNECTION):
             assert self._link is not None
-            error = self._link.absence("it reported that the connection was refused or that there is no route")
+            error = self._link.absence("it reported that it was refused, or found no route")
         elif text.startswith(links.LINK_ENDED):
             error = ConnectionLost("the program on the robot reported that its connection ended; it brakes on its own")
         elif text.startswith(links.STARVED):
