@@ -633,10 +633,10 @@ def test_what_a_group_refuses() -> None:
         group = urlink.Group(one, two)
         assert repr(group) == "<Group of sim://ur5e, sim://ur5e>"
         here = one.realtime.wait().q_target
-        with pytest.raises(BadValue, match="1 goals for a group of 2"):
+        with pytest.raises(BadValue, match="got 1 goals for a group of 2"):
             group.move_joints([here])
         path = Trajectory.from_arrays([0, 1], [here, here + 0.1])
-        with pytest.raises(BadValue, match="3 trajectories for a group of 2"):
+        with pytest.raises(BadValue, match="got 3 trajectories for a group of 2"):
             group.follow([path] * 3)
         with pytest.raises(BadValue, match="is not a Trajectory"):
             group.follow([path, None])  # type: ignore[list-item]
