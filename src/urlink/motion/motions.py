@@ -148,7 +148,7 @@ class Motions(StrictAttributes):
     def move_circular(
         self, via: Numbers, to: Numbers, speed: float = 0.25, acceleration: float = 1.2, *, wait: bool | float = False
     ) -> Motion:
-        """Move the tool on the circle through one pose to another one, both in the base frame (`movec`).
+        """Move the tool on the circle through one pose to another, in the base frame (`movec`).
 
         Args:
             via: Pose on the arc, shape (6,): position in m, and rotation vector in rad. Its orientation has no effect.
@@ -181,11 +181,12 @@ class Motions(StrictAttributes):
         joint_acceleration: float = 1.4,
         wait: bool | float = False,
     ) -> PathMotion:
-        """Move through several waypoints in one motion, without a stop at waypoints that have a blend.
+        """Move through several waypoints in one motion.
 
-        The path is checked before it is sent, starting at the current position of the arm. Every point of a line or an
-        arc must be reachable on the current branch of the arm, within the limits of the joints. No joint may get too
-        fast, and blends must not overlap. Corners are checked as if they had no blends. Collisions are not checked.
+        The arm rounds the corner at a waypoint with a blend, without a stop. The path is checked before it is sent,
+        starting at the current position of the arm. Every point of a line or an arc must be reachable on the current
+        branch of the arm, within the limits of the joints. No joint may get too fast, and blends must not overlap.
+        Corners are checked as if they had no blends. Collisions are not checked.
 
         The check needs the model of the arm (firmware 1.8 or later). If the model is unknown, only the numbers are
         checked.
@@ -260,7 +261,9 @@ class Motions(StrictAttributes):
         link: LinkName = "reverse",
         wait: bool | float = False,
     ) -> Motion:
-        """Move the tool at a speed in the base frame, and brake after `duration` (`speedl`); see `speed_joints`.
+        """Move the tool at a speed in the base frame, and brake after `duration` (`speedl`).
+
+        For the details, see `speed_joints`.
 
         Args:
             xd: Speed of the tool in m/s, and rotation about the three axes in rad/s, shape (6,).
@@ -276,10 +279,11 @@ class Motions(StrictAttributes):
 
     @starts_motion
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
-        """Brake all joints with `acceleration`, in rad/s² (`stopj`). It finishes when the arm is at rest.
+        """Brake all joints with `acceleration`, in rad/s² (`stopj`).
 
-        This is an ordinary stop by the controller's program. It does not replace the emergency stop. It is sent even if
-        `safety.enable()` was not called. During a safety stop it is refused, because the arm is then at rest anyway.
+        The motion finishes when the arm is at rest. This is an ordinary stop by the controller's program. It does not
+        replace the emergency stop. It is sent even if `safety.enable()` was not called. During a safety stop it is
+        refused, because the arm is then at rest anyway.
         """
         seconds = check_wait(wait)
         body = commands.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
@@ -320,9 +324,9 @@ class Motions(StrictAttributes):
                 of this deviation. If None, there is no limit.
             goal_tolerance: Largest deviation of any joint at the end, in rad.
             goal_time: Time that the arm has after the end to reach the goal, in seconds of the trajectory's time.
-            start_tolerance: Largest distance of any joint from the first point, in rad. After a pause, it is the
-                largest distance of any joint from the position where the arm had come to rest. If it is exceeded, the
-                motion ends with `ToleranceExceeded`.
+            start_tolerance: Largest distance of any joint from the first point, in rad. If it is exceeded, the
+                trajectory is rejected. After a pause, it is the largest distance of any joint from the position where
+                the arm had come to rest. If it is then exceeded, the motion ends with `ToleranceExceeded`.
             feedback: Function that receives the actual and the desired position of the arm. It is called in a dedicated
                 thread; it may be slow, and it may raise.
             delay: Lag of the arm behind its set-points in s, as measured by `Servo.measure_delay`. Set-points are sent
@@ -449,9 +453,9 @@ class Motions(StrictAttributes):
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> PointStream:
-        """Return a stream of timed points, which are appended while the arm moves. Needs firmware 3.4 or later.
+        """Return a stream of timed points, which are appended while the arm moves.
 
-        Use it as a ``with`` block::
+        Needs firmware 3.4 or later. Use it as a ``with`` block::
 
             with robot.motion.stream() as stream:
                 for q, qd in planner:
@@ -493,7 +497,7 @@ class Motions(StrictAttributes):
         watchdog: float = 0.2,
         link: LinkName = "reverse",
     ) -> Jog:
-        """Return a `Jog`, which moves the arm at speeds from a person, such as joystick or key input.
+        """Return a `Jog`, which moves the arm at speeds from a person, by a joystick or keys.
 
         Use it as a ``with`` block::
 
@@ -540,10 +544,11 @@ class Motions(StrictAttributes):
         retract: bool = True,
         wait: bool | float = False,
     ) -> ContactMotion:
-        """Move the tool straight until it touches something. `ContactMotion.contact` then reports where.
+        """Move the tool straight until it touches something.
 
-        On firmware 5.4 or later, the controller detects the contact and the place where it began. On older firmware,
-        and with `force`, there is a contact when the force against the direction has grown by `force`.
+        `ContactMotion.contact` then reports the place where the contact began. On firmware 5.4 or later, the controller
+        detects the contact and the place where it began. On older firmware, and with `force`, there is a contact when
+        the force against the direction has grown by `force`.
 
         Args:
             direction: Direction in the base frame, shape (3,), of any length.

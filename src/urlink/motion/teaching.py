@@ -100,7 +100,9 @@ class Taught(StrictAttributes):
     # -- playing -------------------------------------------------------------------------------------
 
     def waypoints(self, blend: float = 0.0) -> list[Joint]:
-        """Return the waypoints for `Motions.path`, each in a straight line in joint space from the previous one.
+        """Return the waypoints for `Motions.path`.
+
+        The path between two waypoints is a straight line in joint space.
 
         Args:
             blend: Radius in m, at all waypoints except the last, where the arm begins to round the corner. 0 to stop
@@ -118,9 +120,10 @@ class Taught(StrictAttributes):
         blend: float = 0.0,
         wait: bool | float = False,
     ) -> PathMotion:
-        """Move through all waypoints in one motion, which is checked before it is sent, like any path.
+        """Move through all waypoints in one motion.
 
-        The arm first moves in a straight line in joint space from its current position to the first waypoint.
+        The motion is checked before it is sent, like any path. The arm first moves in a straight line in joint space
+        from its current position to the first waypoint.
 
         Args:
             robot: The robot, with an arm of the same model.
@@ -141,7 +144,9 @@ class Taught(StrictAttributes):
     # -- files ---------------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the waypoints as JSON. An older file of this name is replaced completely or not at all.
+        """Write the waypoints as JSON.
+
+        An older file of this name is replaced completely or not at all.
 
         Raises:
             BadValue: If the file cannot be written.

@@ -52,7 +52,10 @@ _IN_PLACE = 1e-3
 
 @dataclass(frozen=True)
 class Rates:
-    """Speed and acceleration: of the leading joint in rad/s and rad/s², or of the tool in m/s and m/s²."""
+    """Speed and acceleration of the leading joint or of the tool.
+
+    The units are rad/s and rad/s² for a joint, and m/s and m/s² for the tool.
+    """
 
     speed: float
     acceleration: float

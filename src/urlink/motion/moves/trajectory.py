@@ -144,10 +144,10 @@ class Trajectory(StrictAttributes):
     def from_poses(
         cls, time: ArrayLike, poses: ArrayLike, arm: Arm, near: ArrayLike, tcp: ArrayLike | None = None
     ) -> Trajectory:
-        """Make a trajectory from poses of the tool: at each pose, the joint positions closest to the previous ones.
+        """Make a trajectory from poses of the tool.
 
-        Between the poses, the joints move smoothly. The tool is exact at each pose. Between two poses, its deviation is
-        smaller if the poses are closer together.
+        Each pose gets the joint positions closest to the previous ones. Between the poses, the joints move smoothly.
+        The tool is exact at each pose. Between two poses, its deviation is smaller if the poses are closer together.
 
         Args:
             time: Times, shape (n,), in s.
@@ -174,9 +174,10 @@ class Trajectory(StrictAttributes):
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """Read a file with the header ``time,q0,...,q5``, optionally with ``qd0,...,qd5``, and with ``qdd0,...,qdd5``.
+        """Read a trajectory from a CSV file.
 
-        Columns may be in any order. The units are the same as in `TrajectoryPoint`.
+        The header is ``time,q0,...,q5``, optionally with ``qd0,...,qd5``, and with ``qdd0,...,qdd5``. Columns may be in
+        any order. The units are the same as in `TrajectoryPoint`.
 
         Raises:
             BadValue: If the file cannot be read, or has another format. The message names the line.
@@ -188,7 +189,9 @@ class Trajectory(StrictAttributes):
             raise BadValue(f"{path} (point 0 is line {line}): {error}") from None
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write a file for `from_csv`, with all digits. Velocities are written only if they were given.
+        """Write a file for `from_csv`, with all digits.
+
+        Velocities are written only if they were given.
 
         Raises:
             BadValue: If the file cannot be written.
@@ -277,7 +280,7 @@ class Trajectory(StrictAttributes):
         return self._curve(times)
 
     def sample(self, t: float) -> tuple[list[float], list[float], list[float]]:
-        """Do the same as `at`, for one time and in plain floats, for control loops. For NaN, return the end."""
+        """Do the same as `at` for one time, in plain floats for control loops. NaN gives the end."""
         times = self._times
         if not 0.0 <= t <= times[-1]:
             rest = [0.0] * 6
@@ -383,7 +386,9 @@ class Trajectory(StrictAttributes):
         return f"{where} (t = {t:.4f} s)"
 
     def plot(self, model: Model | None = None) -> Figure:
-        """Plot positions, speeds and accelerations over time with matplotlib: ``plot().savefig("it.png")``.
+        """Plot positions, speeds and accelerations over time with matplotlib.
+
+        For example, ``plot().savefig("it.png")`` saves the plot.
 
         Args:
             model: Model of the arm, whose limits of speed and acceleration are drawn; None for no limits.

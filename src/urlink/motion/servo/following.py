@@ -39,7 +39,9 @@ _REMEMBERED = 1024
 
 @dataclass(frozen=True)
 class TrajectoryFeedback:
-    """Actual and desired position of the arm. Arrays have shape (6,), joints from base to wrist 3.
+    """Actual and desired position of the arm.
+
+    Arrays have shape (6,), joints from base to wrist 3.
 
     Attributes:
         time: Time in seconds on the controller's clock since the trajectory began.

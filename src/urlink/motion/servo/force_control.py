@@ -109,12 +109,14 @@ class ForceMode(BlockMotion):
 
     @property
     def wrench(self) -> FloatArray:
-        """Forces and torques that the tool exerts, along and about the axes of the frame, (6,), in N and Nm."""
+        """Wrench that the tool exerts along and about the axes of the frame, (6,), in N and Nm."""
         assert self._message.values is not None  # every message has a wrench
         return six(self._message.values, "wrench")
 
     def set_wrench(self, wrench: Numbers) -> None:
-        """Exert another wrench, starting with the next state. It has no effect along axes that do not yield.
+        """Exert another wrench, starting with the next state.
+
+        It has no effect along axes that do not yield.
 
         Raises:
             BadValue: If `wrench` is not six finite numbers, or exceeds what an arm can exert.
@@ -219,7 +221,9 @@ class Torque(BlockMotion):
         super().__init__(context, "torque", self._message, open_link)
 
     def send(self, torque: ArrayLike) -> None:
-        """Apply these torques, starting in the next cycle. If none follow, they fade during the watchdog time.
+        """Apply these torques, starting in the next cycle.
+
+        If no other torques follow, they fade during the watchdog time.
 
         Args:
             torque: Torques in addition to gravity compensation, shape (6,), in Nm.
@@ -253,7 +257,9 @@ class Contact:
 
 @slider(until_contact=SliderEffect.SCALED)
 class ContactMotion(Motion):
-    """Motion until a contact. `robot.motion.until_contact` returns it. It fails with `NoContact` if there is none.
+    """Motion until a contact. `robot.motion.until_contact` returns it.
+
+    It fails with `NoContact` if there is no contact.
 
     Args:
         life: Life cycle of the motion.
@@ -269,7 +275,7 @@ class ContactMotion(Motion):
 
     @property
     def contact(self) -> Contact | None:
-        """Place where the contact began; None while the motion runs, and if it ended without a contact."""
+        """Place where the contact began; None while the motion runs, and if there was no contact."""
         return self._contact
 
     def _on_text(self, text: str) -> None:

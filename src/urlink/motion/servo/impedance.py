@@ -60,17 +60,26 @@ class Impedance(BlockMotion):
 
     @property
     def target(self) -> FloatArray | None:
-        """Joint positions, (6,) rad, or pose of the tool. None before the first target; the arm is held until then."""
+        """Joint positions, (6,) rad, or pose of the tool; None before the first target.
+
+        The arm is held at its position until then.
+        """
         return None if self._messages.target is None else np.array(self._messages.target)
 
     @property
     def posture(self) -> FloatArray | None:
-        """Joint positions that the posture springs pull to, (6,) rad; None before the first target, or for joints."""
+        """Joint positions that the posture springs pull to, (6,) rad.
+
+        None before the first target, and for springs of the joints.
+        """
         return None if self._messages.posture is None else np.array(self._messages.posture)
 
     @property
     def stiffness(self) -> FloatArray:
-        """Stiffness as set last, (6,): in Nm/rad, or in N/m along and Nm/rad about the axes of the frame."""
+        """Stiffness as set last, (6,), in Nm/rad.
+
+        For the tool, it is in N/m along and Nm/rad about the axes of the frame.
+        """
         return np.array(self._messages.gains[0])
 
     @property

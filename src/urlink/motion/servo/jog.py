@@ -74,9 +74,9 @@ class _Jogging(LinkDialogue):
 
 @slider(jog=SliderEffect.SCALED)
 class Jog(BlockMotion):
-    """Moves the arm at speeds from a person within a ``with`` block. `robot.motion.jog` returns it.
+    """Moves the arm at speeds from a person. `robot.motion.jog` returns it.
 
-    Leaving the block stops the arm.
+    Use it as a ``with`` block. Leaving the block stops the arm.
 
     Attributes:
         frame: Frame of the speeds: "joints", "base" or "tool".
@@ -102,7 +102,9 @@ class Jog(BlockMotion):
         self._arm = identity.arm
 
     def move(self, speeds: Numbers) -> None:
-        """Move at these speeds until others are set, or until `timeout` seconds have passed. Does not wait.
+        """Move at these speeds until others are set, or until `timeout` seconds have passed.
+
+        The call does not wait.
 
         Args:
             speeds: Speeds, shape (6,): of the joints in rad/s, or of the tool in m/s along and rad/s about the axes of

@@ -111,10 +111,10 @@ class _Leading(LinkDialogue):
     }
 )
 class Servo(BlockMotion):
-    """Sends the set-points of your loop within a ``with`` block. `robot.motion.servo` returns it.
+    """Sends the set-points of your loop. `robot.motion.servo` returns it.
 
-    Send a set-point in each cycle of the controller, or in each cycle of your loop. With a target filter, send a target
-    whenever you have a new one. Leaving the block stops the arm.
+    Use it as a ``with`` block. Send a set-point in each cycle of the controller, or in each cycle of your loop. With a
+    target filter, send a target whenever you have a new one. Leaving the block stops the arm.
 
     Attributes:
         rate: Intended number of set-points or targets per second.
@@ -187,12 +187,12 @@ class Servo(BlockMotion):
         self._count_one(values, now)
 
     def schedule(self, target: Numbers | Joint | Linear, at: float) -> float | None:
-        """Be at a waypoint at a time on the robot's clock, which is the clock of `RealtimeState.time`.
+        """Schedule a waypoint for a time on the robot's clock.
 
-        Between waypoints, the joints move along a smooth curve, from the current set-point through all future
-        waypoints, to rest at the last one. A waypoint replaces all waypoints of the same time or later. A pose is
-        converted to the joint positions closest to the previous waypoint. The closer the poses are, the straighter the
-        tool moves between them.
+        Times are on the same clock as `RealtimeState.time`. Between waypoints, the joints move along a smooth curve,
+        from the current set-point through all future waypoints, to rest at the last one. A waypoint replaces all
+        waypoints of the same time or later. A pose is converted to the joint positions closest to the previous
+        waypoint. The closer the poses are, the straighter the tool moves between them.
 
         Args:
             target: Joint positions, shape (6,), in rad, or a `Joint`, or a `Linear` with a pose in the base frame.
@@ -247,10 +247,10 @@ class Servo(BlockMotion):
         return q
 
     def measure_delay(self, joint: int = 5, amplitude: float = 0.05, duration: float = 1.0) -> float:
-        """Measure by how much the arm lags behind its set-points. THE ARM MOVES: one joint, there and back.
+        """Measure by how much the arm lags behind its set-points. THE ARM MOVES.
 
-        Use it in its own block. Pass the result to ``follow(delay=)`` and ``servo(delay=)``. It depends on
-        `lookahead_time` and `gain`.
+        One joint moves there and back. Use it in its own block. Pass the result to ``follow(delay=)`` and
+        ``servo(delay=)``. It depends on `lookahead_time` and `gain`.
 
         Args:
             joint: Number of the joint, 0 to 5.
@@ -301,7 +301,10 @@ class Servo(BlockMotion):
 
     @property
     def stats(self) -> ServoStatistics:
-        """Statistics of how regularly set-points, or targets, were sent, from the last 50000 intervals."""
+        """Statistics of how regularly set-points, or targets, were sent.
+
+        Deviations are from the last 50000 intervals.
+        """
         intervals = np.array(self._intervals)
         if not intervals.size:
             return ServoStatistics(self._count, 0.0, 0.0, 0.0, 0.0, self._late)

@@ -166,7 +166,7 @@ class GroupStream(GroupMotion):
         return self.room
 
     def replace(self, from_time: float, points: Sequence[Points]) -> float:
-        """Replace all points of all arms after a time, from the same time on; see `PointStream.replace`.
+        """Replace all points of all arms after the same time; see `PointStream.replace`.
 
         Each arm moves onto its new points as soon as its limits allow.
 
@@ -191,7 +191,7 @@ class GroupStream(GroupMotion):
             return self._put(since, curves)
 
     def clear(self) -> float:
-        """Drop all points of all arms, and brake, all from the same time on; see `PointStream.clear`.
+        """Drop all points of all arms, and brake at the same time; see `PointStream.clear`.
 
         Returns:
             Time in s on the clock of the stream when the points now end.
@@ -254,7 +254,7 @@ class GroupStream(GroupMotion):
 
     @property
     def time(self) -> float:
-        """Time on the clock of the stream, in s, of the arm that is furthest behind; see `PointStream.time`."""
+        """Time on the clock of the stream, in s, of the slowest arm; see `PointStream.time`."""
         return min(stream.time for stream in self.motions)
 
     @property
@@ -269,7 +269,7 @@ class GroupStream(GroupMotion):
 
     @property
     def room(self) -> float:
-        """Time of the points that all robots have room for, in s; negative if points are queued in memory."""
+        """Time of points that all robots have room for, in s; negative if points are queued here."""
         return min(stream.room for stream in self.motions)
 
     @property

@@ -162,12 +162,12 @@ class PointStream(BlockMotion):
         self._await(handed.future, seconds, "the robot had no room for the points")
 
     def replace(self, from_time: float, points: Points) -> float:
-        """Replace all points after a time by others, with continuous positions, speeds and accelerations.
+        """Replace all points after a time by others.
 
-        The points that the robot has buffered are replaced, too. The arm leaves its old curve at `from_time`. It moves
-        onto the curve through the new points as soon as the acceleration and the jerk of the stream allow. From then
-        on, it reaches each point at its time. Therefore the points may begin in the past, for example at the time of
-        the observation from which they were computed.
+        Positions, speeds and accelerations are continuous. The points that the robot has buffered are replaced, too.
+        The arm leaves its old curve at `from_time`. It moves onto the curve through the new points as soon as the
+        acceleration and the jerk of the stream allow. From then on, it reaches each point at its time. Therefore the
+        points may begin in the past, for example at the time of the observation from which they were computed.
 
         Args:
             from_time: Time in s on the clock of the stream. If it is past, or can no longer be reached, the points are
@@ -229,7 +229,9 @@ class PointStream(BlockMotion):
         return self._await(replaced, _ANSWER, "the robot did not confirm the change of its points")
 
     def clear(self) -> float:
-        """Drop all points, including the robot's buffered points, and brake. The next points continue the stream.
+        """Drop all points, including the robot's buffered points, and brake.
+
+        The next points continue the stream.
 
         Returns:
             Time in s on the clock of the stream when the points now end.
@@ -280,7 +282,7 @@ class PointStream(BlockMotion):
 
     @property
     def room(self) -> float:
-        """Time of the points that the robot has room for, in s; negative if points are queued in memory."""
+        """Time of points that the robot has room for, in s; negative if points are queued here."""
         return self.buffer - self.buffered
 
     @property
@@ -291,7 +293,10 @@ class PointStream(BlockMotion):
 
     @property
     def starved(self) -> int:
-        """Number of times that the arm had to brake because no points were left, after a point that was not at rest."""
+        """Number of times that the arm had to brake because no points were left.
+
+        It does not count if the last point was at rest.
+        """
         return self._feed.starved
 
     # --------------------------------------------------------------------------------------------------

@@ -25,7 +25,9 @@ _LONGEST = 1000.0
 
 @dataclass(frozen=True, eq=False, init=False)
 class PosePoint:
-    """A pose of the tool at one time, for `PointStream`. The inverse kinematics of the arm convert it to joints.
+    """A pose of the tool at one time, for `PointStream`.
+
+    The inverse kinematics of the arm convert it to joint positions.
 
     Attributes:
         pose: Position in the base frame in m, and rotation vector in rad, shape (6,); read-only.
