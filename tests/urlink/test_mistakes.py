@@ -85,7 +85,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: r.motion.move_linear(POSE[:3]), LocalError, "expected six numbers"),
     (lambda r: r.motion.path(Q), LocalError, "expected a Joint, Linear or Circular"),
     (lambda r: r.motion.path([]), LocalError, "expected 1 to"),
-    (lambda r: r.motion.follow([Q, Q]), LocalError, "is no Trajectory"),
+    (lambda r: r.motion.follow([Q, Q]), LocalError, "is not a Trajectory"),
     (lambda r: r.motion.jog("world"), LocalError, "frame='world'; expected"),
     (lambda r: r.motion.until_contact("down"), LocalError, "direction is 'down'; expected numbers"),
     (lambda r: r.motion.force_mode("flange", Q, Q, Q), LocalError, "expected 'base', 'tool', or a pose"),

@@ -325,8 +325,11 @@ def test_a_stop_ends_it_at_once(robot: Rehearsal) -> None:
 @pytest.mark.parametrize(
     ("move", "left"),
     [
-        (lambda r: r.motion.move_joints(HOME), "the arm may still move, to the end of the motion"),
-        (lambda r: r.motion.speed_joints([0.1] * 6, duration=0.3), "the arm brakes by itself, 0.3 s after it began"),
+        (lambda r: r.motion.move_joints(HOME), "the arm may still move until the motion ends"),
+        (
+            lambda r: r.motion.speed_joints([0.1] * 6, duration=0.3),
+            "the arm brakes on its own 0.3 s after the motion started",
+        ),
     ],
 )
 def test_a_robot_that_is_lost_says_what_may_still_move(

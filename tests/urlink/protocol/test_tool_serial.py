@@ -187,7 +187,7 @@ def test_a_closed_robot_has_closed_it(robot: urlink.Robot) -> None:
 
 def test_an_older_controller_has_none() -> None:
     with Controller("UR5", "3.15") as controller, urlink.connect(controller.address) as robot:
-        with pytest.raises(urlink.LocalError, match=r"e-Series have, from 5\.0 on"):
+        with pytest.raises(urlink.LocalError, match=r"an e-Series 5\.0 or later has one"):
             robot.tool_serial.write(b"a")
         with pytest.raises(urlink.LocalError, match=r"5\.0 or later"):
             robot.io.set_tool_communication()

@@ -51,7 +51,7 @@ def test_an_arm_may_start_and_brake_within_one_cycle(sign: float, state: str) ->
 
 @pytest.mark.parametrize(("gap", "state"), [(0.3, "not tried"), (0.0, "not held")])
 def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: float, state: str) -> None:
-    error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
+    error = "ConnectionLost: no message reached the program on the robot in time; it brakes on its own"
     arrivals = _PERIOD * np.arange(1, 1001)
     arrivals[500:] += gap
     notes = [Note(0.0, "stage", {"number": 2})]
@@ -125,7 +125,7 @@ def test_a_lag_that_was_measured_by_half_of_the_states_contradicts_nothing(each:
 
 @pytest.mark.parametrize(("last", "state"), [(0.5, "not tried"), (0.66, "not held")])
 def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, state: str) -> None:
-    error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
+    error = "ConnectionLost: no message reached the program on the robot in time; it brakes on its own"
     notes = [Note(0.0, "stage", {"number": 2})]
     for begin, step in ((0.1, "follow-100"), (0.8, "follow-50"), (1.5, "follow-10")):
         notes += [Note(begin, step, {"event": "begin"}), Note(begin + 0.6, step, {"event": "end", "error": error})]
