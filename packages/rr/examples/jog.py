@@ -1,4 +1,4 @@
-"""A client of a robot that `urlink serve rr` serves: reads it, jogs it, and moves it along a trajectory.
+"""Read, jog and move a robot that `urlink serve rr` serves.
 
 urlink serve rr arm=sim://ur5e --port 58651
 python jog.py rr+tcp://localhost:58651?service=arm
@@ -30,7 +30,7 @@ def main(url: str) -> None:
     trajectory = RRN.NewStructure(f"{kind}.JointTrajectory", arm)
     back = RRN.NewStructure(f"{kind}.JointTrajectoryWaypoint", arm)
     back.joint_position, back.time_from_start = start, 1.0
-    # Without a waypoint at time 0 it begins where the arm is.
+    # Without a waypoint at time 0, the trajectory starts at the current position of the arm.
     trajectory.waypoints = [back]
     motion = arm.execute_trajectory(trajectory)
     try:

@@ -1,4 +1,4 @@
-"""Robots over Robot Raconteur: each test has two nodes of it, a server and a client, over TCP."""
+"""Robots over Robot Raconteur: each test has a server node and a client node, connected over TCP."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from urlink.simulator import Controller
 from urlink_rr import open_node, register, register_rhd, serve
 from urlink_rr.description import HOME
 
-#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+#: Marks of the simulated arm of these tests. The limits are long because a busy machine causes silence and delays.
 pytestmark = pytest.mark.urlink(
     model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
 )
@@ -54,7 +54,7 @@ def robot(urlink_robot: urlink.Robot) -> urlink.Robot:
 
 @pytest.fixture
 def port(robot: urlink.Robot) -> Iterator[int]:
-    # Nor does a trajectory end because set-points stay away; that is tested where they are made.
+    # With this watchdog, a delayed set-point does not end a trajectory. The tests of set-points cover that case.
     with serve({"arm": robot}, port=0, announce=False, watchdog=5.0) as port:
         yield port
 
@@ -67,7 +67,7 @@ def node() -> Iterator[Any]:
 
 @pytest.fixture
 def arm(port: int, node: Any) -> Any:
-    """The robot as a client has it."""
+    """Client object of the robot."""
     return node.ConnectService(f"rr+tcp://localhost:{port}?service=arm")
 
 
@@ -79,7 +79,7 @@ def newest(arm: Any) -> Any:
     return arm.robot_state.PeekInValue()[0]
 
 
-def test_a_client_reads_a_robot(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_client_reads_robot(arm: Any, node: Any, robot: urlink.Robot) -> None:
     info = arm.robot_info
     assert info.device_info.model.name == "UR5e"
     assert [joint.joint_identifier.name for joint in info.joint_info] == list(JOINT_NAMES)
@@ -105,8 +105,8 @@ def test_a_client_reads_a_robot(arm: Any, node: Any, robot: urlink.Robot) -> Non
     assert arm.isoch_info.update_rate == 125.0
 
 
-def test_the_chain_is_that_of_the_arm(arm: Any, robot: urlink.Robot) -> None:
-    """The product of exponentials of H and P puts the flange where the arm's own kinematics do."""
+def test_chain_matches_kinematics_of_arm(arm: Any, robot: urlink.Robot) -> None:
+    """The product of exponentials of H and P gives the same flange pose as the kinematics."""
     chain = arm.robot_info.chains[0]
     axes = np.array([list(axis) for axis in chain.H.tolist()]).reshape(6, 3)
     ways = np.array([list(way) for way in chain.P.tolist()]).reshape(7, 3)
@@ -122,7 +122,7 @@ def test_the_chain_is_that_of_the_arm(arm: Any, robot: urlink.Robot) -> None:
     assert whole == pytest.approx(poses.rotvec_to_matrix(expected[3:]), abs=1e-9)
 
 
-def test_fewer_states_for_a_client_that_asks_for_fewer(arm: Any) -> None:
+def test_downsampling_reduces_states_of_client(arm: Any) -> None:
     arm.isoch_downsample = 9
     assert arm.isoch_downsample == 9
     pipe = arm.robot_state_sensor_data.Connect(-1)
@@ -131,7 +131,7 @@ def test_fewer_states_for_a_client_that_asks_for_fewer(arm: Any) -> None:
     assert np.diff(numbers[2:]).tolist() == [10] * 9
 
 
-def test_jogging(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_client_jogs_robot(arm: Any, node: Any, robot: urlink.Robot) -> None:
     goal = np.array(START) + np.array([0.2, 0, 0, 0, 0, 0.1])
     with pytest.raises(RR.InvalidOperationException, match="command mode is halt"):
         arm.jog_freespace(goal, np.full(6, 0.5), True)
@@ -165,7 +165,7 @@ def trajectory(node: Any, arm: Any, points: list[tuple[float, list[float]]], tol
 
 
 def rest_of(generator: Any) -> list[Any]:
-    """What a generator gives until it stops."""
+    """Return all values of a generator."""
     found = []
     with contextlib.suppress(RR.StopIterationException):
         while True:
@@ -173,7 +173,7 @@ def rest_of(generator: Any) -> list[Any]:
     return found
 
 
-def test_a_trajectory_with_feedback(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_trajectory_reports_progress_until_complete(arm: Any, node: Any, robot: urlink.Robot) -> None:
     far = [0.5, *START[1:]]
     arm.command_mode = modes(node, arm)["trajectory"]
     running = arm.execute_trajectory(trajectory(node, arm, [(0.0, START), (0.5, [0.25, *START[1:]]), (1.0, far)]))
@@ -186,7 +186,7 @@ def test_a_trajectory_with_feedback(arm: Any, node: Any, robot: urlink.Robot) ->
     assert robot.realtime.wait().q_actual == pytest.approx(far, abs=0.01)
 
 
-def test_a_trajectory_that_is_cancelled_and_one_that_leaves_its_path(
+def test_trajectory_ends_when_cancelled_off_path_or_invalid(
     arm: Any, node: Any, robot: urlink.Robot, urlink_controller: Controller
 ) -> None:
     far = [1.0, *START[1:]]
@@ -211,7 +211,7 @@ def test_a_trajectory_that_is_cancelled_and_one_that_leaves_its_path(
         arm.execute_trajectory(wrong)
 
 
-def test_position_commands_by_wire(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_position_commands_by_wire_move_arm(arm: Any, node: Any, robot: urlink.Robot) -> None:
     arm.command_mode = modes(node, arm)["position_command"]
     flags = node.GetConstants(ROBOT, arm)["RobotStateFlags"]
     wire = arm.position_command.Connect()
@@ -226,12 +226,12 @@ def test_position_commands_by_wire(arm: Any, node: Any, robot: urlink.Robot) -> 
         time.sleep(0.01)
     until(lambda: robot.realtime.wait().q_actual[0] > here[0] + 0.2, 2.0)
     assert seen & flags["valid_position_command"]
-    # Nothing comes any more, so the arm stands, and a new command goes on from there.
+    # Without further commands, the arm stops.
     until(lambda: robot.motion.current is None)
     wire.Close()
 
 
-def test_velocity_commands_by_wire(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_velocity_commands_by_wire_move_arm(arm: Any, node: Any, robot: urlink.Robot) -> None:
     arm.command_mode = modes(node, arm)["velocity_command"]
     wire = arm.velocity_command.Connect()
     before = robot.realtime.wait().q_actual[0]
@@ -248,7 +248,7 @@ def test_velocity_commands_by_wire(arm: Any, node: Any, robot: urlink.Robot) -> 
     assert robot.realtime.wait().q_actual[0] > before + 0.1
 
 
-def test_homing_signals_speed_tool_and_payload(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_homing_signals_speed_and_payload(arm: Any, node: Any, robot: urlink.Robot) -> None:
     arm.command_mode = modes(node, arm)["homing"]
     rest_of(arm.home())
     assert robot.realtime.wait().q_actual == pytest.approx(HOME, abs=1e-3)
@@ -266,7 +266,7 @@ def test_homing_signals_speed_tool_and_payload(arm: Any, node: Any, robot: urlin
     payload.inertia[0]["m"] = 1.5
     payload.inertia[0]["com"]["x"] = 0.02
     pose = np.zeros((1,), node.GetNamedArrayDType("com.robotraconteur.geometry.Pose", arm))
-    # A quarter of a turn about z.
+    # a quarter turn about z
     pose[0]["orientation"]["w"] = pose[0]["orientation"]["z"] = math.sqrt(0.5)
     pose[0]["position"]["z"] = 0.1
     changed: list[tuple[int, str]] = []
@@ -285,7 +285,7 @@ def test_enable_disable_and_reset(arm: Any, node: Any, robot: urlink.Robot, urli
     assert "protective stop" in arm.current_errors[0].message
     with pytest.raises(RR.OperationFailedException, match="SafetyStop"):
         arm.command_mode = modes(node, arm)["jog"]
-    until(lambda: _works(arm.reset_errors), 15.0)  # not within five seconds of the stop
+    until(lambda: _works(arm.reset_errors), 15.0)  # the controller refuses within five seconds of the stop
     until(lambda: arm.controller_state == states["motor_on"])
     arm.disable()
     until(lambda: arm.controller_state == states["motor_off"], 15.0)
@@ -303,7 +303,7 @@ def _works(call: Any) -> bool:
     return True
 
 
-def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_back(
+def test_lost_client_ends_motion_and_subscription_reconnects(
     robot: urlink.Robot, urlink_controller: Controller
 ) -> None:
     found: list[Any] = []
@@ -328,11 +328,11 @@ def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_
             until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
             assert robot.realtime.wait().q_actual[0] < 1.4
             assert other.command_mode == modes(watching, other)["halt"]
-            # The robot goes away, and comes back, while the client stays.
+            # The robot disappears and comes back, while the client stays connected.
             flag = watching.GetConstants(ROBOT, other)["RobotStateFlags"]["communication_failure"]
             urlink_controller.faults.stall(600.0)
             until(lambda: newest(other).robot_state_flags & flag, 10.0)
-            urlink_controller.faults.stall(0.01)  # in place of the other
+            urlink_controller.faults.stall(0.01)  # replaces the other stall
             until(lambda: not newest(other).robot_state_flags & flag, 30.0)
             service.close()
             server.CloseService("arm")
@@ -346,14 +346,14 @@ def test_a_client_that_is_lost_ends_its_motion_and_a_subscription_has_the_robot_
 
 
 def suspend(process: subprocess.Popen[str]) -> None:
-    """Suspend it, and wait until it is: the signal alone takes effect later."""
+    """Suspend a process and wait until it has stopped, because the signal takes effect later."""
     process.send_signal(signal.SIGSTOP)
     os.waitpid(process.pid, os.WUNTRACED)
 
 
 @contextlib.contextmanager
 def running(address: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A server in a process of its own, and where it serves."""
+    """Run a server in a separate process, and yield the process and its URL."""
     options = (f"arm={address}", "--port", "0", "--no-announce")
     process = subprocess.Popen(
         [sys.executable, "-c", "import sys, urlink.cli; sys.exit(urlink.cli.main())", "serve", "rr", *options],
@@ -373,7 +373,7 @@ def running(address: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 @pytest.mark.parametrize("what", ["jog", "mode and jog", "trajectory", "velocity_command", "position_command"])
-def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
+def test_commands_sent_to_suspended_server_do_not_move_arm(
     robot: urlink.Robot, urlink_controller: Controller, node: Any, what: str
 ) -> None:
     far = np.array([0.5, *START[1:]])
@@ -410,13 +410,13 @@ def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
             assert np.abs(robot.realtime.wait().qd_actual).max() < 1e-3
         assert robot.realtime.wait().q_actual == pytest.approx(START, abs=1e-2)
         assert arm.command_mode == known["halt"]
-        # And not for ever.
+        # The halt is not permanent.
         arm.command_mode = known["jog"]
         arm.jog_freespace(far, np.full(6, 0.5), True)
         assert robot.realtime.wait().q_actual == pytest.approx(far, abs=1e-2)
 
 
-def test_a_command_by_wire_that_belongs_to_an_old_state_moves_nothing(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_wire_command_with_old_state_number_is_ignored(arm: Any, node: Any, robot: urlink.Robot) -> None:
     arm.command_mode = modes(node, arm)["velocity_command"]
     wire = arm.velocity_command.Connect()
     until(lambda: newest(arm).seqno > 200)
@@ -441,9 +441,7 @@ def _moves(arm: Any, node: Any, robot: urlink.Robot, wire: Any) -> bool:
     return bool(robot.realtime.wait().qd_actual[0] > 0.05)
 
 
-def test_a_client_that_makes_no_sense_does_not_end_the_commands_by_wire(
-    arm: Any, node: Any, robot: urlink.Robot
-) -> None:
+def test_invalid_wire_command_does_not_end_wire_mode(arm: Any, node: Any, robot: urlink.Robot) -> None:
     arm.command_mode = modes(node, arm)["velocity_command"]
     wire = arm.velocity_command.Connect()
     command = node.NewStructure(f"{ROBOT}.RobotJointCommand", arm)
@@ -456,7 +454,7 @@ def test_a_client_that_makes_no_sense_does_not_end_the_commands_by_wire(
     until(lambda: _moves(arm, node, robot, wire))
 
 
-def test_a_robot_that_is_only_read(urlink_controller: Controller, node: Any) -> None:
+def test_read_only_robot_accepts_no_commands(urlink_controller: Controller, node: Any) -> None:
     with (
         urlink.connect(urlink_controller.address, read_only=True) as robot,
         serve({"arm": robot}, port=0, announce=False) as port,
@@ -470,7 +468,7 @@ def test_a_robot_that_is_only_read(urlink_controller: Controller, node: Any) -> 
             arm.setf_signal("digital_out_0", np.array([1.0]))
 
 
-def test_variables_of_a_mobile_robot_as_wires(node: Any) -> None:
+def test_rhd_variables_are_wires(node: Any) -> None:
     with (
         rhdlink.Host([Turtle()], port=0) as host,
         rhdlink.connect(f"127.0.0.1:{host.port}", access="w") as robot,
@@ -487,7 +485,7 @@ def test_variables_of_a_mobile_robot_as_wires(node: Any) -> None:
             speed.OutValue = np.array([30000], np.int32)
             until(lambda: way.InValueValid and way.InValue[0] > 500)
             assert turtle.connected.PeekInValue()[0] == 1
-        # Whoever set the speed is gone.
+        # The client that set the speed is lost.
         until(lambda: robot["cmdtransvel"] == 0)
         service.close()
 
@@ -506,7 +504,7 @@ with (
 """
 
 
-def test_a_speed_that_was_written_while_the_server_was_suspended_moves_nothing_later(node: Any) -> None:
+def test_rhd_value_sent_to_suspended_server_is_not_written(node: Any) -> None:
     with rhdlink.Host([Turtle()], port=0) as host:
         process = subprocess.Popen(
             [sys.executable, "-c", _RHD, f"127.0.0.1:{host.port}"],
@@ -530,7 +528,7 @@ def test_a_speed_that_was_written_while_the_server_was_suspended_moves_nothing_l
             while time.monotonic() < begun + 3.0:
                 assert way.InValue[0] == 0
                 time.sleep(0.01)
-            # And not for ever.
+            # The rejection is not permanent.
             speed.OutValue = np.array([30000], np.int32)
             until(lambda: way.InValue[0] > 500)
         finally:
@@ -539,7 +537,7 @@ def test_a_speed_that_was_written_while_the_server_was_suspended_moves_nothing_l
             process.communicate()
 
 
-def test_serve_from_the_command_line(node: Any) -> None:
+def test_command_line_serves_robot_until_terminated(node: Any) -> None:
     options = ("arm=sim://ur5e", "--port", "0", "--no-announce")
     process = subprocess.Popen(
         [sys.executable, "-c", "import sys, urlink.cli; sys.exit(urlink.cli.main())", "serve", "rr", *options],

@@ -1,10 +1,10 @@
 #!/bin/sh
-# Makes a certificate authority and certificates for router.json5 in ./certificates, which must not exist yet:
+# Make a certificate authority and certificates for router.json5 in ./certificates, which must not exist yet:
 #
 #     sh certificates.sh fleet.local 127.0.0.1
 #
-# for a router that is reached by these names and addresses. Needs openssl. Whoever has ca.key lets others in: keep it
-# elsewhere than on the router. The certificates are valid for a year.
+# The arguments are the names and addresses of the router. openssl is required. Anyone who has ca.key can make further
+# certificates, so do not keep it on the router. The certificates are valid for a year.
 set -eu
 mkdir certificates
 cd certificates

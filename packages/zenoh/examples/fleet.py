@@ -1,16 +1,17 @@
-"""A fleet on one computer: simulated robots in several processes, a router, and a collector that records all of them.
+"""Run a fleet on one computer: simulated robots in several processes, a router, and a collector that records them all.
 
     python fleet.py --robots 8 --processes 2 --seconds 20
     python fleet.py --robots 100 --processes 4 --speed 0.1 --seconds 30 --each
     python fleet.py --robots 100 --processes 4 --pace 0.1 --seconds 30
 
-Half-way the router dies, and comes back two seconds later. At the end it says, of each robot, how many packets were
-offered to the collector, how many it received and how many were lost, and the longest gap between two in its recording;
-and how much processor time each part took.
+Halfway, the router is killed; two seconds later it is started again. At the end, the program prints for each robot how
+many packets were offered to the collector, how many it received, how many were lost, and the longest gap between two
+packets in the recording. It also prints the processor time of each part.
 
-A simulated arm takes some 5 % of a processor at 125 Hz, with whoever reads and publishes it, so a hundred of them need
-more than two processors. With --speed their time passes so many times as fast: 0.1 makes 12.5 cycles and packets a
-second of each. With --pace the robots are recordings of a simulated arm, played so many times as fast.
+A simulated arm takes about 5 % of a processor at 125 Hz, including its reader and publisher. So a hundred arms need
+more than two processors. With --speed, the time of the robots passes faster or slower: with 0.1, each robot has 12.5
+cycles and sends 12.5 packets per second. With --pace, the robots are recordings of a simulated arm, and the number is
+their playback speed.
 """
 
 from __future__ import annotations
@@ -36,20 +37,20 @@ from urlink.packets import Chunk, Stamp
 from urlink.simulator import Controller, Demonstration, Still
 
 FIRMWARE = "3.15"
-#: Seconds from the start within which every robot has to be seen.
+#: Maximum time, in s, from the start until every robot is recorded.
 TIMEOUT = 90.0
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", type=int, default=4)
-    parser.add_argument("--processes", type=int, default=2, help="that the robots are served by")
+    parser.add_argument("--processes", type=int, default=2, help="number of processes that serve the robots")
     parser.add_argument("--seconds", type=float, default=10.0)
     how = parser.add_mutually_exclusive_group()
-    how.add_argument("--speed", type=float, default=1.0, help="at which the time of simulated robots passes (1)")
-    how.add_argument("--pace", type=float, help="play recordings so many times as fast, rather than simulate")
+    how.add_argument("--speed", type=float, default=1.0, help="speed of the simulated robots' time (default: 1)")
+    how.add_argument("--pace", type=float, help="play recordings at this speed instead of simulating")
     parser.add_argument("--each", action="store_true", help="print a line for each robot")
-    parser.add_argument("--directory", help="where recordings go (a temporary one)")
+    parser.add_argument("--directory", help="directory for recordings (default: a temporary one)")
     parser.add_argument("--part", help=argparse.SUPPRESS)
     parser.add_argument("--endpoint", help=argparse.SUPPRESS)
     parser.add_argument("rest", nargs="*", help=argparse.SUPPRESS)
@@ -66,13 +67,16 @@ def main() -> None:
 
 
 def router(endpoint: str, rest: Sequence[str], speed: float) -> None:
-    """A router until stdin ends. Any router of Zenoh would do, `zenohd` for one."""
+    """Run a router until stdin ends. Any router of Zenoh would do, for example `zenohd`."""
     with urlink_zenoh.open_session(listen=[endpoint], mode="router"):
         report()
 
 
 def robots(endpoint: str, rest: Sequence[str], speed: float) -> None:
-    """Some robots until stdin ends, each `NAME` simulated, or `NAME=ADDRESS`."""
+    """Serve some robots until stdin ends.
+
+    Each argument is `NAME`, for a simulated robot, or `NAME=ADDRESS`.
+    """
     with contextlib.ExitStack() as stack:
         connected: dict[str, urlink.Robot] = {}
         for each in rest:
@@ -82,7 +86,7 @@ def robots(endpoint: str, rest: Sequence[str], speed: float) -> None:
                 if speed != 1.0:
                     stack.enter_context(controller.passing(speed))
                 address = controller.address
-            # The fewer cycles a second, the longer it takes until a packet comes.
+            # The fewer cycles per second, the longer it takes until a packet arrives.
             connected[name] = stack.enter_context(urlink.connect(address, silence=10.0))
         session = stack.enter_context(urlink_zenoh.open_session([endpoint]))
         stack.enter_context(urlink_zenoh.Server(session, connected, status_rate=1.0, interfaces=("realtime",)))
@@ -90,7 +94,7 @@ def robots(endpoint: str, rest: Sequence[str], speed: float) -> None:
 
 
 def report() -> None:
-    """Tell that all is up; when stdin ends, tell the processor time since then."""
+    """Print that everything is running; when stdin ends, print the processor time since then."""
     print("up", flush=True)
     began, cpu = time.monotonic(), time.process_time()
     sys.stdin.read()
@@ -98,7 +102,7 @@ def report() -> None:
 
 
 class Part:
-    """One of these processes."""
+    """A process with one of the parts above."""
 
     def __init__(self, part: str, endpoint: str, *rest: str) -> None:
         command = [sys.executable, __file__, "--part", part, "--endpoint", endpoint, *rest]
@@ -107,10 +111,10 @@ class Part:
     def wait_up(self) -> None:
         line = self._process.stdout.readline() if self._process.stdout else ""
         if line != "up\n":
-            raise SystemExit(f"a process did not come up: {line!r}")
+            raise SystemExit(f"a process did not start; it printed {line!r}")
 
     def end(self) -> float:
-        """End it in order; the part of one processor that it took."""
+        """End the process normally, and return the fraction of one processor that it used."""
         out, _ = self._process.communicate(timeout=60)
         said = json.loads(out.splitlines()[-1])
         return float(said["cpu"] / said["seconds"])
@@ -168,12 +172,12 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
             part.kill()
     rates = [(found[each].packets - counted[each].packets) / seconds for each in names]
     lost = [found[each].missed - counted[each].missed for each in names]
-    print(f"packets a second of each robot: {min(rates):.1f} to {max(rates):.1f}, together {sum(rates):.0f}")
-    print(f"missed while there was no router: {sum(each.missed for each in counted.values())}; with it: {sum(lost)}")
+    print(f"packets per second of each robot: {min(rates):.1f} to {max(rates):.1f}, in total {sum(rates):.0f}")
+    print(f"missed without the router: {sum(each.missed for each in counted.values())}; with the router: {sum(lost)}")
     clock = sum(each.missing for each in ended.values())
     print(f"cycles of the controllers' own clocks that are in no recording: {clock}")
     gaps = {name: longest_gap(ended[name].path) for name in names}
-    # Packets are numbered where they are received of the robot: what was missed was offered too.
+    # The server numbers packets when they arrive from the robot, so missed packets were offered too.
     rows = [(each, ended[each].packets + ended[each].missed, ended[each].packets, gaps[each]) for each in names]
     for name, offered, received, gap in rows if args.each else ():
         print(f"  {name}: offered {offered}, received {received}, lost {offered - received}, longest gap {gap:.2f} s")
@@ -181,8 +185,8 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
     print(f"longest gap of each: {min(gaps.values()):.2f} to {max(gaps.values()):.2f} s")
     serving = sum(shares[:-1])
     print(
-        f"processor: robots and servers {serving:.2f} ({100 * serving / len(names):.2f} % a robot), "
-        f"collector {own:.2f} ({1e6 * own / max(sum(rates), 1):.0f} us a packet), router {shares[-1]:.2f}"
+        f"processor: robots and servers {serving:.2f} ({100 * serving / len(names):.2f} % per robot), "
+        f"collector {own:.2f} ({1e6 * own / max(sum(rates), 1):.0f} us per packet), router {shares[-1]:.2f}"
     )
     for file in (ended[names[0]], ended[names[-1]]):
         with urlink.connect(f"replay://{file.path}?rate=0") as robot:
@@ -191,13 +195,13 @@ def demonstrate(args: argparse.Namespace, directory: Path) -> None:
 
 
 def longest_gap(path: Path) -> float:
-    """Seconds between two packets of a recording, at most, as the server of the robot received them."""
+    """Return the longest gap, in s, between two packets of a recording, by server time."""
     steps = np.diff(urlink.load(path).realtime.time)
     return float(steps.max()) if len(steps) else 0.0
 
 
 def record(path: Path, seconds: float) -> Path:
-    """Record a simulated arm, written rather than waited for: the arm is stepped without a clock."""
+    """Record a simulated arm without waiting: the arm is stepped without a clock."""
     controller = Controller("UR5", FIRMWARE, motion=Demonstration())
     writer = RecordingWriter(path)
     channel = writer.add_channel({"name": "realtime", "firmware": FIRMWARE, "model": "UR5"})
@@ -212,7 +216,7 @@ def wait_for(condition: Callable[[], bool], seconds: float) -> None:
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > end:
-            raise SystemExit(f"it did not come about within {seconds:g} s")
+            raise SystemExit(f"the expected state was not reached within {seconds:g} s")
         time.sleep(0.1)
 
 

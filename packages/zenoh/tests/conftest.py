@@ -29,13 +29,13 @@ def router(endpoint: str) -> Iterator[zenoh.Session]:
 
 @pytest.fixture
 def session(router: zenoh.Session, endpoint: str) -> Iterator[zenoh.Session]:
-    """The session of a client."""
+    """Session of a client."""
     with open_session([endpoint]) as session:
         yield session
 
 
 @pytest.fixture
 def server(router: zenoh.Session, endpoint: str, urlink_robot: urlink.Robot) -> Iterator[Server]:
-    """Serves the simulated robot as "arm" to a router."""
+    """Server that serves the simulated robot as "arm" over a router."""
     with open_session([endpoint]) as session, Server(session, {"arm": urlink_robot}) as server:
         yield server

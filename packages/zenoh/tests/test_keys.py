@@ -1,4 +1,4 @@
-"""What is published and answered is what `keys.json` says, and a router lets each certificate do what its name may."""
+"""Published values and answers match `keys.json`, and a router grants each certificate the rights of its name."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from urlink_zenoh import RemoteRobot, Sample, Server, keys, open_session, robots
 
 jsonschema = pytest.importorskip("jsonschema")
 
-#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+#: Marks of the simulated arm of these tests. The limits are long because a busy machine causes silence and delays.
 pytestmark = pytest.mark.urlink(
     model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
 )
@@ -34,22 +34,20 @@ SCHEMA: dict[str, Any] = json.loads(Path(keys.__file__).with_name("keys.json").r
 
 
 def check(key: str, value: Any, what: str = "payload") -> None:
-    """A value is what the schema says of a key."""
+    """Check a value against the schema of a key."""
     schema = {"$schema": SCHEMA["$schema"], "$defs": SCHEMA["$defs"], **SCHEMA["keys"][key][what]}
     jsonschema.Draft202012Validator(schema).validate(value)
 
 
-def test_the_schema_has_the_version_and_the_keys_of_the_module() -> None:
+def test_schema_matches_version_and_keys_of_module() -> None:
     assert SCHEMA["version"] == keys.VERSION
     assert keys.key_of("hall/3", "arm") == f"hall/3/v{keys.VERSION}/arm"
-    named = re.findall(r"``([\w/]+)``", (keys.__doc__ or "").partition("All but")[0])
+    named = re.findall(r"``([\w/]+)``", (keys.__doc__ or "").partition("Clients can subscribe")[0])
     assert set(named) - {f"urlink/v{keys.VERSION}/NAME"} == SCHEMA["keys"].keys()
     jsonschema.Draft202012Validator.check_schema({**SCHEMA, "keys": {}})
 
 
-def test_everything_in_json_is_as_the_schema_says(
-    server: Server, session: zenoh.Session, urlink_controller: Controller
-) -> None:
+def test_json_payloads_match_schema(server: Server, session: zenoh.Session, urlink_controller: Controller) -> None:
     heard: dict[str, list[Any]] = {}
     listener = session.declare_subscriber(
         "urlink/v1/arm/*",
@@ -85,14 +83,14 @@ def test_everything_in_json_is_as_the_schema_says(
 
 
 @pytest.mark.parametrize("wrong", [{"connection": "connected"}, {"q": [0.0]}, {"speed": 1.0}])
-def test_the_schema_refuses_what_is_none(wrong: dict[str, Any]) -> None:
+def test_schema_rejects_invalid_status(wrong: dict[str, Any]) -> None:
     with pytest.raises(jsonschema.ValidationError):
         check(
             "status", {"age": 0.0, "refusal": None, **({} if "connection" in wrong else {"connection": "x"}), **wrong}
         )
 
 
-# -- who may do what -------------------------------------------------------------------------------
+# -- access control --------------------------------------------------------------------------------
 
 Opened = Callable[[str], zenoh.Session]
 
@@ -102,7 +100,7 @@ def zenohd(config: Path, endpoint: str) -> Iterator[None]:
     """Run the router of the Zenoh project with this configuration."""
     program = shutil.which("zenohd")
     if program is None:
-        pytest.skip("there is no zenohd (of the Zenoh project; the Python package has the same router)")
+        pytest.skip("zenohd of the Zenoh project is not installed; the Python package has the same router")
     host, _, port = endpoint.rpartition("/")[2].rpartition(":")
     process = subprocess.Popen([program, "--config", str(config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
@@ -124,9 +122,9 @@ def zenohd(config: Path, endpoint: str) -> Iterator[None]:
 def opened(
     request: pytest.FixtureRequest, tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Opened]:
-    """The router of the example runs, by the package or by zenohd; opens a session by the certificate of a name."""
+    """Run the router of the example; yield a function that opens a session as a named client."""
     if shutil.which("openssl") is None:
-        pytest.skip("there is no openssl")
+        pytest.skip("openssl is not installed")
     made = ["sh", str(EXAMPLES / "certificates.sh"), "127.0.0.1"]
     subprocess.run(made, cwd=tmp_path, check=True, capture_output=True, timeout=60)
     monkeypatch.chdir(tmp_path)
@@ -145,7 +143,7 @@ def opened(
         yield lambda name: stack.enter_context(open_session(config=config("client.json5", name), timeout=3.0))
 
 
-def test_a_certificate_may_do_what_its_name_may(opened: Opened, urlink_robot: urlink.Robot) -> None:
+def test_certificate_name_decides_permissions(opened: Opened, urlink_robot: urlink.Robot) -> None:
     with Server(opened("server"), {"arm": urlink_robot}):
         reader, operator = opened("reader"), opened("operator")
         came: list[Sample] = []
@@ -160,7 +158,7 @@ def test_a_certificate_may_do_what_its_name_may(opened: Opened, urlink_robot: ur
         assert urlink_robot.motion.current is None
         with RemoteRobot(operator, "arm") as remote:
             assert remote.call("move_joints", q=HOME, wait=True)["phase"] == "done"
-        # An operator is no server: what it publishes as a robot reaches nobody.
+        # An operator is not a server: no client receives a state that it publishes.
         heard: list[bytes] = []
         listener = reader.declare_subscriber("urlink/v1/arm/status", lambda sample: heard.append(bytes(sample.payload)))
         until(lambda: heard)
@@ -171,7 +169,7 @@ def test_a_certificate_may_do_what_its_name_may(opened: Opened, urlink_robot: ur
         listener.undeclare()
 
 
-def test_who_has_no_certificate_is_not_let_in(opened: Opened, tmp_path: Path) -> None:
+def test_router_refuses_certificate_of_other_authority(opened: Opened, tmp_path: Path) -> None:
     strange = tmp_path / "strange"
     strange.mkdir()
     made = ["sh", str(EXAMPLES / "certificates.sh"), "127.0.0.1"]
@@ -182,14 +180,14 @@ def test_who_has_no_certificate_is_not_let_in(opened: Opened, tmp_path: Path) ->
         opened("stranger")
 
 
-def test_a_name_that_the_router_does_not_know_hears_nothing(opened: Opened, urlink_robot: urlink.Robot) -> None:
+def test_certificate_with_unknown_name_receives_no_data(opened: Opened, urlink_robot: urlink.Robot) -> None:
     with Server(opened("server"), {"arm": urlink_robot}):
         until(lambda: robots(opened("reader")) == ["arm"])
-        # The router's own certificate is a good one, and stands in no rule.
+        # The router's own certificate is valid, but no rule contains its name.
         other = opened("router")
         assert robots(other) == []
         assert list(other.get("urlink/v1/arm/status", timeout=2.0)) == []
 
 
-def test_the_package_has_the_schema() -> None:
+def test_package_contains_schema() -> None:
     assert Path(urlink_zenoh.__file__).with_name("keys.json").is_file()

@@ -1,4 +1,4 @@
-"""Robots over Zenoh: each test has a router, a server and a client, with sessions of their own over TCP."""
+"""Robots over Zenoh: each test has a router, a server and a client, with separate sessions over TCP."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from urlink_zenoh.expiry import Expiry
 from urlink_zenoh.keys import attachment, stamped
 from urlink_zenoh.publication import Publication
 
-#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+#: Marks of the simulated arm of these tests. The limits are long because a busy machine causes silence and delays.
 pytestmark = pytest.mark.urlink(
     model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
 )
@@ -39,14 +39,14 @@ FAR = [1.5, -1.5, 1.5, -1.5, -1.5, 0.0]
 
 @pytest.mark.property
 @given(st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(0, 2**40))
-def test_an_attachment_is_read_as_it_was_written(sequence: int, monotonic: int, wall: int) -> None:
+def test_attachment_round_trip(sequence: int, monotonic: int, wall: int) -> None:
     stamp = urlink.packets.Stamp(monotonic / 1024, wall / 1024)
     number, read = stamped(attachment(sequence, stamp))
     assert number == sequence
     assert read == pytest.approx(stamp, abs=1e-6)
 
 
-def test_a_client_reads_a_robot(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
+def test_client_reads_robot(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
     assert robots(session) == ["arm"]
     came: list[Sample] = []
     with RemoteRobot(session, "arm") as remote, remote.watch(came.append) as watch:
@@ -56,13 +56,13 @@ def test_a_client_reads_a_robot(server: Server, session: zenoh.Session, urlink_r
         until(lambda: "q" in remote.status)
         status, info = remote.status, remote.info
     assert {sample.robot for sample in came} == {"arm"}
-    # All that were published, in order, each with the time at which the server got it.
+    # All published packets arrive in order, with the time at which the server received each of them.
     assert [sample.sequence for sample in came] == list(range(came[0].sequence, came[0].sequence + len(came)))
     assert all(before.received <= after.received for before, after in itertools.pairwise(came))
     assert (watch.missed, watch.failed) == (0, 0)
     assert (status["connection"], status["safety_mode"], status["refusal"]) == ("connected", "NORMAL", None)
     assert (info["model"], info["firmware"]) == ("UR5e", "5.11")
-    # The description is enough to read a packet without the library.
+    # The description is sufficient to read a packet without the library.
     field = next(field for field in info["realtime"]["fields"] if field["name"] == "q_actual")
     state = came[-1].state
     assert isinstance(state, urlink.packets.RealtimeState)
@@ -70,7 +70,7 @@ def test_a_client_reads_a_robot(server: Server, session: zenoh.Session, urlink_r
     assert read.tolist() == state.q_actual.tolist()
 
 
-def test_packets_of_the_primary_interface_and_fewer_of_the_real_time_interface(
+def test_server_publishes_primary_and_limits_realtime_rate(
     router: zenoh.Session, endpoint: str, session: zenoh.Session, urlink_robot: urlink.Robot
 ) -> None:
     states: list[Sample] = []
@@ -89,7 +89,7 @@ def test_packets_of_the_primary_interface_and_fewer_of_the_real_time_interface(
 
 
 @pytest.mark.parametrize("rate", [None, 100.0])
-def test_what_a_queue_of_the_server_drops_has_been_numbered(
+def test_packets_dropped_by_server_queue_are_numbered(
     router: zenoh.Session,
     endpoint: str,
     session: zenoh.Session,
@@ -121,14 +121,14 @@ def test_what_a_queue_of_the_server_drops_has_been_numbered(
         goes_on.clear()
         assert is_held.wait(10)
         held = urlink_robot.realtime.stats.received
-        until(lambda: urlink_robot.realtime.stats.received > held + 500)  # the queue has room for 256
+        until(lambda: urlink_robot.realtime.stats.received > held + 500)  # the queue holds 256 packets
         goes_on.set()
         until(lambda: watch.missed)
         count = len(samples)
         until(lambda: len(samples) > count + 20 and collector.robots["arm"].packets > count)
         robot = collector.robots["arm"]
     times = [sample.state.to_dict()["time"] for sample in samples]
-    # One of the queue's drops may be noted with the packet before or after; all of them are, in the end.
+    # A drop of the queue may be counted at the packet before or after it, but all drops are counted in the end.
     span = round((times[-1] - times[0]) * (rate or 500))
     assert samples[-1].sequence - samples[0].sequence == pytest.approx(span, abs=1)
     assert watch.missed == samples[-1].sequence - samples[0].sequence + 1 - len(samples) > (rate or 500) / 5
@@ -137,7 +137,7 @@ def test_what_a_queue_of_the_server_drops_has_been_numbered(
     assert sum(gap.cycles for gap in run.realtime.gaps) >= robot.missing > (rate or 500) / 5
 
 
-def test_a_client_moves_a_robot_and_sets_outputs(
+def test_client_moves_robot_and_sets_outputs(
     server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
 ) -> None:
     with RemoteRobot(session, "arm") as remote:
@@ -165,7 +165,7 @@ def test_a_client_moves_a_robot_and_sets_outputs(
         ("close", {}, "no command 'close'"),
     ],
 )
-def test_bad_arguments_are_refused_by_the_robots_own_errors(
+def test_bad_arguments_raise_errors_of_robot(
     server: Server,
     session: zenoh.Session,
     urlink_robot: urlink.Robot,
@@ -196,7 +196,7 @@ def test_commands_pass_the_interlock(
         until(lambda: "protective stop" in (remote.status["refusal"] or ""))
 
 
-def test_payload_and_gravity_are_set(
+def test_client_sets_payload_and_gravity(
     server: Server, session: zenoh.Session, urlink_controller: Controller, urlink_robot: urlink.Robot
 ) -> None:
     with RemoteRobot(session, "arm") as remote:
@@ -206,19 +206,19 @@ def test_payload_and_gravity_are_set(
         assert urlink_controller.arm.payload == 1.5
 
 
-def test_a_motion_needs_a_client_that_is_alive_and_is_not_preempted_by_another(
+def test_motion_needs_live_client_and_is_not_preempted(
     server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
 ) -> None:
     with RemoteRobot(session, "arm") as first, RemoteRobot(session, "arm") as second:
         first.call("move_joints", q=FAR, speed=0.2)
         with pytest.raises(urlink.LocalError, match=first.client):
             second.call("move_joints", q=HOME)
-        second.call("cancel")  # anybody may stop it
+        second.call("cancel")  # any client may stop it
         until(lambda: urlink_robot.motion.current is None)
         second.call("move_joints", q=HOME, speed=0.2)
         second.close()
         until(lambda: urlink_robot.motion.current is None)
-        with pytest.raises(urlink.LocalError, match="no client is alive"):
+        with pytest.raises(urlink.LocalError, match="is not alive"):
             second.call("move_joints", q=HOME)
     replies = list(session.get("urlink/v1/arm/command/move_joints", payload=b'{"q": [0,0,0,0,0,0]}', timeout=2.0))
     assert b"needs a client" in bytes(replies[0].err.payload) if replies[0].err else False
@@ -235,7 +235,9 @@ time.sleep(60)
 """
 
 
-def test_the_motion_of_a_process_that_dies_ends(server: Server, endpoint: str, urlink_robot: urlink.Robot) -> None:
+def test_motion_is_cancelled_when_client_process_dies(
+    server: Server, endpoint: str, urlink_robot: urlink.Robot
+) -> None:
     process = subprocess.Popen([sys.executable, "-c", _MOVE, endpoint], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
@@ -291,12 +293,12 @@ def running(program: str, endpoint: str) -> Iterator[subprocess.Popen[str]]:
 @pytest.mark.parametrize(
     ("who", "when", "wait"),
     [
-        ("router", "before the time was asked for", False),
-        ("router", "before the command", True),
-        ("server", "before the command", False),
+        ("router", "before clock query", False),
+        ("router", "before command", True),
+        ("server", "before command", False),
     ],
 )
-def test_a_command_that_was_given_up_moves_nothing_later(
+def test_abandoned_command_is_not_executed_later(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, who: str, when: str, wait: bool
 ) -> None:
     seen: list[Sample] = []
@@ -316,12 +318,12 @@ def test_a_command_that_was_given_up_moves_nothing_later(
 
         def asked_and_suspended(what: str) -> dict[str, Any]:
             answer = asked(what)
-            if what == "clock" and when == "before the command":
+            if what == "clock" and when == "before command":
                 suspended.send_signal(signal.SIGSTOP)
             return answer
 
         monkeypatch.setattr(remote, "_asked", asked_and_suspended)
-        if when != "before the command":
+        if when != "before command":
             suspended.send_signal(signal.SIGSTOP)
         began = time.monotonic()
         with pytest.raises(urlink.LinkTimeout):
@@ -330,20 +332,20 @@ def test_a_command_that_was_given_up_moves_nothing_later(
             time.sleep(0.05)
         monkeypatch.setattr(remote, "_asked", asked)
         suspended.send_signal(signal.SIGCONT)
-        # What was held up is carried out or refused before what is asked later.
+        # Delayed commands are executed or rejected before later ones.
         until(lambda: answers(remote), 20.0)
         received = len(seen)
         until(lambda: len(seen) > received + 500, 20.0)
         assert remote.status["motion"] is None
         assert remote.latest.q_actual == pytest.approx(start, abs=1e-3)
         assert max(abs(sample.state.to_dict()["q_actual"][0] - start[0]) for sample in seen) < 1e-3
-        # And it is not for ever: what is asked for now is done.
+        # The rejection does not last: a new command is executed.
         assert remote.call("move_joints", q=target, wait=30.0)["phase"] == "done"
         assert remote.latest.q_actual == pytest.approx(target, abs=1e-2)
 
 
 def answers(remote: RemoteRobot) -> bool:
-    """The robot can be asked and told."""
+    """Whether the robot answers and accepts commands."""
     try:
         remote.call("set_digital_out", number=1, on=False)
     except urlink.LinkError:
@@ -351,17 +353,17 @@ def answers(remote: RemoteRobot) -> bool:
     return True
 
 
-def test_a_motion_that_is_not_over_in_time_is_cancelled(
+def test_motion_is_cancelled_when_wait_times_out(
     server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
 ) -> None:
     with RemoteRobot(session, "arm") as remote:
-        with pytest.raises(urlink.LinkTimeout, match=r"not over within 0\.5 s"):
+        with pytest.raises(urlink.LinkTimeout, match=r"did not finish within 0\.5 s"):
             remote.call("move_joints", q=FAR, speed=0.1, wait=0.5)
         until(lambda: urlink_robot.motion.current is None)
         assert remote.call("move_joints", q=HOME, wait=True)["phase"] == "done"
 
 
-def test_what_is_late_or_unknown_is_refused() -> None:
+def test_expiry_rejects_late_unknown_and_abandoned_commands() -> None:
     now = 100.0
     expiry = Expiry(lambda: now)
     told = expiry.described()
@@ -370,13 +372,13 @@ def test_what_is_late_or_unknown_is_refused() -> None:
     now = 105.0
     expiry.check(good)
     now = 105.1
-    with pytest.raises(urlink.LinkTimeout, match=r"5\.1 s after .* nothing was done"):
+    with pytest.raises(urlink.LinkTimeout, match=r"5\.1 s after .* was not executed"):
         expiry.check(good)
     now = 101.0
-    with pytest.raises(urlink.LocalError, match="meant for a server that is gone"):
+    with pytest.raises(urlink.LocalError, match="for an earlier server"):
         Expiry(lambda: now).check(good)
     expiry.give_up("a")
-    with pytest.raises(urlink.LocalError, match="given the command up"):
+    with pytest.raises(urlink.LocalError, match="client abandoned the command"):
         expiry.check(good)
     expiry.check({**good, "command": "b"})
     with pytest.raises(urlink.LinkTimeout):
@@ -396,7 +398,7 @@ def test_what_is_late_or_unknown_is_refused() -> None:
         {"age": "inf"},
     ],
 )
-def test_a_command_says_until_when_it_may_be_carried_out(parameters: dict[str, str | None]) -> None:
+def test_expiry_rejects_missing_or_invalid_parameters(parameters: dict[str, str | None]) -> None:
     expiry = Expiry(lambda: 1.0)
     good = {"server": str(expiry.described()["server"]), "time": "1.0", "age": "5", "command": "a"}
     expiry.check(good)
@@ -404,20 +406,22 @@ def test_a_command_says_until_when_it_may_be_carried_out(parameters: dict[str, s
         expiry.check({**good, **parameters})
 
 
-def test_one_command_alone_is_cancelled(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
+def test_cancel_accepts_id_of_one_command(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
     with RemoteRobot(session, "arm") as remote:
         remote.call("move_joints", q=FAR, speed=0.1)
         remote.call("cancel", command="another")
         motion = urlink_robot.motion.current
         assert motion is not None
         assert not motion.done
-        with pytest.raises(urlink.BadValue, match="cancel takes"):
+        with pytest.raises(urlink.BadValue, match="cancel got"):
             remote.call("cancel", command=3)
         remote.call("cancel")
         until(lambda: motion.done)
 
 
-def test_a_router_dies_and_comes_back(endpoint: str, urlink_robot: urlink.Robot, tmp_path: Path) -> None:
+def test_motion_ends_and_recording_resumes_when_router_restarts(
+    endpoint: str, urlink_robot: urlink.Robot, tmp_path: Path
+) -> None:
     router = open_session(listen=[endpoint], mode="router")
     with (
         open_session([endpoint]) as ours,
@@ -431,7 +435,7 @@ def test_a_router_dies_and_comes_back(endpoint: str, urlink_robot: urlink.Robot,
         motion = urlink_robot.motion.current
         assert motion is not None
         router.close()
-        # Nobody can reach the robot now, so nobody could stop it.
+        # No client can reach the robot now, so no client could stop it.
         until(lambda: motion.done, 5.0)
         assert isinstance(motion.error, urlink.Cancelled)
         with open_session(listen=[endpoint], mode="router"):
@@ -440,7 +444,7 @@ def test_a_router_dies_and_comes_back(endpoint: str, urlink_robot: urlink.Robot,
             until(lambda: collector.robots["arm"].packets > before + 100, 15.0)
             assert remote.call("move_joints", q=HOME, wait=True)["phase"] == "done"
         found = collector.robots["arm"]
-    # What was published meanwhile is gone, and counted.
+    # Packets that were published in the meantime are lost, and are counted.
     assert found.missed > 0
     assert found.restarts == 0
     with urlink.connect(f"replay://{found.path}?rate=0") as recording:
@@ -450,7 +454,7 @@ def test_a_router_dies_and_comes_back(endpoint: str, urlink_robot: urlink.Robot,
 
 
 @pytest.mark.urlink(connect={})
-def test_a_robot_that_is_lost_and_comes_back(
+def test_packets_resume_when_robot_reconnects(
     server: Server, session: zenoh.Session, urlink_controller: Controller, urlink_robot: urlink.Robot
 ) -> None:
     events: list[str] = []
@@ -467,14 +471,16 @@ def test_a_robot_that_is_lost_and_comes_back(
     assert any('"connected"' in event for event in events)
 
 
-def test_a_name_is_served_once(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
-    with pytest.raises(urlink.LocalError, match="served already"):
+def test_server_rejects_name_in_use_and_invalid_name(
+    server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
+) -> None:
+    with pytest.raises(urlink.LocalError, match="already served"):
         Server(session, {"arm": urlink_robot})
     with pytest.raises(urlink.BadValue, match="part of a key"):
         Server(session, {"a/b": urlink_robot})
 
 
-def test_a_robot_that_is_only_read_takes_no_commands(
+def test_read_only_robot_accepts_no_commands(
     router: zenoh.Session, endpoint: str, session: zenoh.Session, urlink_controller: Controller
 ) -> None:
     with (
@@ -488,7 +494,9 @@ def test_a_robot_that_is_only_read_takes_no_commands(
             remote.call("move_joints", q=HOME)
 
 
-def test_serve_from_the_command_line(router: zenoh.Session, endpoint: str, session: zenoh.Session) -> None:
+def test_command_line_serves_robots_until_terminated(
+    router: zenoh.Session, endpoint: str, session: zenoh.Session
+) -> None:
     command = ["serve", "zenoh", "left=sim://ur5e", "right=sim://ur10", "--connect", endpoint, "--rate", "20"]
     process = subprocess.Popen(
         [sys.executable, "-c", "import sys, urlink.cli; sys.exit(urlink.cli.main())", *command],
@@ -508,7 +516,7 @@ def test_serve_from_the_command_line(router: zenoh.Session, endpoint: str, sessi
             (there if sample.kind == zenoh.SampleKind.PUT else gone).set()
 
         session.liveliness().declare_subscriber("urlink/v1/left/alive", note, history=True)
-        # The router knows of the subscriber, and will tell it.
+        # The router knows the subscriber now, and will notify it.
         assert there.wait(20.0)
         process.send_signal(signal.SIGTERM)
         assert process.wait(10.0) == 128 + signal.SIGTERM
@@ -518,7 +526,7 @@ def test_serve_from_the_command_line(router: zenoh.Session, endpoint: str, sessi
         process.communicate()
 
 
-def test_nobody_is_there(session: zenoh.Session) -> None:
+def test_calls_time_out_without_server(session: zenoh.Session) -> None:
     began = time.monotonic()
     with RemoteRobot(session, "nobody", timeout=0.5) as remote:
         for ask in (lambda: remote.info, lambda: remote.latest, lambda: remote.call("stop")):
@@ -528,7 +536,7 @@ def test_nobody_is_there(session: zenoh.Session) -> None:
 
 
 @pytest.mark.parametrize("name", ["stop", "cancel"])
-def test_motion_does_not_begin_when_a_stop_came_after_it(
+def test_motion_does_not_start_after_later_stop(
     server: Server, session: zenoh.Session, urlink_robot: urlink.Robot, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     is_asked, may_go_on = threading.Event(), threading.Event()
@@ -559,7 +567,7 @@ def test_motion_does_not_begin_when_a_stop_came_after_it(
 
 
 @pytest.mark.parametrize("name", ["stop", "cancel"])
-def test_motion_that_waits_in_its_lane_does_not_begin_after_a_stop(
+def test_queued_motion_does_not_start_after_later_stop(
     server: Server, session: zenoh.Session, urlink_robot: urlink.Robot, name: str
 ) -> None:
     served = server._served[0]

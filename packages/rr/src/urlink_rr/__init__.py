@@ -1,12 +1,12 @@
-"""Universal Robots arms over Robot Raconteur: the standard service `com.robotraconteur.robotics.robot` of each.
+"""Universal Robots arms over Robot Raconteur, each as a service `com.robotraconteur.robotics.robot`.
 
-`serve` registers robots in a node, `RobotService` is the service of one of them. `RhdService` has the variables of a
-mobile robot that runs RHD as wires.
+`serve` registers robots in a node. `RobotService` is the service of one robot. `RhdService` makes the variables of a
+mobile robot that runs RHD available as wires.
 """
 
 from __future__ import annotations
 
-# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+# Before urlink: the warning about another distribution named linkcore must come before an import fails.
 import linkcore  # noqa: F401
 
 from .node import open_node, register, serve

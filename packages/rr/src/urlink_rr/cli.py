@@ -1,4 +1,4 @@
-"""`urlink serve rr`."""
+"""Command line of `urlink serve rr`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,23 @@ __all__ = ["add_arguments", "serve"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of Robot Raconteur."""
+    """Add the options of the Robot Raconteur node."""
     parser.description = "Serve robots over Robot Raconteur, each as com.robotraconteur.robotics.robot.Robot."
-    parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"TCP port, 0 for a free one ({PORT})")
-    parser.add_argument("--node-name", default="urlink.robots", metavar="NAME", help="name of the node (urlink.robots)")
-    parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help=f"states a second at most ({RATE:g})")
-    parser.add_argument("--no-announce", action="store_true", help="do not let others find it by multicast")
+    parser.add_argument(
+        "--port", type=int, default=PORT, metavar="N", help=f"TCP port; 0 for a free port (default: {PORT})"
+    )
+    parser.add_argument(
+        "--node-name", default="urlink.robots", metavar="NAME", help="name of the node (default: urlink.robots)"
+    )
+    parser.add_argument(
+        "--rate", type=float, default=RATE, metavar="HZ", help=f"maximum states per second (default: {RATE:g})"
+    )
+    parser.add_argument("--no-announce", action="store_true", help="do not announce the node by multicast")
 
 
 @contextlib.contextmanager
 def serve(robots: Mapping[str, Robot], args: argparse.Namespace) -> Iterator[None]:
-    """Serve them as long as the context lasts."""
+    """Serve the robots until the context ends."""
     with serve_robots(
         robots,
         name=args.node_name,

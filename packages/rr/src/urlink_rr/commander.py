@@ -1,4 +1,4 @@
-"""What clients ask of the arm: the command mode, the motion of one client, and commands that come by wire."""
+"""Commands of clients to the arm: the command mode, the motion of one client, and commands by wire."""
 
 from __future__ import annotations
 
@@ -19,28 +19,30 @@ __all__ = ["Commander"]
 
 _log = logging.getLogger("urlink.rr")
 
-#: Seconds without a new command by wire after which the arm is let stand.
+#: Time, in s, without a new command by wire after which the arm stops.
 _STALE = 0.25
-#: Velocity commands a second that are passed on: each is a program that the controller has to read.
+#: Maximum number of velocity commands to pass on per second: each is a program that the controller has to read.
 _VELOCITY_RATE = 25.0
-#: Seconds for which a velocity holds where no other follows; the robot then brakes by itself.
+#: Time, in s, for which a velocity applies if no other follows; the robot then brakes on its own.
 _VELOCITY_HOLDS = 0.25
-#: Codes of `JointPositionUnits` and `JointVelocityUnits` -> rad, or rad/s, for one of them.
+#: Codes of `JointPositionUnits` and `JointVelocityUnits`, and the size of each unit in rad or rad/s.
 _POSITION_UNITS = {0: 1.0, 2: 1.0, 3: np.pi / 180.0, 5: 2.0 * np.pi / 2**20}
 _VELOCITY_UNITS = {0: 1.0, 17: 1.0, 18: np.pi / 180.0, 20: 2.0 * np.pi / 2**20}
 
 
 class Commander:
-    """The command modes of one robot.
+    """Command modes of one robot.
 
-    A mode is left by choosing another, and by the loss of the client that chose it: then what moves is cancelled, and
-    the mode is "halt". A stop of the robot ends motions; the mode stays, and refuses new ones while the stop holds.
+    A mode ends when another mode is chosen, or when the client that chose it is lost. In both cases the current motion
+    is cancelled; after a loss, the mode is "halt". A stop of the robot ends motions, but not the mode: new motions are
+    refused while the stop lasts.
 
     Args:
-        robot: what is moved.
-        read: of "position_command" or "velocity_command", gives the newest value of that wire: number, command, codes
-            of its units, endpoint of its client; None where there is none, or where it is too old.
-        expiry: whether a command may have been given up.
+        robot: Robot that is commanded.
+        read: Function that returns the newest value of the wire "position_command" or "velocity_command": number,
+            command, codes of its units, endpoint of its client. It returns None if there is no value, or if the value
+            is too old.
+        expiry: Check for commands that their client might have abandoned.
     """
 
     def __init__(self, robot: Robot, read: Callable[[str], tuple[int, Any, Any, int] | None], expiry: Expiry) -> None:
@@ -52,7 +54,7 @@ class Commander:
         self._owner: int | None = None
         self._motion: Motion | None = None
         self._is_closed = False
-        #: when a command came by the wire of the mode last, monotonic
+        #: monotonic time of the last command by the wire of the mode
         self._heard = -1e9
         self._thread = threading.Thread(target=self._follow_wires, name="urlink-rr commands", daemon=True)
         self._thread.start()
@@ -66,20 +68,20 @@ class Commander:
 
     @property
     def motion(self) -> Motion | None:
-        """The motion that a client has begun, as long as it is not over."""
+        """Unfinished motion that a client started; None if there is none."""
         motion = self._motion
         return None if motion is None or motion.done else motion
 
     @property
     def is_commanded_by_wire(self) -> bool:
-        """Commands arrive by the wire of the mode."""
+        """Whether commands arrive by the wire of the mode."""
         return clock.now() - self._heard < _STALE
 
     def choose(self, mode: str, endpoint: int) -> None:
-        """Go over to another mode; what moves is cancelled.
+        """Change to another mode; the current motion is cancelled.
 
         Raises:
-            LinkError: the arm may not be moved now, or the command may have been given up; the mode is "halt" then.
+            LinkError: If the arm must not move now, or the command might have been abandoned. The mode is "halt" then.
         """
         self.halt()
         if mode == "halt":
@@ -93,7 +95,7 @@ class Commander:
             self._changed.notify_all()
 
     def halt(self) -> None:
-        """Brake, and take no commands until another mode is chosen."""
+        """Brake, and accept no commands until another mode is chosen."""
         with self._changed:
             self._mode, self._owner = "halt", None
             motion, self._motion = self._motion, None
@@ -102,25 +104,25 @@ class Commander:
             motion.cancel()
 
     def lost(self, endpoint: int) -> None:
-        """A client is gone: what it has begun ends."""
+        """End the motion of a client that is lost."""
         with self._changed:
             is_owner = endpoint == self._owner
         if is_owner:
-            _log.warning("%s: the client in command is lost", self._robot.address)
+            _log.warning("%s: halted: the client in command is lost", self._robot.address)
             self.halt()
 
     def begin(self, mode: str, endpoint: int, move: Callable[[], Motion]) -> Motion:
-        """Begin a motion, which a client may do that has chosen its mode.
+        """Start a motion for the client that chose its mode.
 
         Raises:
-            LocalError: another mode holds, or another client has chosen it.
-            LinkError: whatever `move` raises.
+            LocalError: If another mode is active, or another client chose it.
+            LinkError: If `move` raises it.
         """
         with self._changed:
             if self._mode != mode:
-                raise LocalError(f"the command mode is {self._mode}; {mode} has to be chosen first")
+                raise LocalError(f"the command mode is {self._mode}; choose {mode} first")
             if self._owner != endpoint:
-                raise LocalError("another client is in command; choose the command mode anew to take over")
+                raise LocalError("another client is in command; set the command mode again to take over")
         self._expiry.check()
         motion = move()
         with self._changed:
@@ -128,7 +130,7 @@ class Commander:
                 self._motion = motion
                 return motion
         motion.cancel()
-        raise LocalError("the command mode was changed meanwhile")
+        raise LocalError("the command mode changed while the motion was starting; set it again")
 
     def close(self) -> None:
         """Halt, and end the thread."""
@@ -151,17 +153,17 @@ class Commander:
                 elif mode == "velocity_command":
                     self._follow_velocities()
             except LinkError as error:
-                # A stop, a command that makes no sense or is too old: the next command tries again.
+                # A stop, or an invalid or old command. The next command tries again.
                 _log.warning("%s: %s", self._robot.address, error)
                 clock.sleep(0.1)
 
     def _next(self, mode: str, seen: int | None, seconds: float) -> tuple[int, Any] | None:
-        """The next command that comes by the wire of a mode; None when time is up, or the mode is another."""
+        """Return the next command of a mode's wire; None after the time limit or a change of mode."""
         units = _POSITION_UNITS if mode == "position_command" else _VELOCITY_UNITS
         until = clock.now() + seconds
         while self._mode == mode:
             found = self._read(mode)
-            # Only of the client that chose the mode.
+            # Accept only commands of the client that chose the mode.
             if found is not None and found[3] == self._owner and found[0] != seen:
                 self._expiry.check()
                 self._heard = clock.now()
@@ -172,7 +174,7 @@ class Commander:
         return None
 
     def _follow_positions(self) -> None:
-        """Hand on what comes, by a servo that is open as long as commands come."""
+        """Pass commands on to a servo, which stays open as long as commands arrive."""
         mode = "position_command"
         seen = self._read(mode)
         first = self._next(mode, None if seen is None else seen[0], 1.0)
@@ -212,16 +214,16 @@ class Commander:
 
 
 def _in_radians(values: Any, codes: Any, units: dict[int, float]) -> Any:
-    """Six numbers in rad or rad/s.
+    """Convert a command of six numbers to rad or rad/s.
 
     Raises:
-        BadValue: not six numbers, or a unit that is not known.
+        BadValue: If there are not six numbers, or a unit is unknown.
     """
     command = np.asarray(values, dtype=np.float64)
     given = np.asarray(codes if codes is not None and len(codes) else np.zeros(6), dtype=int)
     if command.shape != (6,) or given.shape != (6,) or not np.isfinite(command).all():
-        raise BadValue(f"a command of {command.tolist()} in units {given.tolist()}; expected six finite numbers")
+        raise BadValue(f"command {command.tolist()} in units {given.tolist()}; expected six finite numbers")
     unknown = [code for code in given.tolist() if code not in units]
     if unknown:
-        raise BadValue(f"unit {unknown[0]} of a joint is not known; expected one of {', '.join(map(str, units))}")
+        raise BadValue(f"unknown joint unit {unknown[0]}; expected one of {', '.join(map(str, units))}")
     return command * np.array([units[code] for code in given.tolist()])

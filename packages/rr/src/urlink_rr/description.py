@@ -1,4 +1,4 @@
-"""Who the robot is, in the structures of Robot Raconteur."""
+"""Description of a robot in the structures of Robot Raconteur."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from urlink.arm.urdf import JOINTS as JOINT_NAMES
 
 __all__ = ["CAPABILITIES", "HOME", "pose_array", "robot_info"]
 
-#: rad; the upright posture of the vendor's pendant, to which `home` moves.
+#: Target of `home`, in rad: the upright posture on the vendor's pendant.
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)
 
-#: Names of `RobotCapabilities` that the service has.
+#: Names of `RobotCapabilities` that the service supports.
 CAPABILITIES = (
     "jog_command",
     "trajectory_command",
@@ -36,18 +36,18 @@ _GEOMETRY = "com.robotraconteur.geometry"
 
 
 def pose_array(node: Any, pose: Any) -> Any:
-    """A pose of six numbers, m and rotation vector, as the structure `Pose`."""
+    """Convert a pose of six numbers (m and rotation vector) to the structure `Pose`."""
     found = np.zeros((1,), node.GetNamedArrayDType(f"{_GEOMETRY}.Pose"))
     vector = np.asarray(pose, dtype=np.float64)
     found[0]["position"] = tuple(vector[:3])
-    # By name: the structure begins with w, and `urlink.poses` ends with it.
+    # By name: in the structure, w is the first component; in `urlink.poses`, it is the last.
     for axis, value in zip("xyzw", poses.rotvec_to_quaternion(vector[3:]).tolist(), strict=True):
         found[0]["orientation"][axis] = value
     return found
 
 
 def robot_info(node: Any, name: str, robot: Robot, is_commanded: bool) -> Any:
-    """The structure `RobotInfo`: joints with their limits, and the chain of this very arm."""
+    """Return the structure `RobotInfo`: joints with limits, and the kinematics of this arm."""
     arm = robot.kinematics
     constants = node.GetConstants(_ROBOT)
     info = node.NewStructure(f"{_ROBOT}.RobotInfo")
@@ -65,7 +65,7 @@ def robot_info(node: Any, name: str, robot: Robot, is_commanded: bool) -> Any:
 
 
 def identifier(node: Any, name: str, unique: uuid.UUID | None = None) -> Any:
-    """The structure `Identifier`."""
+    """Return the structure `Identifier`."""
     found = node.NewStructure("com.robotraconteur.identifier.Identifier")
     found.name = name
     found.uuid = np.zeros((1,), node.GetPodDType("com.robotraconteur.uuid.UUID"))
@@ -76,7 +76,7 @@ def identifier(node: Any, name: str, unique: uuid.UUID | None = None) -> Any:
 
 def _device_info(node: Any, name: str, robot: Robot) -> Any:
     info = node.NewStructure("com.robotraconteur.device.DeviceInfo")
-    # The same robot is the same device, wherever it is served.
+    # The same robot is the same device on every server.
     info.device = identifier(node, name, uuid.uuid5(uuid.NAMESPACE_URL, f"urlink:{name}:{robot.address}"))
     info.manufacturer = identifier(node, "Universal Robots")
     info.model = identifier(node, robot.model or "")
@@ -108,7 +108,7 @@ def _joint_info(node: Any, arm: Arm, index: int) -> Any:
 
 
 def _chain(node: Any, name: str, arm: Arm) -> Any:
-    """Axes of the joints where all of them are at zero, and the way from one to the next, in the base frame."""
+    """Return axes and offsets of the joints in the base frame, with all joints at zero."""
     frames = arm.frames(np.zeros(6))
     chain = node.NewStructure(f"{_ROBOT}.RobotKinChainInfo")
     chain.kin_chain_identifier = identifier(node, name)
@@ -120,7 +120,7 @@ def _chain(node: Any, name: str, arm: Arm) -> Any:
     chain.link_fiducials = []
     chain.joint_numbers = np.arange(6, dtype=np.uint32)
     chain.flange_identifier = identifier(node, "flange")
-    # With all joints at zero: H and P bring the origin of the flange there, and this its orientation.
+    # With all joints at zero, H and P define the origin of the flange, and this pose defines its orientation.
     chain.flange_pose = pose_array(node, [0.0, 0.0, 0.0, *poses.matrix_to_rotvec(frames[6, :3, :3])])
     for limit in ("velocity", "acceleration"):
         dtype = node.GetNamedArrayDType(f"{_GEOMETRY}.Spatial{limit.capitalize()}")

@@ -1,4 +1,4 @@
-"""Errors of the library as Robot Raconteur carries them to a client."""
+"""Conversion of urlink's errors to the errors that Robot Raconteur sends to a client."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def raised(error: Exception) -> Exception:
-    """What a client gets of an error; the message stays."""
+    """Return the error for the client; the message is kept."""
     if isinstance(error, BadValue):
         kind = RR.InvalidArgumentException
     elif isinstance(error, Cancelled):
@@ -32,7 +32,7 @@ def raised(error: Exception) -> Exception:
 
 
 def translated(function: F) -> F:
-    """A member of a service whose errors reach its client."""
+    """Wrap a member of a service so that its errors reach the client."""
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:

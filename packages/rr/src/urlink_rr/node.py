@@ -1,4 +1,4 @@
-"""Nodes of Robot Raconteur, and robots in them."""
+"""Robot Raconteur nodes, and the robots that they serve."""
 
 from __future__ import annotations
 
@@ -15,24 +15,26 @@ from .service import RATE, RobotService
 
 __all__ = ["PORT", "open_node", "register", "serve"]
 
-#: The TCP port, where no other is chosen.
+#: Default TCP port.
 PORT = 58651
 
 
 @contextlib.contextmanager
 def open_node(name: str = "urlink.robots", port: int = PORT, *, announce: bool = True) -> Iterator[tuple[Any, int]]:
-    """A node that listens at a TCP port, with the standard types; it is shut down when the context ends.
+    """Open a node with the standard types, which listens at a TCP port.
+
+    The node is shut down when the context ends.
 
     Args:
-        name: of the node.
-        port: to listen at; 0 for a free one.
-        announce: let others find it by multicast.
+        name: Name of the node.
+        port: TCP port to listen at; 0 for a free port.
+        announce: Whether to announce the node by multicast.
 
     Yields:
-        the node, and its port.
+        The node and its port.
 
     Raises:
-        BadAddress: the port is taken.
+        BadAddress: If the port is in use.
     """
     node = RR.RobotRaconteurNode()
     node.SetNodeName(name)
@@ -41,7 +43,7 @@ def open_node(name: str = "urlink.robots", port: int = PORT, *, announce: bool =
     try:
         try:
             transport.StartServer(port)
-        except Exception as error:  # it raises no class of its own
+        except Exception as error:  # Robot Raconteur raises no specific class
             raise BadAddress(f"port {port}: {error}") from error
         if announce:
             transport.EnableNodeAnnounce()
@@ -53,9 +55,9 @@ def open_node(name: str = "urlink.robots", port: int = PORT, *, announce: bool =
 
 
 def register(node: Any, name: str, robot: Robot, rate: float = RATE, watchdog: float = 0.1) -> RobotService:
-    """Serve a robot in a node, under its name, until the service is closed and the node closes it.
+    """Serve a robot in a node, under its name.
 
-    Args and errors: see `RobotService`.
+    It is served until the service is closed and the node closes it. For arguments and errors, see `RobotService`.
     """
     service = RobotService(node, name, robot, rate, watchdog)
     context = node.RegisterService(name, "com.robotraconteur.robotics.robot.Robot", service)
@@ -73,19 +75,19 @@ def serve(
     rate: float = RATE,
     watchdog: float = 0.1,
 ) -> Iterator[int]:
-    """Serve robots, by name, as long as the context lasts: ``rr+tcp://HOST:PORT?service=NAME``.
+    """Serve robots until the context ends, each at ``rr+tcp://HOST:PORT?service=NAME``.
 
     Args:
-        robots: name -> robot.
-        name, port, announce: see `open_node`.
-        rate, watchdog: see `RobotService`.
+        robots: Robots by name.
+        name, port, announce: See `open_node`.
+        rate, watchdog: See `RobotService`.
 
     Yields:
-        the TCP port.
+        The TCP port.
 
     Raises:
-        BadAddress: the port is taken.
-        LinkError: a robot cannot be reached.
+        BadAddress: If the port is in use.
+        LinkError: If a robot cannot be reached.
     """
     with open_node(name, port, announce=announce) as (node, listening), contextlib.ExitStack() as stack:
         for each, robot in robots.items():

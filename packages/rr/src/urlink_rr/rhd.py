@@ -1,4 +1,4 @@
-"""The variables of a mobile robot that runs RHD, as wires."""
+"""Service with the variables of a mobile robot that runs RHD, as wires."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ __all__ = ["RhdService", "definition", "register_rhd"]
 
 _log = logging.getLogger("urlink.rr")
 
-#: Seconds between two ticks of the clock by which values expire.
+#: Interval, in s, between two ticks of the clock that expires values.
 _TICK = 0.1
 
 
 def definition(name: str, robot: Variables) -> tuple[str, dict[str, str], dict[str, str]]:
-    """The service definition of a robot: a wire for each variable, of its 32-bit words.
+    """Return the service definition of a robot, with a wire of 32-bit words for each variable.
 
     Returns:
-        the text; and wire -> variable, of the variables to read and of those to write, which begin with ``command_``.
+        The text of the definition; the variables to read, by wire; and the variables to write, by wire. The names of
+        the wires to write begin with ``command_``.
     """
     read: dict[str, str] = {}
     write: dict[str, str] = {}
@@ -55,15 +56,15 @@ def definition(name: str, robot: Variables) -> tuple[str, dict[str, str], dict[s
 
 
 class RhdService:
-    """The service object; `register_rhd` puts it into a node.
+    """Service object of a mobile robot; `register_rhd` registers it in a node.
 
-    Values go both ways as they are on the wire of RHD: 32-bit words. What a client writes is the robot's with its next
-    sync. When that client is lost, what it has written is set to 0, which lets the robots that are known here stand.
-    What may have waited while this process was held up is not written.
+    In both directions, values are the 32-bit words of RHD. A value that a client writes is sent to the robot at the
+    next sync. When this client is lost, the variables that it wrote are set to 0, which stops the robots that are known
+    here. A value is not written if it might have been delayed while this process was interrupted.
 
     Args:
-        robot: which somebody keeps in sync: ``robot.background()``.
-        read, write: wire -> variable.
+        robot: Variables of a robot, which the caller keeps in sync, for example with ``robot.background()``.
+        read, write: Names of variables, by wire.
     """
 
     def __init__(self, robot: Variables, read: Mapping[str, str], write: Mapping[str, str]) -> None:
@@ -72,7 +73,7 @@ class RhdService:
         self._write = dict(write)
         self._wire_of = {variable: wire for wire, variable in read.items()}
         self._lock = threading.Lock()
-        #: variable -> the client that wrote it last
+        #: endpoint of the client that wrote each variable last
         self._written: dict[str, int] = {}
         self._subscriptions: list[Any] = []
         self._expiry = Expiry(SETTLING)
@@ -80,11 +81,11 @@ class RhdService:
 
     @property
     def address(self) -> str:
-        """Of the robot."""
+        """Address of the robot."""
         return self._robot.address
 
     def RRServiceObjectInit(self, context: Any, path: str) -> None:  # noqa: N802
-        """Robot Raconteur has put the wires in place."""
+        """Start serving; Robot Raconteur calls this when the wires exist."""
         for wire, variable in self._write.items():
             getattr(self, wire).InValueChanged += self._receiver(variable)
         context.AddServerServiceListener(self._heard)
@@ -99,7 +100,7 @@ class RhdService:
         threading.Thread(target=self._tick, name="urlink-rr tick", daemon=True).start()
 
     def close(self) -> None:
-        """Set what clients have written to 0, and tell no more; idempotent."""
+        """Set the variables that clients wrote to 0, and stop sending; idempotent."""
         self._ended.set()
         for subscription in self._subscriptions:
             subscription.close()
@@ -118,7 +119,7 @@ class RhdService:
                     self._robot[variable] = int(value[0]) if len(value) == 1 else np.asarray(value)
                     self._written[variable] = int(endpoint)
             except LinkError as error:
-                _log.warning("%s is not set: %s", variable, error)
+                _log.warning("%s: not set: %s", variable, error)
 
         return receive
 
@@ -130,7 +131,7 @@ class RhdService:
         with self._lock:
             for variable in [name for name, owner in self._written.items() if owner == endpoint]:
                 del self._written[variable]
-                _log.warning("%s is set to 0: the client that wrote it is lost", variable)
+                _log.warning("%s: set to 0: the client that wrote it is lost", variable)
                 with contextlib.suppress(LinkError):
                     words = np.asarray(self._robot[variable])
                     self._robot[variable] = 0 if words.ndim == 0 else np.zeros_like(words)
@@ -148,7 +149,7 @@ class RhdService:
 
 
 def register_rhd(node: Any, name: str, robot: Variables) -> RhdService:
-    """Serve a mobile robot in a node, under its name, until the service is closed and the node closes it."""
+    """Serve a mobile robot in a node until the service is closed and the node closes it."""
     type_name = f"experimental.rhd.{name}"
     text, read, write = definition(type_name, robot)
     node.RegisterServiceType(text)

@@ -1,4 +1,4 @@
-"""`com.robotraconteur.robotics.robot.Robot`, the standard service of Robot Raconteur, for one arm."""
+"""Robot Raconteur's standard service `com.robotraconteur.robotics.robot.Robot` for one arm."""
 
 from __future__ import annotations
 
@@ -29,41 +29,42 @@ __all__ = ["RATE", "SETTLING", "RobotService"]
 
 _log = logging.getLogger("urlink.rr")
 
-#: States a second, where no other rate is chosen.
+#: Default number of states per second.
 RATE = 125.0
-#: Seconds for which commands are refused after this process was held up: what waited in the buffers of TCP is delivered
-#: within.
+#: Time, in s, for which commands are refused after this process was interrupted. The commands that waited in the
+#: buffers of TCP are delivered within this time.
 SETTLING = 2.0
-#: Seconds in which a robot that says nothing is shown as lost.
+#: Interval, in s, at which a silent robot is reported as lost.
 _RETOLD = 0.1
-#: Seconds that the state may be old to which a command by wire belongs.
+#: Maximum age, in s, of the state to which a command by wire refers.
 _LARGEST_AGE = 1.0
-#: Seconds that the arm has to brake, after a jog whose end is waited for.
+#: Time, in s, in which the arm must come to rest after a jog with `wait`.
 _BRAKE = 2.0
 
 
 class RobotService:
-    """The service object of one robot; `node.register` puts it into a node.
+    """Service object of one robot; `node.register` registers it in a node.
 
-    Members have the names, and mostly the order, of the service definition. Errors of the library reach the client as
-    those of Robot Raconteur, with the same message.
+    The members have the names of the service definition, and mostly its order. Errors of urlink reach the client as
+    errors of Robot Raconteur, with the same message.
 
     Args:
-        node: of Robot Raconteur.
-        name: of the robot.
-        robot: what is served; it is not closed with the service.
-        rate: states a second that are sent, at most. One costs Robot Raconteur's Python about a millisecond, in which
-            no other thread of this process runs, so all 500 of an e-Series get in the way of trajectories.
-        watchdog: seconds without a set-point after which an arm that follows a trajectory brakes by itself.
+        node: Robot Raconteur node.
+        name: Name of the robot.
+        robot: Robot to serve. It is not closed with the service.
+        rate: Maximum number of states to send per second. A state occupies Robot Raconteur's Python code for about a
+            millisecond, during which no other thread of this process runs. Sending all 500 states per second of an
+            e-Series would therefore disturb trajectories.
+        watchdog: Watchdog of trajectories, in s: without a set-point for this time, the arm brakes on its own.
 
     Raises:
-        BadValue: a rate that is not positive.
-        LinkError: the robot cannot be reached, or nobody knows its arm.
+        BadValue: If `rate` is not positive.
+        LinkError: If the robot cannot be reached, or its model is unknown.
     """
 
     def __init__(self, node: Any, name: str, robot: Robot, rate: float = RATE, watchdog: float = 0.1) -> None:
         if not 0.0 < rate <= 1000.0:
-            raise BadValue(f"rate={rate}; expected more than 0 and at most 1000 states a second")
+            raise BadValue(f"rate={rate}; expected more than 0 and at most 1000 states per second")
         self._node = node
         self._robot = robot
         self._is_commanded = _takes_commands(robot)
@@ -72,7 +73,7 @@ class RobotService:
         self._epoch = DateTimeUtil(node).TimeSpec2Now()
         self._actions = node.GetConstants("com.robotraconteur.action")["ActionStatusCode"]
         self._status = node.GetStructureType("com.robotraconteur.robotics.trajectory.TrajectoryStatus")
-        #: of so many states that come, one is sent
+        #: one of this number of states is sent
         self._every = max(round(robot.firmware.rate / rate), 1)
         self._came = itertools.count()
         self._speed_ratio = 1.0
@@ -86,15 +87,15 @@ class RobotService:
         self._ended = threading.Event()
         self._subscription: Any = None
         self._thread = threading.Thread(target=self._retell, name="urlink-rr lost", daemon=True)
-        # Events of the service definition; Robot Raconteur's own hooks.
+        # events of the service definition, as Robot Raconteur's own hooks
         self.tool_changed = RR.EventHook()
         self.payload_changed = RR.EventHook()
         self.param_changed = RR.EventHook()
 
-    # -- its life --------------------------------------------------------------------------------------
+    # -- start and end ---------------------------------------------------------------------------------
 
     def RRServiceObjectInit(self, context: Any, path: str) -> None:  # noqa: N802
-        """Robot Raconteur has put wires and pipes in place."""
+        """Start serving; Robot Raconteur calls this when wires and pipes exist."""
         self.robot_state_sensor_data.MaxBacklog = 3  # type: ignore[attr-defined]
         self._downsampler = RR.BroadcastDownsampler(context, 0)
         for wire in ("robot_state", "advanced_robot_state", "device_clock_now"):
@@ -106,7 +107,7 @@ class RobotService:
         self._thread.start()
 
     def close(self) -> None:
-        """Halt the arm where a client moves it, and send no more; idempotent."""
+        """Halt the arm if a client moves it, and stop sending; idempotent."""
         self._ended.set()
         if self._subscription is not None:
             self._subscription.close()
@@ -141,14 +142,14 @@ class RobotService:
                     raise
 
     def _retell(self) -> None:
-        """While nothing comes of the robot, tell the last state again, with the flag that says so.
+        """Send the last state again while the robot is silent, with the flag of a lost connection.
 
-        Also ticks: where this process was held up, clients have to take command anew.
+        It also checks whether this process was interrupted: then clients have to set the command mode again.
         """
         while not clock.wait(self._ended.wait, _RETOLD):
             if self._expiry.tick() and self._commander is not None:
                 _log.warning(
-                    "%s: this process was held up; the command mode has to be chosen anew", self._robot.address
+                    "%s: halted: this process was interrupted; set the command mode again", self._robot.address
                 )
                 self._commander.halt()
             state = self._robot.realtime.latest
@@ -177,27 +178,27 @@ class RobotService:
 
     @property
     def device_info(self) -> Any:
-        """`DeviceInfo`."""
+        """`DeviceInfo` of the robot."""
         return self._info.device_info
 
     @property
     def robot_info(self) -> Any:
-        """`RobotInfo`."""
+        """`RobotInfo` of the robot."""
         return self._info
 
     @property
     def operational_mode(self) -> int:
-        """An arm of this kind works beside people: "cobot"."""
+        """`RobotOperationalMode`; always "cobot", because an arm of this kind works next to people."""
         return self._states.operational["cobot"]
 
     @property
     def controller_state(self) -> int:
-        """`RobotControllerState`, by robot mode and safety mode."""
+        """`RobotControllerState`, derived from robot mode and safety mode."""
         return self._states.controllers[controller_state_of(self._robot.realtime.latest)]
 
     @property
     def current_errors(self) -> list[Any]:
-        """What keeps the arm from moving, as an `EventLogMessage`; nothing if it may."""
+        """Reason why motions are refused, as an `EventLogMessage`; empty if there is none."""
         refusal = None if self._commander is None else self._robot.safety.refusal
         if refusal is None:
             return []
@@ -212,7 +213,7 @@ class RobotService:
 
     @property
     def isoch_info(self) -> Any:
-        """How often states come."""
+        """`IsochInfo` with the rate of the states."""
         info = self._node.NewStructure("com.robotraconteur.device.isoch.IsochInfo")
         info.update_rate = self._robot.firmware.rate / self._every
         info.isoch_epoch = self._epoch
@@ -221,7 +222,7 @@ class RobotService:
 
     @property
     def isoch_downsample(self) -> int:
-        """So many states are left out between two that this client gets."""
+        """Number of states that are left out between two states sent to this client."""
         return int(self._downsampler.GetClientDownsample(_endpoint()))
 
     @isoch_downsample.setter
@@ -232,7 +233,7 @@ class RobotService:
 
     @property
     def command_mode(self) -> int:
-        """`RobotCommandMode`: what a client may command."""
+        """`RobotCommandMode`: the kind of commands that are accepted."""
         return self._states.modes["halt" if self._commander is None else self._commander.mode]
 
     @command_mode.setter
@@ -245,12 +246,15 @@ class RobotService:
 
     @translated
     def halt(self) -> None:
-        """Brake; takes no commands until another mode is chosen."""
+        """Brake, and accept no commands until another mode is chosen."""
         self._commander_of().halt()
 
     @translated
     def enable(self) -> None:
-        """Power the arm on, release its brakes, and let motions through the interlock. **The arm may move** by that."""
+        """Power the arm on, release its brakes, and permit motions.
+
+        **The arm might move** when the brakes open.
+        """
         commands = self._commands
         commands.halt()
         self._robot.dashboard.start()
@@ -260,15 +264,15 @@ class RobotService:
 
     @translated
     def disable(self) -> None:
-        """Switch the power of the arm off."""
+        """Power the arm off."""
         self._commander_of().halt()
         self._robot.dashboard.power_off()
 
     @translated
     def reset_errors(self) -> None:
-        """Unlock a protective stop, or start safety anew after a violation or fault; nothing else is reset from here.
+        """Unlock a protective stop, or restart the safety system after a violation or fault.
 
-        The controller refuses the first within five seconds of the stop.
+        The controller refuses to unlock within five seconds of the stop. Other stops cannot be reset from here.
         """
         self._commands.halt()
         mode = self._robot.safety.mode
@@ -277,11 +281,11 @@ class RobotService:
         elif mode == SafetyMode.PROTECTIVE_STOP:
             self._robot.dashboard.unlock_protective_stop()
         elif self._robot.safety.cause is not None:
-            raise LocalError(f"{self._robot.safety.cause}: it is reset by a person at the robot")
+            raise LocalError(f"cannot reset {self._robot.safety.cause}; a person must do it at the robot")
 
     @property
     def speed_ratio(self) -> float:
-        """Of the speed slider, 0 to 1."""
+        """Fraction of the speed slider, 0 to 1."""
         newest = self._robot.primary.of(RobotModeData).latest
         return self._speed_ratio if newest is None else newest.target_speed_fraction
 
@@ -296,26 +300,28 @@ class RobotService:
 
     @translated
     def jog_freespace(self, joint_position: Any, max_velocity: Any, wait: bool) -> None:
-        """Move the joints to a position, none of them faster than its `max_velocity`."""
+        """Move the joints to a position, each joint no faster than its `max_velocity`."""
         goal, limits = np.asarray(joint_position, float), np.asarray(max_velocity, float)
         if goal.shape != (6,) or limits.shape != (6,) or not (limits > 0.0).all():
-            raise BadValue("jog_freespace: expected six positions, and six velocities above 0")
+            raise BadValue(
+                "jog_freespace: invalid positions or velocities; expected six positions, and six velocities above 0"
+            )
         way = np.abs(goal - self._robot.realtime.wait().q_actual)
         seconds = float((way / limits).max())
-        # The joint that is furthest has the speed of the motion.
+        # The joint with the longest distance determines the speed of the motion.
         speed = float(way.max()) / seconds if seconds > 0.0 else float(limits.min())
         self._jog(lambda: self._robot.motion.move_joints(goal, min(speed, math.pi)), wait, 600.0)
 
     @translated
     def jog_joint(self, joint_velocity: Any, timeout: float, wait: bool) -> None:
-        """Turn the joints at a speed for so many seconds."""
+        """Turn the joints at the given speeds for `timeout` seconds."""
         self._jog(lambda: self._robot.motion.speed_joints(joint_velocity, duration=timeout), wait, timeout + _BRAKE)
 
     @translated
     def jog_cartesian(self, max_velocity: Any, timeout: float, wait: bool) -> None:
-        """Move the tool at a speed in the base frame for so many seconds; of chain 0, which is the only one."""
+        """Move the tool at a speed in the base frame for `timeout` seconds; chain 0 is the only one."""
         if set(max_velocity) != {0}:
-            raise BadValue(f"jog_cartesian: chains {sorted(max_velocity)}; expected 0")
+            raise BadValue(f"jog_cartesian: chains {sorted(max_velocity)}; expected only chain 0")
         speed = max_velocity[0]
         if isinstance(speed, np.ndarray):
             speed = speed.flat[0]
@@ -333,7 +339,10 @@ class RobotService:
 
     @translated
     def execute_trajectory(self, trajectory: Any) -> MotionGenerator:
-        """A generator of `TrajectoryStatus`; the motion begins with its first `Next`, and ends where it is closed."""
+        """Return a generator of `TrajectoryStatus`; the motion starts with the first `Next`.
+
+        Closing the generator cancels the motion.
+        """
         commands, endpoint = self._commands, _endpoint()
         here = self._robot.realtime.wait().q_target
         followed, on_the_way, at_the_end = read_trajectory(self._node, trajectory, here)
@@ -360,7 +369,10 @@ class RobotService:
 
     @translated
     def home(self) -> MotionGenerator:
-        """A generator of `ActionStatusCode`; moves the arm to `JointLimits.home`, at a third of its usual speed."""
+        """Return a generator of `ActionStatusCode` that moves the arm to `JointLimits.home`.
+
+        The speed is a third of the usual one.
+        """
         commands, endpoint = self._commands, _endpoint()
 
         def begin() -> Motion:
@@ -372,18 +384,18 @@ class RobotService:
 
     @translated
     def getf_signal(self, signal_name: str) -> Any:
-        """See `signals`."""
+        """Read a signal; see `signals`."""
         return np.array(read_signal(self._robot, signal_name))
 
     @translated
     def setf_signal(self, signal_name: str, value: Any) -> None:
-        """See `signals`."""
+        """Set a signal; see `signals`."""
         self._check_commanded()
         write_signal(self._robot, signal_name, np.asarray(value, float).tolist())
 
     @translated
     def tool_attached(self, chain: int, tool: Any) -> None:
-        """Tell the controller the TCP of a tool."""
+        """Set the TCP of a tool in the controller."""
         self._check_chain(chain)
         tcp = tool.tcp.flat[0] if isinstance(tool.tcp, np.ndarray) else tool.tcp
         position = [float(tcp["translation"][axis]) for axis in "xyz"]
@@ -393,14 +405,17 @@ class RobotService:
 
     @translated
     def tool_detached(self, chain: int, tool_name: str) -> None:
-        """Put the TCP back to the flange."""
+        """Set the TCP back to the flange."""
         self._check_chain(chain)
         self._robot.set_tcp([0.0] * 6)
         self.tool_changed.fire(chain, "")
 
     @translated
     def payload_attached(self, chain: int, payload: Any, pose: Any) -> None:
-        """Tell the controller mass and centre of gravity of a payload, whose frame is at `pose` in the flange's."""
+        """Set mass and centre of gravity of a payload in the controller.
+
+        `pose` is the pose of the payload's frame in the flange frame.
+        """
         self._check_chain(chain)
         inertia = payload.inertia.flat[0] if isinstance(payload.inertia, np.ndarray) else payload.inertia
         at = pose.flat[0] if isinstance(pose, np.ndarray) else pose
@@ -412,38 +427,41 @@ class RobotService:
 
     @translated
     def payload_detached(self, chain: int, payload_name: str) -> None:
-        """Tell the controller that the arm carries nothing."""
+        """Set the payload in the controller to 0."""
         self._check_chain(chain)
         self._robot.set_payload(0.0)
         self.payload_changed.fire(chain, "")
 
     @translated
     def getf_param(self, param_name: str) -> Any:
-        """There are none."""
-        raise BadValue(f"no parameter {param_name!r}; this robot has none")
+        """Raise an error, because there are no parameters."""
+        raise BadValue(f"unknown parameter {param_name!r}; this robot has no parameters")
 
     @translated
     def setf_param(self, param_name: str, value: Any) -> None:
-        """There are none."""
-        raise BadValue(f"no parameter {param_name!r}; this robot has none")
+        """Raise an error, because there are no parameters."""
+        raise BadValue(f"unknown parameter {param_name!r}; this robot has no parameters")
 
     # --------------------------------------------------------------------------------------------------
 
     def _check_chain(self, chain: int) -> None:
         self._check_commanded()
         if chain != 0:
-            raise BadValue(f"chain {chain}; expected 0, the only one")
+            raise BadValue(f"chain={chain}; expected 0, the only chain")
 
     @property
     def _commands(self) -> Commander:
-        """What takes a command that is not too old; stopping is never too old."""
+        """Commander for a new command.
+
+        It raises if commands might be too old. A command to halt does not need this check.
+        """
         commander = self._commander_of()
         self._expiry.check()
         return commander
 
     def _commander_of(self) -> Commander:
         if self._commander is None:
-            raise LocalError(f"{self._robot.address} is served to be read, so it cannot be commanded")
+            raise LocalError(f"{self._robot.address} is served read-only, so it cannot be commanded")
         return self._commander
 
     def _check_commanded(self) -> None:
@@ -451,14 +469,14 @@ class RobotService:
         self._expiry.check()
 
     def _wire_value(self, name: str) -> tuple[int, Any, Any, int] | None:
-        """The newest value of a wire by which commands come."""
+        """Return the newest value of a wire for commands."""
         wire = getattr(self, name, None)
         if wire is None:
             return None
         there, value, _, endpoint = wire.TryGetInValue()
         if not there:
             return None
-        # A client that repeats the number of the state that it has seen lets its age be known by this side alone.
+        # A client that repeats the number of its last state lets this side determine the age of the command on its own.
         seen = int(value.state_seqno)
         newest, sent = self._states.number, self._robot.firmware.rate / self._every
         if seen and not newest - _LARGEST_AGE * sent <= seen <= newest:
@@ -471,7 +489,7 @@ def _waypoint(trajectory: Any, seconds: float) -> int:
 
 
 def _endpoint() -> int:
-    """The client that calls."""
+    """Return the endpoint of the calling client."""
     return int(RR.ServerEndpoint.GetCurrentEndpoint())
 
 

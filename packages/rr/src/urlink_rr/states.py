@@ -1,4 +1,4 @@
-"""What the robot says, in the structures of Robot Raconteur."""
+"""States of a robot in the structures of Robot Raconteur."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .description import pose_array
 __all__ = ["Commanded", "States", "controller_state_of"]
 
 _ROBOT = "com.robotraconteur.robotics.robot"
-#: Seconds without a state after which the robot counts as lost.
+#: Time, in s, without a state after which the robot counts as lost.
 _SILENT = 0.5
 
 _ESTOPS = (
@@ -32,13 +32,13 @@ _CLEAR = (SafetyMode.NORMAL, SafetyMode.REDUCED, None)
 
 @dataclass(frozen=True)
 class Commanded:
-    """What clients have asked for, at one moment.
+    """Commands of clients at one moment.
 
     Attributes:
-        mode: name of the `RobotCommandMode`.
-        refusal: what a motion would be refused with.
-        has_position, has_velocity: commands arrive by that wire.
-        trajectory: seconds since a trajectory began, seconds that it takes, waypoint; None without one.
+        mode: Name of the `RobotCommandMode`.
+        refusal: Error with which a motion would be refused; None if it would not.
+        has_position, has_velocity: Whether commands arrive by this wire.
+        trajectory: Time since the trajectory started, in s, its duration, in s, and its waypoint; None without one.
     """
 
     mode: str
@@ -49,7 +49,7 @@ class Commanded:
 
 
 def controller_state_of(state: RealtimeState | None) -> str:
-    """Name of the `RobotControllerState`."""
+    """Return the name of the `RobotControllerState`."""
     if state is None:
         return "undefined"
     safety = state.safety_mode
@@ -60,12 +60,12 @@ def controller_state_of(state: RealtimeState | None) -> str:
     mode = state.robot_mode
     if mode in (RobotMode.BOOTING, RobotMode.CONFIRM_SAFETY, RobotMode.UPDATING_FIRMWARE):
         return "init"
-    # By name, since CB2 has other numbers; its oldest firmware sends none.
+    # Compare names, because CB2 uses other numbers. Its oldest firmware sends no mode.
     return "motor_on" if mode is None or mode.name.startswith("RUNNING") else "motor_off"
 
 
 class States:
-    """Makes the structures of one robot."""
+    """Factory of the structures of one robot."""
 
     def __init__(self, node: Any, device_info: Any) -> None:
         self._node = node
@@ -87,7 +87,7 @@ class States:
         self.number = 0
 
     def flags(self, state: RealtimeState | None, commanded: Commanded) -> int:
-        """`RobotStateFlags`."""
+        """Return the `RobotStateFlags`."""
         names = ["homed"]
         if state is None or state.received is None or state.received.age > _SILENT:
             names.append("communication_failure")
@@ -111,7 +111,10 @@ class States:
         return sum(self._flags[name] for name in names)
 
     def make(self, state: RealtimeState, commanded: Commanded) -> tuple[Any, Any, Any, Any]:
-        """`RobotState`, `AdvancedRobotState`, `RobotStateSensorData` and `DeviceTime`, all of one moment."""
+        """Make `RobotState`, `AdvancedRobotState`, `RobotStateSensorData` and `DeviceTime`.
+
+        All of them describe the same moment.
+        """
         self.number += 1
         simple, advanced = self._simple(), self._advanced()
         pose = pose_array(self._node, state.tool_vector_actual)

@@ -1,4 +1,4 @@
-"""`execute_trajectory` and `home`: motions as generators, which a client asks for their next state."""
+"""Generators of `execute_trajectory` and `home`: a client asks them for the next state of a motion."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from .errors import raised
 
 __all__ = ["MotionGenerator", "read_trajectory"]
 
-#: rad that a joint may be off at the end, where the last waypoint does not say.
+#: Tolerance of a joint at the end, in rad, if the last waypoint does not give one.
 _GOAL_TOLERANCE = 0.01
-#: Seconds after which a generator tells that a motion goes on.
+#: Time, in s, after which a generator reports that the motion is still running.
 _TELL = 0.1
 
 
 def read_trajectory(node: Any, trajectory: Any, here: Any) -> tuple[Trajectory, float | None, float]:
-    """A trajectory of the library, and the tolerances that came with it: on the way, if there is one, and at the end.
+    """Return the trajectory, its tolerance on the path (or None), and its tolerance at the end.
 
-    Where the first waypoint is not at time 0, the trajectory begins where the arm is.
+    If the first waypoint is not at time 0, the trajectory starts at the current position of the arm.
 
     Raises:
-        BadValue: other joints, other units, or what `Trajectory` refuses.
+        BadValue: If joints or units differ, or `Trajectory` rejects the waypoints.
     """
     names = list(trajectory.joint_names or [])
     if names and names != list(JOINT_NAMES):
-        raise BadValue(f"joint_names={names}; expected {list(JOINT_NAMES)}, or none")
+        raise BadValue(f"joint_names={names}; expected {list(JOINT_NAMES)} or no names")
     units = node.GetConstants("com.robotraconteur.robotics.joints")["JointPositionUnits"]
     if any(unit not in (units["implicit"], units["radian"]) for unit in trajectory.joint_units or []):
-        raise BadValue("joint_units: expected radian")
+        raise BadValue("unsupported joint_units; expected radian")
     waypoints = list(trajectory.waypoints or [])
     time_from_start = [float(point.time_from_start) for point in waypoints]
     q = [_numbers(point.joint_position) for point in waypoints]
@@ -46,7 +46,7 @@ def read_trajectory(node: Any, trajectory: Any, here: Any) -> tuple[Trajectory, 
         q.insert(0, _numbers(here))
         qd.insert(0, [0.0] * 6 if qd[0] else [])
     followed = Trajectory.from_arrays(time_from_start, q, qd if qd and all(qd) else None)
-    # The library has one tolerance for all joints: the strictest. Zero, or none, stands for the default.
+    # urlink has one tolerance for all joints, so take the strictest. Zero or no value selects the default.
     return followed, _least(waypoints[1:-1]), _least(waypoints[-1:]) or _GOAL_TOLERANCE
 
 
@@ -60,12 +60,13 @@ def _least(waypoints: list[Any]) -> float | None:
 
 
 class MotionGenerator:
-    """A motion that begins when its next state is asked for first, and is cancelled where the generator is closed.
+    """Motion that starts at the first `Next`, and is cancelled when the generator is closed.
 
     Args:
-        begin: begins it.
-        state: the structure that a client gets, of its `ActionStatusCode` and the seconds since it began.
-        codes: `ActionStatusCode`.
+        begin: Function that starts the motion.
+        state: Function that returns the structure for the client, from `ActionStatusCode` and the time, in s, since the
+            start.
+        codes: Values of `ActionStatusCode`, by name.
     """
 
     def __init__(self, begin: Callable[[], Motion], state: Callable[[int, float], Any], codes: dict[str, int]) -> None:
@@ -78,10 +79,10 @@ class MotionGenerator:
         self._is_over = False
 
     def Next(self) -> Any:  # noqa: N802
-        """How far it has got; waits for the end, but no longer than 0.1 s."""
+        """Return the current state of the motion; wait at most 0.1 s for its end."""
         with self._lock:
             if self._is_over:
-                raise RR.StopIterationException("the motion is over")
+                raise RR.StopIterationException("the motion has ended")
             try:
                 if self._motion is None:
                     self._motion = self._begin()
@@ -99,11 +100,11 @@ class MotionGenerator:
             return self._state(self._codes["complete" if self._is_over else "running"], clock.now() - self._began)
 
     def Close(self) -> None:  # noqa: N802
-        """Give it up."""
+        """Cancel the motion."""
         motion = self._motion
         if motion is not None:
             motion.cancel()
 
     def Abort(self) -> None:  # noqa: N802
-        """Give it up."""
+        """Cancel the motion."""
         self.Close()

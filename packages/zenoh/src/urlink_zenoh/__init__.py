@@ -1,13 +1,13 @@
 """Universal Robots arms over Zenoh: many robots on many computers in one name space.
 
-`Server` publishes what robots say and takes commands for them, `RemoteRobot` is a robot as a client has it, and
-`Collector` records all robots that there are. Everything that is distributed is Zenoh's own: discovery, routing,
-reconnecting, liveliness, the newest value for those who come late.
+`Server` publishes the states of robots and accepts commands for them. `RemoteRobot` is a client for one robot, and
+`Collector` records all robots that are served. Zenoh itself does the distributed part: discovery, routing,
+reconnecting, liveliness, and the newest value for late subscribers.
 """
 
 from __future__ import annotations
 
-# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+# Before urlink: the warning about another distribution named linkcore must come before an import fails.
 import linkcore  # noqa: F401
 
 from .client import RemoteRobot, Sample, Watch, robots

@@ -1,4 +1,4 @@
-"""`urlink serve zenoh`."""
+"""Command line of `urlink serve zenoh`."""
 
 from __future__ import annotations
 
@@ -17,25 +17,39 @@ __all__ = ["add_arguments", "serve"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of Zenoh, and of what is published."""
+    """Add the options of the Zenoh session and of publishing."""
     parser.description = (
-        "Serve robots over Zenoh. Without an endpoint, others are found by multicast; "
-        "in a fleet, let each connect to a router."
+        "Serve robots over Zenoh. Without an endpoint, programs find each other by multicast; "
+        "in a fleet, connect each program to a router."
     )
     parser.add_argument(
-        "--connect", action="append", default=[], metavar="ENDPOINT", help="router or peer: tcp/fleet.local:7447"
+        "--connect",
+        action="append",
+        default=[],
+        metavar="ENDPOINT",
+        help="connect to this router or peer, e.g. tcp/fleet.local:7447",
     )
-    parser.add_argument("--listen", action="append", default=[], metavar="ENDPOINT", help="listen at: tcp/0.0.0.0:7447")
-    parser.add_argument("--mode", choices=get_args(Mode), help="of the session (client with --connect, else peer)")
-    parser.add_argument("--config", metavar="FILE", help="configuration of Zenoh")
-    parser.add_argument("--prefix", default=PREFIX, metavar="KEY", help=f"what all keys begin with ({PREFIX})")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="real-time packets a second at most (all)")
-    parser.add_argument("--status-rate", type=float, default=10.0, metavar="HZ", help="status messages a second (10)")
+    parser.add_argument(
+        "--listen",
+        action="append",
+        default=[],
+        metavar="ENDPOINT",
+        help="listen at this endpoint, e.g. tcp/0.0.0.0:7447",
+    )
+    parser.add_argument(
+        "--mode", choices=get_args(Mode), help="mode of the session (default: client with --connect, else peer)"
+    )
+    parser.add_argument("--config", metavar="FILE", help="read the configuration of Zenoh from this file")
+    parser.add_argument("--prefix", default=PREFIX, metavar="KEY", help=f"first part of all keys (default: {PREFIX})")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="maximum real-time packets per second (default: all)")
+    parser.add_argument(
+        "--status-rate", type=float, default=10.0, metavar="HZ", help="status messages per second (default: 10)"
+    )
 
 
 @contextlib.contextmanager
 def serve(robots: Mapping[str, Robot], args: argparse.Namespace) -> Iterator[None]:
-    """Serve them as long as the context lasts."""
+    """Serve the robots until the context ends."""
     session = open_session(args.connect, args.listen, mode=args.mode, config=args.config)
     options = {"prefix": args.prefix, "rate": args.rate, "status_rate": args.status_rate, "watchdog": args.watchdog}
     with session, Server(session, robots, **options):

@@ -1,4 +1,4 @@
-"""A robot as a client in another process has it."""
+"""Client for robots that are served in other processes."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 __all__ = ["RemoteRobot", "Sample", "Watch", "robots"]
 
-#: Seconds that Zenoh may take longer to tell that nobody answers.
+#: Time, in s, that Zenoh may exceed a timeout before it reports that no answer arrived.
 _GRACE = 1.0
-#: Commands that are carried out however late they come: they make the arm stop.
+#: Commands that the server executes no matter how late they arrive, because they stop the arm.
 _ALWAYS = frozenset({"cancel", "stop"})
-#: Errors of the library that are made of their message alone.
+#: Errors of urlink that are constructed from a message alone, by name.
 _PLAIN = {
     name: error
     for name in dir(urlink)
@@ -55,10 +55,10 @@ class Sample(NamedTuple):
     """A packet of a robot.
 
     Attributes:
-        robot: name of the robot.
-        state: the packet, decoded.
-        received: when it arrived at the server, by the clocks of the computer there.
-        sequence: its number since the server began, counted as the server received them.
+        robot: Name of the robot.
+        state: Decoded packet.
+        received: Time at which the packet arrived at the server, by the clocks of that computer.
+        sequence: Number of the packet since the server started, in the order in which the server received them.
     """
 
     robot: str
@@ -68,20 +68,20 @@ class Sample(NamedTuple):
 
 
 class Watch:
-    """A subscription to the packets of one or many robots; a context manager.
+    """Subscription to the packets of one or many robots; a context manager.
 
     Attributes:
-        received: packets that came.
-        missed: packets that the server has received and that did not come, by their numbers. These are given before any
-            queue, but for what the server leaves out on purpose (`rate`).
-        failed: packets that could not be decoded.
+        received: Number of packets that arrived.
+        missed: Number of packets that the server received but that did not arrive here. The server numbers packets
+            before any queue; it does not number packets that it leaves out on purpose (`rate`).
+        failed: Number of packets that could not be decoded.
     """
 
     def __init__(self, session: zenoh.Session, key: str, callback: Callable[[Sample], object]) -> None:
         self.received = self.missed = self.failed = 0
         self._callback = callback
         self._expected: dict[str, int] = {}  # number of the next packet of each robot
-        # As one that comes late it gets the newest value, also of robots that come even later.
+        # A late subscriber receives the newest value, also from robots that appear later.
         self._subscriber = zenoh.ext.declare_advanced_subscriber(
             session,
             key,
@@ -90,7 +90,7 @@ class Watch:
         )
 
     def close(self) -> None:
-        """End it."""
+        """End the subscription."""
         self._subscriber.undeclare()
 
     def __enter__(self) -> Self:
@@ -108,30 +108,30 @@ class Watch:
         self.received += 1
         expected = self._expected.get(decoded.robot, decoded.sequence)
         self._expected[decoded.robot] = decoded.sequence + 1
-        self.missed += max(decoded.sequence - expected, 0)  # less than expected: its server began anew
+        self.missed += max(decoded.sequence - expected, 0)  # a smaller number means that the server was restarted
         self._callback(decoded)
 
 
 def robots(session: zenoh.Session, *, prefix: str = PREFIX, timeout: float = 2.0) -> list[str]:
-    """The names of the robots that are served now."""
+    """Return the names of the robots that are served now."""
     replies = session.liveliness().get(f"{key_of(prefix, '*')}/alive", timeout=timeout)
     return sorted({str(reply.ok.key_expr).split("/")[-2] for reply in replies if reply.ok is not None})
 
 
 class RemoteRobot:
-    """A robot that a `urlink_zenoh.Server` serves somewhere; a context manager.
+    """Client for a robot that a `urlink_zenoh.Server` serves; a context manager.
 
-    Its motions end when this process ends, or loses its connection: as long as it is open, its liveliness token says
-    that somebody is there.
+    A motion that it started ends when this process ends or loses its connection. The liveliness token of the object
+    shows the server that the client still exists.
 
     Args:
-        session: of Zenoh; it is not closed with the robot.
-        name: of the robot.
-        prefix: what all keys begin with.
-        timeout: seconds that an answer may take, but for a motion that is waited for.
+        session: Zenoh session. It is not closed with the robot.
+        name: Name of the robot.
+        prefix: First part of all keys.
+        timeout: Maximum time, in s, for an answer. It does not limit the wait for the end of a motion.
 
     Attributes:
-        client: the id by which the server knows this client.
+        client: Id by which the server identifies this client.
     """
 
     def __init__(self, session: zenoh.Session, name: str, *, prefix: str = PREFIX, timeout: float = 5.0) -> None:
@@ -142,15 +142,15 @@ class RemoteRobot:
         self._timeout = timeout
         self._token = session.liveliness().declare_token(f"{self._key}/client/{self.client}")
         self._is_closed = False
-        #: calls of this object are numbered, and so is the last `stop` or `cancel`
+        #: The last `stop` or `cancel` has a number too, from the same counter as the calls of this object.
         self._numbers = itertools.count(1)
         self._last_stop = 0
 
     def close(self) -> None:
-        """Let the server know that this client is gone, which ends its motion; idempotent."""
+        """Remove the liveliness token: the server ends the motion of this client; idempotent."""
         if not self._is_closed:
             self._is_closed = True
-            with contextlib.suppress(zenoh.ZError):  # the session is closed, and with it the token
+            with contextlib.suppress(zenoh.ZError):  # the session is already closed, and the token with it
                 self._token.undeclare()
 
     def __enter__(self) -> Self:
@@ -159,55 +159,59 @@ class RemoteRobot:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    # -- what it says ----------------------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------------------
 
     @property
     def info(self) -> dict[str, Any]:
-        """Who the robot is, which commands it takes, and the layout of its packets.
+        """Model and firmware of the robot, the commands it accepts, and the layout of its packets.
 
         Raises:
-            LinkTimeout: nobody answers.
+            LinkTimeout: If no answer arrives.
         """
         return self._asked("info")
 
     @property
     def status(self) -> dict[str, Any]:
-        """How the robot is, as it was published last. Raises as `info`."""
+        """Most recently published status of the robot. For errors, see `info`."""
         return self._asked("status")
 
     @property
     def latest(self) -> RealtimeState:
-        """The newest packet that was published. Raises as `info`."""
+        """Most recently published packet. For errors, see `info`."""
         for reply in self._session.get(f"{self._key}/realtime", timeout=self._timeout):
             if reply.ok is not None:
                 state = _decoded(reply.ok).state
                 if isinstance(state, RealtimeState):
                     return state
-        raise LinkTimeout(f"no packet of {self._key}: nobody serves it, or nothing has come of the robot")
+        raise LinkTimeout(f"no packet from {self._key}; it is not served, or the robot has not sent a packet yet")
 
     def watch(self, callback: Callable[[Sample], object], interface: str = "realtime") -> Watch:
-        """Call back with each packet, in a thread of Zenoh's: a callback that is slow keeps others waiting."""
+        """Call `callback` with each packet, in a thread of Zenoh.
+
+        A slow callback delays all other callbacks.
+        """
         return Watch(self._session, f"{self._key}/{interface}", callback)
 
-    # -- what it is told -------------------------------------------------------------------------------
+    # -- commands --------------------------------------------------------------------------------------
 
     def call(self, command: str, /, *, wait: bool | float = False, **arguments: Any) -> dict[str, Any]:
-        """Let the robot carry out a command.
+        """Send a command to the robot.
 
         Args:
-            command: its name, one of ``info["commands"]``.
-            wait: until a motion is over, for 60 s or so many seconds; what interrupts the waiting cancels it, and so
-                does the end of that time.
-            arguments: of the method of the robot, such as ``q=[...]`` of ``move_joints``.
+            command: Name of the command, one of ``info["commands"]``.
+            wait: Whether to wait until the motion has ended. True waits up to 60 s, a number waits that many seconds.
+                If the wait is interrupted or times out, the motion is cancelled.
+            arguments: Arguments of the robot's method, such as ``q=[...]`` of ``move_joints``.
 
         Returns:
-            Of a motion its `id`, `phase` and `progress`.
+            For a motion: its `id`, `phase` and `progress`.
 
         Raises:
-            LinkTimeout: nobody answers within the timeout, or the motion is not over in time. The command is cancelled
-                then, and one that arrives later is refused: it is valid for `timeout` seconds by the server's clock.
-            Cancelled: If another thread has called `stop` or `cancel` of this object meanwhile.
-            LinkError: what the robot's own method raised there: `SafetyStop`, `BadValue`, ...
+            LinkTimeout: If no answer arrives within the timeout, or the motion does not end in time. The command is
+                cancelled then. If it arrives later, the server rejects it, because it is valid for `timeout` seconds by
+                the server's clock.
+            Cancelled: If another thread called `stop` or `cancel` of this object in the meantime.
+            LinkError: If the robot's method raised it at the server, for example `SafetyStop` or `BadValue`.
         """
         seconds = 60.0 if wait is True else float(wait)
         asked = uuid.uuid4().hex
@@ -218,7 +222,7 @@ class RemoteRobot:
         if command not in _ALWAYS:
             clock = self._asked("clock")
             if number < self._last_stop:
-                raise Cancelled(f"the robot was stopped after {command} was called, so it sends nothing")
+                raise Cancelled(f"the robot was stopped after the call of {command}; nothing was sent")
             selector += f";server={clock['server']};time={clock['time']!r};age={min(self._timeout, LARGEST_AGE)!r}"
         if seconds:
             selector += ";wait=true"
@@ -229,7 +233,7 @@ class RemoteRobot:
             self._give_up(asked)
             if seconds:
                 raise LinkTimeout(
-                    f"{command} was not over within {seconds:g} s, or nobody serves {self._key}"
+                    f"{command} did not finish within {seconds:g} s, or {self._key} is not served"
                 ) from None
             raise
         except LinkError:
@@ -240,8 +244,11 @@ class RemoteRobot:
         return answer
 
     def _give_up(self, asked: str) -> None:
-        """Have a command cancelled, or refused if it comes; without waiting for an answer, which may never come."""
-        with contextlib.suppress(zenoh.ZError):  # the session is closed, and with it this client's motions end
+        """Cancel a command, or have it rejected if it arrives later.
+
+        Do not wait for an answer: it might never come.
+        """
+        with contextlib.suppress(zenoh.ZError):  # if the session is closed, the motions of this client end anyway
             selector = f"{self._key}/command/cancel?client={self.client}"
             ignored: queue.SimpleQueue[zenoh.Reply] = queue.SimpleQueue()
             self._session.get(selector, ignored.put, payload=json_of({"command": asked}), timeout=self._timeout)
@@ -250,11 +257,11 @@ class RemoteRobot:
         return self._first(f"{self._key}/{what}", self._timeout, None)
 
     def _first(self, selector: str, timeout: float, payload: bytes | None) -> dict[str, Any]:
-        """The first answer to a query."""
+        """Return the first answer to a query."""
         answers: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
         handler = zenoh.handlers.Callback(answers.put, lambda: answers.put(None))
         self._session.get(selector, handler, payload=payload, timeout=timeout)
-        # Not by iterating over the replies: no signal is heard then.
+        # Do not iterate over the replies: Python would not handle signals during the wait.
         with contextlib.suppress(queue.Empty):
             while (reply := clock.get(answers, timeout + _GRACE)) is not None:
                 if reply.ok is not None:
@@ -268,14 +275,14 @@ def _json(payload: zenoh.ZBytes) -> dict[str, Any]:
     try:
         content = json.loads(bytes(payload))
     except ValueError as error:
-        raise RemoteError(f"the answer is no JSON: {error}") from None
+        raise RemoteError(f"the answer is not valid JSON: {error}") from None
     if not isinstance(content, dict):
         raise RemoteError(f"the answer is {content!r}; expected an object")
     return content
 
 
 def _raised(said: dict[str, Any]) -> LinkError:
-    """The error that a server tells of, as it would be raised there."""
+    """Return the error that a server reported, with the type that it has at the server."""
     name, message = str(said.get("error")), str(said.get("message"))
     if name == "ScriptError" or {"line", "column", "text"} <= said.keys():
         return ScriptError(said["line"], said["column"], said["text"])
@@ -285,14 +292,14 @@ def _raised(said: dict[str, Any]) -> LinkError:
 
 
 def _decoded(sample: zenoh.Sample) -> Sample:
-    """A packet out of what was published.
+    """Decode a published packet.
 
     Raises:
-        PacketError, BadValue: it is none.
+        PacketError, BadValue: If the sample is not a valid packet.
     """
     named = firmware_of(sample.encoding)
     if named is None:
-        raise BadValue(f"{sample.key_expr} has the encoding {sample.encoding}; expected packets of a robot")
+        raise BadValue(f"{sample.key_expr} has the encoding {sample.encoding}; expected an encoding of robot packets")
     interface, firmware = named
     sequence, received = stamped(b"" if sample.attachment is None else bytes(sample.attachment))
     states: list[State] = list(urlink.decode(bytes(sample.payload), interface, firmware))  # type: ignore[call-overload]

@@ -1,4 +1,4 @@
-"""Which clients are there, and what each of them has begun: a motion ends with the client that asked for it."""
+"""Clients that are connected, and their motions: a motion ends when the client that started it is lost."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from .keys import check_name
 
 __all__ = ["Clients"]
 
-#: Seconds that the token of a new client may take longer than its first command.
+#: Maximum delay, in s, of the token of a new client after its first command.
 _ANNOUNCED = 1.0
 
 
 class Clients:
-    """The clients of one robot, by their liveliness tokens.
+    """Clients of one robot, detected by their liveliness tokens.
 
-    A token goes when the client undeclares it or closes its session, when its process dies, when a router between it
-    and this server dies, and, where a network falls silent, when Zenoh's lease is over (10 s, if not configured).
+    A token disappears when the client undeclares it or closes its session, when its process ends, or when a router
+    between it and this server ends. In a silent network, it disappears when Zenoh's lease expires (default 10 s).
 
     Args:
-        session: by which they are seen.
-        key: what their tokens begin with.
-        on_lost: called with the motion that a lost client leaves behind.
+        session: Session that observes the tokens.
+        key: First part of the keys of the tokens.
+        on_lost: Callback for a lost client with an unfinished motion, called with both.
     """
 
     def __init__(self, session: zenoh.Session, key: str, on_lost: Callable[[str, Motion], object]) -> None:
@@ -35,26 +35,26 @@ class Clients:
         self._on_lost = on_lost
         self._changed = threading.Condition()
         self._alive: set[str] = set()
-        #: the motion that is not over, and whose it is
+        #: the unfinished motion, and the id of its client
         self._motion: tuple[str, Motion] | None = None
         self._subscriber = session.liveliness().declare_subscriber(f"{key}/*", self._heard, history=True)
 
     def begin(self, client: str | None, command: Callable[[], Motion]) -> Motion:
-        """Carry out a command of a client, whose the motion is from then on.
+        """Execute a command of a client, and remember that the motion belongs to this client.
 
         Raises:
-            LocalError: there is no such client, or a motion of another one is not over.
-            BadValue: `client` is no name.
-            LinkError: whatever the command raises.
+            LocalError: If the client does not exist, or a motion of another client has not ended.
+            BadValue: If `client` is not a valid name.
+            LinkError: If the command raises it.
         """
         if client is None:
-            raise LocalError("a motion needs a client that is seen to be alive: its id as the parameter `client`")
+            raise LocalError("a motion needs a client with a liveliness token; pass its id as the parameter `client`")
         check_name(client)
         self._await(client)
         with self._changed:
             held = self._motion
         if held is not None and held[0] != client and not held[1].done:
-            raise LocalError(f"client {held[0]} moves the arm ({held[1].name}); it is not preempted by another")
+            raise LocalError(f"client {held[0]} is moving the arm ({held[1].name}); another client cannot preempt it")
         motion = command()
         with self._changed:
             self._motion = (client, motion)
@@ -65,12 +65,12 @@ class Clients:
 
     @property
     def current(self) -> tuple[str, Motion] | None:
-        """The motion that is not over, and the client whose it is."""
+        """The unfinished motion and the id of its client; None if there is none."""
         with self._changed:
             return None if self._motion is None or self._motion[1].done else self._motion
 
     def close(self) -> None:
-        """End all motions, and look no more."""
+        """Cancel the current motion, and stop watching the tokens."""
         self._subscriber.undeclare()
         held = self.current
         if held is not None:
@@ -81,9 +81,7 @@ class Clients:
         with self._changed:
             while client not in self._alive:
                 if not clock.wait(self._changed.wait, until - clock.now()) and client not in self._alive:
-                    raise LocalError(
-                        f"no client is alive that is called {client}; expected a token {self._key}/{client}"
-                    )
+                    raise LocalError(f"client {client} is not alive; expected a token {self._key}/{client}")
 
     def _heard(self, sample: zenoh.Sample) -> None:
         client = str(sample.key_expr).rpartition("/")[2]

@@ -1,4 +1,4 @@
-"""Recording all robots that there are, in one process."""
+"""Recording of all served robots in one process."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 __all__ = ["Collected", "Collector"]
 
-#: Seconds that a clock goes on at most between two packets; more is the time of something else.
+#: Maximum plausible step, in s, of a controller's clock between two packets; a larger step is a change of the clock.
 _ANOTHER_CLOCK = 3600.0
 
 _log = logging.getLogger("urlink.zenoh")
 
 
 class Collected(NamedTuple):
-    """What has been recorded of one robot.
+    """Counts and path of the recording of one robot.
 
     Attributes:
-        packets: that were written.
-        missed: by the numbers of the packets: received by the server, and not arrived here.
-        missing: by the controller's own clock: cycles of which no packet is in the recording, for whatever reason.
-        restarts: times that its server began anew, or was out of sight.
-        path: the recording, which `urlink.connect` opens.
+        packets: Number of packets that were written.
+        missed: Number of packets that the server received but that did not arrive here, by the numbers of the packets.
+        missing: Number of cycles without a packet in the recording, for any reason, by the controller's own clock.
+        restarts: Number of times that the packet numbers started again, because the server was restarted.
+        path: Path of the recording, which `urlink.connect` opens.
     """
 
     packets: int
@@ -49,7 +49,7 @@ class Collected(NamedTuple):
 
 
 class _File:
-    """The recording of one robot."""
+    """Recording of one robot."""
 
     def __init__(self, path: Path, info: Mapping[str, object]) -> None:
         self.writer = RecordingWriter(path)
@@ -57,14 +57,14 @@ class _File:
         self.packets = self.missed = self.missing = self.restarts = 0
         rate = info.get("rate")
         self.period = 1.0 / rate if isinstance(rate, (int, float)) and rate > 0 else None
-        self.time: float | None = None  # of the last packet, by the controller's clock
+        self.time: float | None = None  # time of the last packet, by the controller's clock
         self.expected: int | None = None
 
     def add(self, sample: Sample) -> None:
         expected = self.expected
         if expected is not None and sample.sequence < expected:
             if sample.sequence == expected - 1:
-                return  # the newest value, again, after a router came back
+                return  # the newest value arrives again after a router came back
             self.restarts += 1
         elif expected is not None:
             self.missed += sample.sequence - expected
@@ -77,25 +77,26 @@ class _File:
         if self.period is None or not isinstance(state, RealtimeState):
             return
         before, self.time = self.time, state.time
-        # Backwards, or far ahead: it was started again.
+        # A step backwards or far ahead means that the controller was restarted.
         if before is not None and 1.5 * self.period < state.time - before < _ANOTHER_CLOCK:
             self.missing += max(round((state.time - before) / self.period) - 1, 1)
 
 
 class Collector:
-    """Records every robot, also those that come later, each into a file of its own; a context manager.
+    """Record every robot into its own file; a context manager.
 
-    A recording has the name of the robot and the time at which it began, and opens as any other does. Packets are
-    written in a thread of its own, which a slow disk keeps, and not the network.
+    A robot that appears later is recorded too. The file name of a recording consists of the name of the robot and the
+    start time. A recording opens like any other. Packets are written in a dedicated thread, so a slow disk does not
+    delay the network.
 
     Args:
-        session: of Zenoh; it is not closed with the collector.
-        directory: where the recordings go; it is made.
-        prefix: what all keys begin with.
-        interface: whose packets are recorded, "realtime" or "primary".
+        session: Zenoh session. It is not closed with the collector.
+        directory: Directory for the recordings. It is created if needed.
+        prefix: First part of all keys.
+        interface: Interface whose packets are recorded, "realtime" or "primary".
 
     Raises:
-        OSError: the directory cannot be made.
+        OSError: If the directory cannot be created.
     """
 
     def __init__(
@@ -121,14 +122,14 @@ class Collector:
 
     @property
     def robots(self) -> dict[str, Collected]:
-        """What has been recorded, by robot."""
+        """Counts of each recording, by the name of the robot."""
         return {
             name: Collected(file.packets, file.missed, file.missing, file.restarts, file.writer.path)
             for name, file in list(self._files.items())
         }
 
     def close(self) -> None:
-        """Write what has come, and close the recordings; idempotent."""
+        """Write the packets that have arrived, and close the recordings; idempotent."""
         if self._thread.is_alive():
             self._alive.undeclare()
             self._watch.close()
@@ -159,10 +160,10 @@ class Collector:
             except LinkError as error:
                 if name not in self._failed:
                     self._failed.add(name)
-                    _log.error("%s is not recorded until the cause is gone: %s", name, error)
+                    _log.error("%s: not recorded until this error is fixed: %s", name, error)
 
     def _file(self, name: str) -> _File:
-        """The recording of a robot, made when its first packet comes."""
+        """Return the recording of a robot; create it for the first packet."""
         file = self._files.get(name)
         if file is None:
             info = {"name": self._interface, "address": f"zenoh:{key_of(self._prefix, name)}"}
@@ -178,5 +179,5 @@ class Collector:
     @staticmethod
     def _note(file: _File, name: str, is_there: bool) -> None:
         state = ConnectionState.CONNECTED if is_there else ConnectionState.LOST
-        error = None if is_there else ConnectionLost(f"whoever serves {name} is out of sight")
+        error = None if is_there else ConnectionLost(f"the server of {name} is no longer visible")
         file.writer.add(file.channel, ConnectionEvent(state, name, error, Stamp.now()))

@@ -1,4 +1,4 @@
-"""What a client can ask of a robot, by name: each a method of the robot with arguments that JSON can hold."""
+"""Commands that a client can send to a robot: each calls a method of the robot with arguments from JSON."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ __all__ = ["COMMANDS", "Command", "Kind", "failed", "read_arguments"]
 
 
 class Kind(enum.Enum):
-    """What a command does; commands of one kind are carried out one after the other."""
+    """Effect of a command; commands of the same kind are executed one after the other."""
 
-    #: moves the arm: passes the interlock, and ends with the client that asked for it
+    #: moves the arm, passes the interlock, and ends when its client is lost
     MOTION = "motion"
-    #: makes the arm stop
+    #: stops the arm
     STOP = "stop"
-    #: neither
+    #: does neither
     SETTING = "setting"
 
 
 @dataclass(frozen=True)
 class Command:
-    """One command.
+    """A command.
 
     Attributes:
-        name: how it is asked for.
-        kind: see `Kind`.
-        method: of a robot, what carries it out.
-        hidden: parameters of the method that a client cannot give.
+        name: Name by which clients call it.
+        kind: Effect of the command; see `Kind`.
+        method: Function that returns the method of a robot that executes the command.
+        hidden: Parameters of the method that a client cannot pass.
     """
 
     name: str
@@ -42,11 +42,11 @@ class Command:
     hidden: frozenset[str] = frozenset()
 
     def call(self, robot: Robot, arguments: Mapping[str, Any]) -> Any:
-        """Carry it out.
+        """Execute the command.
 
         Raises:
-            BadValue: the arguments are not those of the method; nothing was sent.
-            LinkError: whatever the method raises.
+            BadValue: If the arguments do not fit the method. Nothing is sent.
+            LinkError: If the method raises it.
         """
         method = self.method(robot)
         hidden = sorted(self.hidden & arguments.keys())
@@ -59,7 +59,7 @@ class Command:
         try:
             return method(**arguments)
         except TypeError as error:
-            # Text where a number belongs, say. Arguments are looked at before anything is sent.
+            # For example text instead of a number. The methods check their arguments before they send anything.
             raise BadValue(f"{self.name}: {error}") from error
 
 
@@ -102,29 +102,29 @@ def _commands() -> dict[str, Command]:
     return {command.name: command for command in found}
 
 
-#: name -> command. `cancel` is not among them: it is the server's own.
+#: Commands by name. `cancel` is not in it, because the server implements it.
 COMMANDS: Mapping[str, Command] = _commands()
 
 
 def read_arguments(payload: bytes | None) -> dict[str, Any]:
-    """The arguments in a query.
+    """Read the arguments of a query.
 
     Raises:
-        BadValue: they are no JSON object.
+        BadValue: If they are not a JSON object.
     """
     if not payload:
         return {}
     try:
         arguments = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        raise BadValue(f"the arguments are no JSON: {error}") from None
+        raise BadValue(f"the arguments are not valid JSON: {error}") from None
     if not isinstance(arguments, dict):
         raise BadValue(f"the arguments are a {type(arguments).__name__}; expected a JSON object of names and values")
     return arguments
 
 
 def failed(error: BaseException) -> dict[str, Any]:
-    """An error as the reply to a query has it."""
+    """Return the content of an error reply to a query."""
     said: dict[str, Any] = {"error": type(error).__name__, "message": str(error)}
     if isinstance(error, SafetyStop):
         said["cause"] = error.cause

@@ -1,4 +1,4 @@
-"""What is told of a robot in JSON: who it is and how its packets are laid out, and how it is at the moment."""
+"""Description of a robot in JSON: its identity, the layout of its packets, and its current status."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["described", "json_of", "status_of"]
 
 
 def json_of(value: Any) -> bytes:
-    """JSON that any parser takes: what is no number is null."""
+    """Encode as JSON that every parser accepts: NaN and infinity become null."""
     return json.dumps(_finite(value), allow_nan=False).encode()
 
 
@@ -30,9 +30,10 @@ def _finite(value: Any) -> Any:
 
 
 def described(robot: Robot) -> dict[str, Any]:
-    """Who the robot is, and where in a packet of its real-time interface each field lies.
+    """Describe the robot, and the offset of each field in a packet of its real-time interface.
 
-    With that, the packets can be read without this library: numbers are big-endian, `type` is that of numpy.
+    With this description, a client can read the packets without this library. Numbers are big-endian, and `type` is
+    a type string of numpy.
     """
     identity = robot.identity
     version = str(identity.firmware)
@@ -58,7 +59,7 @@ def described(robot: Robot) -> dict[str, Any]:
 
 
 def status_of(robot: Robot, is_commanded: bool) -> dict[str, Any]:
-    """How the robot is; `age` says for how long nothing has been heard of it."""
+    """Return the current status of the robot; `age` is in s, since its last state arrived."""
     state: RealtimeState | None = robot.realtime.latest
     said: dict[str, Any] = {"connection": robot.realtime.connection.value, "age": None}
     refusal = robot.safety.refusal if is_commanded else None

@@ -1,10 +1,11 @@
-"""Until when a command may be carried out, by the one clock of the server that carries it out.
+"""Expiry of commands, by the clock of the server that executes them.
 
-A command can be held up for long on its way: in a router that was suspended, in a server that got no processor time.
-Its client has given it up by then. So a client asks for the time of the server first, and sends it back with its
-command and with the age that it may have at most: the server compares its clock with nothing but its own clock. It
-refuses what is late, what carries the time of another server, and what its client has given up, whichever of the two
-arrives first.
+A command can be delayed for a long time, for example in a suspended router or in a server without processor time. By
+then, its client has abandoned it. Therefore a client asks for the time of the server first. It sends this time back
+with its command, together with the maximum age of the command. The server compares its clock only with its own clock.
+
+The server rejects a command that is late, has the time of another server, or was abandoned by its client. The order in
+which the command and the notice of its client arrive does not matter.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ from urlink import BadValue, LinkTimeout, LocalError
 
 __all__ = ["LARGEST_AGE", "Expiry"]
 
-#: Seconds of the largest age that a client may ask for.
+#: Largest age that a client may ask for, in s.
 LARGEST_AGE = 60.0
-#: Commands that were given up and are remembered.
+#: Maximum number of abandoned commands to remember.
 _REMEMBERED = 10_000
 
 
 class Expiry:
-    """The clock of one served robot, and the commands that were given up.
+    """Clock of one served robot, and the commands that were abandoned.
 
     Args:
-        now: seconds of the clock.
+        now: Clock, in s.
     """
 
     def __init__(self, now: Callable[[], float] = clock.now) -> None:
@@ -40,51 +41,52 @@ class Expiry:
         self._lock = threading.Lock()
 
     def described(self) -> dict[str, object]:
-        """The time, and whose it is."""
+        """Return the current time and the id of this server."""
         return {"server": self._server, "time": self._now()}
 
     def give_up(self, command: str) -> None:
-        """A client has given this command up: it is not to be carried out if it comes, or has not begun."""
+        """Note that a client abandoned this command: it must not start, even if it arrives later."""
         with self._lock:
             self._given_up[command] = None
             while len(self._given_up) > _REMEMBERED:
                 self._given_up.popitem(last=False)
 
     def is_given_up(self, command: str | None) -> bool:
-        """Whether its client has given it up."""
+        """Whether its client abandoned the command."""
         with self._lock:
             return command in self._given_up
 
     def check(self, parameters: Mapping[str, str | None]) -> None:
-        """Refuse a command that must not be carried out any more.
+        """Reject a command that must no longer be executed.
 
         Args:
-            parameters: of its query: `server` and `time` as they were asked for, `age` in seconds, `command` its id.
+            parameters: Parameters of its query: `server` and `time` from the answer of the server, `age` in s, and
+                `command`, the id of the command.
 
         Raises:
-            BadValue: a parameter is missing, or is not what it should be.
-            LinkTimeout: it is older than it may be.
-            LocalError: the time is that of another server, or the command was given up.
+            BadValue: If a parameter is missing or invalid.
+            LinkTimeout: If the command is older than its `age`.
+            LocalError: If the time is from another server, or the command was abandoned.
         """
         command = parameters.get("command")
         if not command or parameters.get("server") is None:
             raise BadValue(
-                "a command needs the parameters server and time, which the key clock answers, age (the seconds for "
-                "which it may be carried out after that time), and command (an id that no other command has)"
+                "a command needs the parameters server and time (from the answer of the key clock), age (seconds for "
+                "which it is valid after that time), and command (an id that no other command has)"
             )
         asked, age = _number(parameters, "time"), _number(parameters, "age")
         if not 0 < age <= LARGEST_AGE:
-            raise BadValue(f"age={age:g}; expected more than 0 and at most {LARGEST_AGE:g} s")
+            raise BadValue(f"age={age:g}; expected more than 0 s and at most {LARGEST_AGE:g} s")
         if parameters["server"] != self._server:
-            raise LocalError("the command was meant for a server that is gone, or not for this robot; ask for the time")
+            raise LocalError("the command is for an earlier server or another robot; ask for the time again")
         late = self._now() - asked
         if not 0 <= late <= age:
             raise LinkTimeout(
-                f"the command came {late:.1f} s after its client asked for the time, and was to be refused "
-                f"after {age:g} s: nothing was done"
+                f"the command arrived {late:.1f} s after its client asked for the time, but was valid for {age:g} s; "
+                "it was not executed"
             )
         if self.is_given_up(command):
-            raise LocalError("its client has given the command up: nothing was done")
+            raise LocalError("the client abandoned the command; it was not executed")
 
 
 def _number(parameters: Mapping[str, str | None], name: str) -> float:

@@ -1,4 +1,4 @@
-"""One key that is published and remembers its newest value."""
+"""A published key that remembers its newest value."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ __all__ = ["Publication"]
 
 
 class Publication:
-    """A publisher whose newest value also reaches who comes late, and who asks.
+    """Publisher of a key whose newest value also reaches late subscribers and queries.
 
-    Samples that cannot be sent in time are dropped by Zenoh, and their subscribers are told how many they missed.
+    Zenoh drops samples that cannot be sent in time, and reports to their subscribers how many they missed.
 
     Args:
-        session: by which it is published.
-        key: of the values.
-        encoding: of the values, where none is given with one.
+        session: Session that publishes the values.
+        key: Key of the values.
+        encoding: Default encoding of the values.
     """
 
     def __init__(self, session: zenoh.Session, key: str, encoding: zenoh.Encoding) -> None:
@@ -40,12 +40,12 @@ class Publication:
         self._publisher.put(payload, encoding=encoding, attachment=attachment)
 
     def answer(self, query: zenoh.Query) -> None:
-        """Answer a query with the newest value, if there is one and it was asked for."""
+        """Answer a query with the newest value, if there is one and the query matches its key."""
         newest = self._newest
         if newest is not None and query.key_expr.intersects(self.key):
             payload, encoding, attachment = newest
             query.reply(self.key, payload, encoding=encoding, attachment=attachment)
 
     def close(self) -> None:
-        """End it."""
+        """End the publication."""
         self._publisher.undeclare()

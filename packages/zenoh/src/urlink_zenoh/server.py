@@ -1,4 +1,4 @@
-"""Robots as Zenoh has them: what they say is published, and what they are told comes as queries."""
+"""Server of robots over Zenoh: publishes their states, and executes commands that arrive as queries."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ _log = logging.getLogger("urlink.zenoh")
 
 
 class Server:
-    """Serves robots over Zenoh from now until it is closed; a context manager.
+    """Serve robots over Zenoh until the server is closed; a context manager.
 
     Args:
-        session: of Zenoh; neither it nor the robots are closed with the server.
-        robots: name -> robot; each name is one part of a key.
-        prefix: what all keys begin with.
-        rate: packets a second of the real-time interface that are published, at most; None for all of them.
-        status_rate: status messages a second.
-        interfaces: whose packets are published, of "realtime" and "primary".
-        watchdog: seconds without a set-point after which an arm that follows a trajectory brakes by itself, where the
-            client does not give them.
+        session: Zenoh session. Neither the session nor the robots are closed with the server.
+        robots: Robots by name. Each name is one part of a key.
+        prefix: First part of all keys.
+        rate: Maximum number of real-time packets to publish per second; None for all packets.
+        status_rate: Number of status messages per second.
+        interfaces: Interfaces whose packets are published, out of "realtime" and "primary".
+        watchdog: Default watchdog of trajectories, in s: without a set-point for this time, the arm brakes on its own.
+            A client can pass another value.
 
     Raises:
-        BadValue: a name that cannot be part of a key, or a rate that is not positive.
-        LocalError: somebody serves a robot of this name already.
-        RemoteError: a robot cannot be reached.
+        BadValue: If a name cannot be part of a key, or a rate is not positive.
+        LocalError: If a robot with this name is already served.
+        RemoteError: If a robot cannot be reached.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Server:
     ) -> None:
         for value, name in ((rate, "rate"), (status_rate, "status_rate")):
             if value is not None and not 0 < value <= 1000:
-                raise BadValue(f"{name}={value!r}; expected more than 0 and at most 1000 a second")
+                raise BadValue(f"{name}={value!r}; expected more than 0 and at most 1000 per second")
         self._ended = threading.Event()
         self._period = 1.0 / status_rate
         self._served: list[_Served] = []
@@ -81,7 +81,7 @@ class Server:
         self._thread.start()
 
     def close(self) -> None:
-        """End the motions of clients, and be gone from the name space; idempotent."""
+        """End the motions of clients, and remove the robots from the name space; idempotent."""
         self._ended.set()
         self._thread.join(5.0)
         self._stack.close()
@@ -93,19 +93,19 @@ class Server:
         self.close()
 
     def _tell(self) -> None:
-        """Publish how each robot is, evenly."""
+        """Publish the status of each robot at regular intervals."""
         due = clock.now()
         while not clock.wait(self._ended.wait, due - clock.now()):
             for served in self._served:
                 try:
                     served.tell_status()
                 except (LinkError, zenoh.ZError) as error:
-                    _log.warning("%s: no status: %s", served.key, error)
+                    _log.warning("%s: could not publish the status: %s", served.key, error)
             due = max(due + self._period, clock.now() - self._period)
 
 
 class _Served:
-    """One robot."""
+    """A served robot."""
 
     def __init__(
         self,
@@ -120,13 +120,13 @@ class _Served:
         self._watchdog = watchdog
         self._robot = robot
         self._numbers = itertools.count(1)
-        self._rate: float | None = None  # of the real-time packets that are published
+        self._rate: float | None = None  # rate of the real-time packets that are published
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             alive = f"{key}/alive"
             if list(session.liveliness().get(alive, timeout=1.0)):
-                raise LocalError(f"{key} is served already; choose another name")
+                raise LocalError(f"{key} is already served; choose another name")
             self._is_commanded = _takes_commands(robot)
             self._info, self._status, self._connection, self._motion = (
                 self._published(session, name, JSON) for name in ("info", "status", "connection", "motion")
@@ -150,21 +150,21 @@ class _Served:
                     self._stack.callback(lane.shutdown, cancel_futures=True)
                 self._lanes = lanes
                 self._expiry = Expiry()
-                self._last: tuple[str, Motion] | None = None  # the id of a command, and its motion
-                #: motions that were requested and have not begun
+                self._last: tuple[str, Motion] | None = None  # with the id of its command
+                #: motions that were requested and have not started
                 self._requested: list[PendingCall] = []
                 self._clients = Clients(session, f"{key}/client", self._lost)
                 self._stack.callback(self._clients.close)
                 self._stack.callback(session.declare_queryable(f"{key}/clock", self._tell_time).undeclare)
                 self._stack.callback(session.declare_queryable(f"{key}/command/*", self._asked).undeclare)
-            # Last, so that who sees it finds everything.
+            # Last, so that a client that sees the token finds everything else.
             self._stack.callback(session.liveliness().declare_token(alive).undeclare)
             undo.pop_all()
 
     def close(self) -> None:
         self._stack.close()
 
-    # -- what the robot says ---------------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------------------
 
     def _published(self, session: zenoh.Session, name: str, encoding: zenoh.Encoding) -> Publication:
         publication = Publication(session, f"{self.key}/{name}", encoding)
@@ -185,13 +185,13 @@ class _Served:
 
         def put(packet: State) -> None:
             nonlocal firmware, encoding, last
-            # Numbered as the stream has received them: what the queue of this callback has dropped has its number too.
+            # Count all packets that the stream received, including those that the queue of this callback dropped.
             number = (next(taken) + (subscriptions[-1].stats.dropped if subscriptions else 0)) // every
             if number == last or packet.received is None:
                 return
             last = number
             with contextlib.suppress(LinkError):
-                # Known, but for the first packet after a reconnect: it may have come back with another firmware.
+                # After a reconnect the firmware may be different. It is still unknown at the first packet.
                 now = robot.firmware
                 if now != firmware:
                     firmware, encoding = now, packets_of(interface, now)
@@ -213,28 +213,31 @@ class _Served:
         self._info.put(json_of({**described(self._robot), "published": self._rate, "commands": commands}))
 
     def tell_status(self) -> None:
-        """Publish how the robot is."""
+        """Publish the status of the robot."""
         held = self._clients.current if self._is_commanded else None
         motion = None if held is None else _of_motion(*held)
         self._status.put(json_of({**status_of(self._robot, self._is_commanded), "motion": motion}))
 
-    # -- what it is told -------------------------------------------------------------------------------
+    # -- commands --------------------------------------------------------------------------------------
 
     def _tell_time(self, query: zenoh.Query) -> None:
-        """In a thread of Zenoh's: a lane that is kept must not make the time look later than it is."""
+        """Answer with the time of the server.
+
+        This does not run in a lane: waiting in a busy lane would make the time later than the question.
+        """
         self._reply(query, self._expiry.described())
 
     def _asked(self, query: zenoh.Query) -> None:
-        """A command has come, in a thread of Zenoh's that must not be kept."""
+        """Handle a command that arrived, in a thread of Zenoh that must not be blocked."""
         name = str(query.key_expr).rpartition("/")[2]
         command = COMMANDS.get(name)
         kind = Kind.STOP if name == "cancel" else Kind.SETTING if command is None else command.kind
-        # It counts as entered now, so a stop that comes later overtakes it.
+        # The call counts as entered now, so that a stop which arrives later takes effect on it.
         call = PendingCall()
         if kind is Kind.MOTION:
             self._requested.append(call)
         requested = list(self._requested) if name == "cancel" else []
-        with contextlib.suppress(RuntimeError):  # shut down
+        with contextlib.suppress(RuntimeError):  # the lanes are shut down
             self._lanes[kind].submit(self._carry_out, name, query, call, requested)
 
     def _carry_out(self, name: str, query: zenoh.Query, call: PendingCall, requested: list[PendingCall]) -> None:
@@ -270,7 +273,7 @@ class _Served:
         parameters = {name: query.parameters.get(name) for name in ("server", "time", "age", "command")}
 
         def carry_out() -> Any:
-            if command.kind is not Kind.STOP:  # to stop late is better than not to stop
+            if command.kind is not Kind.STOP:  # a late stop is better than no stop
                 self._expiry.check(parameters)
             return command.call(self._robot, arguments)
 
@@ -280,7 +283,7 @@ class _Served:
         motion = result
         if (asked := parameters["command"]) is not None:
             self._last = (asked, motion)
-            if self._expiry.is_given_up(asked):  # while it was sent
+            if self._expiry.is_given_up(asked):  # the client abandoned it while it was being sent
                 motion.cancel()
         number = next(self._numbers)
         said = {"id": number, **_of_motion(client, motion)}
@@ -289,17 +292,19 @@ class _Served:
         return {**said, "handle": motion}
 
     def _cancel(self, arguments: dict[str, Any], requested: list[PendingCall]) -> None:
-        """Cancel whatever moves the arm or was requested before, or one command alone, which may not have come yet.
+        """Cancel the current motion and all requested motions, or only one command.
+
+        The command might not have arrived yet.
 
         Raises:
-            BadValue: there is another argument than `command`, or it is no text.
+            BadValue: If there is an argument other than `command`, or it is not a string.
         """
         asked = arguments.get("command")
         if arguments.keys() - {"command"} or not (asked is None or isinstance(asked, str)):
-            raise BadValue(f"cancel takes the id of a command as `command`, or nothing; it got {arguments!r}")
+            raise BadValue(f"cancel got {arguments!r}; expected `command` with the id of a command, or no argument")
         held: tuple[str | None, Motion] | None = self._clients.current
         if asked is not None:
-            self._expiry.give_up(asked)  # before looking: one that is being sent looks after it has begun
+            self._expiry.give_up(asked)  # First, because a command that is being sent checks this after it has started.
             held = self._last if self._last is not None and self._last[0] == asked else None
         else:
             for call in requested:
@@ -315,11 +320,11 @@ class _Served:
 
     def _reply(self, query: zenoh.Query, said: dict[str, Any]) -> None:
         said = {name: value for name, value in said.items() if name != "handle"}
-        with contextlib.suppress(zenoh.ZError), query:  # nobody waits any more
+        with contextlib.suppress(zenoh.ZError), query:  # the client no longer waits
             query.reply(query.key_expr, json_of(said), encoding=JSON)
 
     def _lost(self, client: str, motion: Motion) -> None:
-        _log.warning("%s: client %s is lost; its %s is cancelled", self.key, client, motion.name)
+        _log.warning("%s: client %s is lost: its %s is cancelled", self.key, client, motion.name)
         with contextlib.suppress(RuntimeError):
             self._lanes[Kind.STOP].submit(motion.cancel)
 

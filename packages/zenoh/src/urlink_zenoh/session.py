@@ -1,4 +1,4 @@
-"""Sessions of Zenoh, for programs that live longer than a router."""
+"""Zenoh sessions for programs that run longer than a router."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Mode", "open_session"]
 
 Mode = Literal["peer", "client", "router"]
 
-#: Seconds between two attempts to find a router.
+#: Interval, in s, between two attempts to find a router.
 _PAUSE = 0.5
 
 
@@ -29,19 +29,20 @@ def open_session(
     scouting: bool | None = None,
     timeout: float = 10.0,
 ) -> zenoh.Session:
-    """Open a session. It connects again by itself to a router that goes away and comes back.
+    """Open a session. It reconnects automatically to a router that disappears and comes back.
 
     Args:
-        connect: endpoints of routers or peers, such as ``tcp/fleet.local:7447``.
-        listen: endpoints to listen at.
-        mode: "peer", "client" or "router"; None for a client where there is something to connect to, else a peer.
-        config: a file as Zenoh reads it; what else is given here overrides it.
-        scouting: look for others by multicast; None does so where no endpoint is given.
-        timeout: seconds to wait for a router that is not there yet.
+        connect: Endpoints of routers or peers, such as ``tcp/fleet.local:7447``.
+        listen: Endpoints to listen at.
+        mode: Mode of the session: "peer", "client" or "router". None selects "client" if only `connect` is given, and
+            "peer" otherwise.
+        config: Configuration file of Zenoh. The other arguments override it.
+        scouting: Whether to look for other sessions by multicast. None does so only if no endpoint is given.
+        timeout: Maximum time, in s, to wait for a router that is not there yet.
 
     Raises:
-        BadValue: an endpoint, or a file, that Zenoh cannot read.
-        ConnectFailed: the session cannot be opened, since an endpoint is taken, say.
+        BadValue: If Zenoh cannot read an endpoint or the file.
+        ConnectFailed: If the session cannot be opened, for example because an endpoint is in use.
     """
     try:
         settings = zenoh.Config() if config is None else zenoh.Config.from_file(str(config))
@@ -57,21 +58,21 @@ def open_session(
             scouting = False
         if scouting is not None:
             settings.insert_json5("scouting/multicast/enabled", json.dumps(scouting))
-        # Zenoh's newest value for those who come late goes by time, so every sample needs one.
+        # Zenoh selects the newest value for late subscribers by time, so every sample needs a time stamp.
         settings.insert_json5("timestamping/enabled", "true")
-        # One attempt, since Zenoh would repeat it within `open`, where no signal of Python's is heard.
+        # Only one attempt: Zenoh would repeat it inside `open`, during which Python handles no signals.
         settings.insert_json5("connect/timeout_ms", "0")
-        # Of its own it waits up to 4 s between two attempts to find a router that went away.
+        # By default, Zenoh waits up to 4 s between two attempts to find a router that disappeared.
         settings.insert_json5(
             "connect/retry", '{"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2.0}'
         )
     except zenoh.ZError as error:
-        raise BadValue(f"Zenoh cannot be set up so: {error}") from error
+        raise BadValue(f"Zenoh rejects the configuration: {error}") from error
     until = clock.now() + timeout
     while True:
         try:
             return zenoh.open(settings)
         except zenoh.ZError as error:
             if clock.now() + _PAUSE > until:
-                raise ConnectFailed(f"no session of Zenoh within {timeout:g} s: {error}") from error
+                raise ConnectFailed(f"could not open a Zenoh session within {timeout:g} s: {error}") from error
         clock.sleep(_PAUSE)
