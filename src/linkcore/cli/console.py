@@ -10,10 +10,10 @@ import os
 import select
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from queue import Empty, SimpleQueue
 
+from .. import clock
 from ..errors import LocalError
 
 #: Seconds between two checks for a key on Windows, whose console reports a key only if it is asked for.
@@ -93,11 +93,11 @@ if sys.platform == "win32":
     import msvcrt
 
     def _pressed(timeout: float) -> bytes | None:
-        until = time.monotonic() + timeout
+        until = clock.now() + timeout
         while not msvcrt.kbhit():
-            if time.monotonic() >= until:
+            if clock.now() >= until:
                 return None
-            time.sleep(_POLL)
+            clock.sleep(_POLL)
         key = msvcrt.getch()
         if key in (b"\x00", b"\xe0"):  # an arrow or a function key, whose code follows
             msvcrt.getch()

@@ -291,6 +291,7 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         return read
 
     since_start, since_1970 = clock(time.monotonic, 0.0, 0), clock(time.time, _EPOCH, 0)
+
     def sleep_(seconds: float) -> None:
         scheduler = current()
         if scheduler is None:
