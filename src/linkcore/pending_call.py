@@ -148,9 +148,9 @@ class PendingCall:
             raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 
     def give_up(self, submit: Callable[[Callable[[], object]], object] = lambda call: call()) -> None:
-        """Abandon the call: it sends nothing more, its waits end, and what it has started is cancelled. Idempotent.
+        """Abandon the call, so that it sends nothing more, its waits end, and its motions are cancelled. Idempotent.
 
-        The robot brakes. Any thread may call this.
+        Everything that the call has started is cancelled, and the robot brakes. Any thread may call this.
 
         Args:
             submit: Function that runs a given function, which sends a stop to the robot and may wait for the result.

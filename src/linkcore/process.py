@@ -43,7 +43,7 @@ class HomeProcess:
 
     @property
     def is_here(self) -> bool:
-        """Whether the current process is the one that created the object, rather than a forked child."""
+        """Whether the current process has created the object, rather than a forked child of that process."""
         return os.getpid() == self._number
 
     def check(self) -> None:

@@ -3,10 +3,10 @@
 A transport is opened, read until it raises, closed, and opened again. It raises only errors of this library. Errors of
 the operating system are converted here and nowhere else.
 
-Data of a failed call must not arrive later. TCP normally does the opposite: data that `send` has passed to the kernel
-is retransmitted for minutes, even after `close` and after the end of the process (Linux: `tcp_retries2`, about 15
-minutes). It arrives when the network is available again. A robot would then execute a motion whose call failed long
-ago. Three settings prevent this:
+Data of a failed call must not arrive later. But normally TCP retransmits data that `send` has passed to the kernel for
+minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15 minutes). The data
+arrives when the network is available again. A robot would then execute a motion whose call failed long ago. Three
+settings prevent this:
 
 - `SO_LINGER` of 0 s is set from the beginning. When the connection ends, by `abort`, a crash of the process or the
   garbage collector, the kernel discards its data and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).

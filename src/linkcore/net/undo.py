@@ -100,8 +100,8 @@ class PendingUndos:
         for other in known[1:]:
             if other is not undos:
                 undos._take_over(other)
-        # The lock of the module is released first. It is a real lock even in simulated time, where no simulated thread
-        # may wait for it.
+        # The lock of the module is released first. It is a real lock even in simulated time, so no simulated thread may
+        # wait for it.
         with undos._lock:
             assert undos._users is not None
             undos._users.add(user)

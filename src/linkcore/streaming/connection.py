@@ -460,12 +460,12 @@ class Connection:
 
     @property
     def is_running(self) -> bool:
-        """A reader has been started, and has not ended."""
+        """Whether a reader was started, and has not ended."""
         reader = self._reader
         return reader is not None and reader.is_alive()
 
     def reads_here(self) -> bool:
-        """The current thread is the one that reads."""
+        """Whether the current thread is the reader."""
         return threading.current_thread() is self._reader
 
     def refuse_to_wait(self, what: str) -> None:

@@ -171,8 +171,8 @@ def _for_each(callback: Callable[[Any], object], expand: Callable[[Any], Iterabl
 class ThreadedDelivery(Delivery):
     """Delivery that takes packets out of a queue in a dedicated thread.
 
-    A callback that raises loses only this packet, whatever it raises. This includes `SystemExit` from ``sys.exit()``,
-    which would otherwise end the thread without a message.
+    If a callback raises any exception, only this packet is lost. This includes `SystemExit` from ``sys.exit()``, which
+    would otherwise end the thread without a message.
 
     Args:
         queue: Queue that only this callback uses.

@@ -323,8 +323,8 @@ class Layout:
     def dtype(self) -> np.dtype[Any]:
         """The numpy dtype of the packet on the wire, header included.
 
-        Interleaved fields are in a nested dtype under the name of their group. Masks and codes stay numbers. Of the
-        header, only the size is included, as `message_size`.
+        Interleaved fields are in a nested dtype under the name of their group. Masks and codes stay numbers. The header
+        is omitted except for its size, which is `message_size`.
 
         Raises:
             BadValue: If the packet contains text, so that its size varies.

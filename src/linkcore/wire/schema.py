@@ -2,7 +2,7 @@
 
 The schemas are made from the same declarations as the fast decoders, but only construct reads them. So a property test
 can check on random bytes that both are equal, for every layout. `dissect` gets the meaning of each byte from a schema.
-Only this module imports construct, because the import takes longer than that of all other modules.
+Only this module imports construct, because importing it takes longer than importing all other modules.
 
 `compile()` of construct is not used, because it omits the checks of sizes. `Optional` and `Select` are not used,
 because they interpret a broken field as the end of the data.
