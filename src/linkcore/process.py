@@ -89,7 +89,9 @@ class Abandonable(Protocol):
     """An object that has started programs on a robot."""
 
     def abandon(self, why: str, is_end: bool) -> object:
-        """Stop the started programs, and if the process ends, start nothing more. Must not raise `LinkError`.
+        """Stop the started programs, and if the process ends, start nothing more.
+
+        Must not raise `LinkError`.
 
         Args:
             why: Event that has happened to this process, for messages.

@@ -58,12 +58,18 @@ def _script(parser: argparse.ArgumentParser) -> str:
 
 
 def _joined(words: Iterable[str]) -> str:
-    """Join the words that a shell needs no quoting for; other words, such as words with blanks, are left out."""
+    """Join the words that a shell needs no quoting for.
+
+    Other words, such as words with blanks, are left out.
+    """
     return " ".join(word for word in words if re.fullmatch(r"[\w.:/=+-]+", word))
 
 
 def _values(commands: dict[str, argparse.ArgumentParser]) -> Iterator[tuple[str, str, list[str]]]:
-    """Yield each command, option, and the possible values of the option; empty if any value is possible."""
+    """Yield each command, option, and the possible values of the option.
+
+    The list of values is empty if any value is possible.
+    """
     for name, parser in commands.items():
         for action in parser._actions:
             if action.option_strings and action.nargs != 0:

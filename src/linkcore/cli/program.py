@@ -152,7 +152,10 @@ def program(
 
 
 class _Version(argparse.Action):
-    """Action that prints the version. It finds the version only then, because this imports many modules."""
+    """Action that prints the version.
+
+    It finds the version only then, because this imports many modules.
+    """
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         import importlib.metadata

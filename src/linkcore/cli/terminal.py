@@ -59,7 +59,9 @@ def raise_on_sigterm() -> contextlib.AbstractContextManager[None]:
 
 
 class Interruption:
-    """Context that only records Ctrl-C and SIGTERM, so that no call is interrupted; a second signal raises.
+    """Context that only records Ctrl-C and SIGTERM, so that no call is interrupted.
+
+    A second signal raises `Interrupted`.
 
     Args:
         duration: Seconds after which `wait` and `is_over` return True even without a signal; None for no limit.

@@ -47,7 +47,9 @@ C = TypeVar("C", bound=_Closeable)
 
 @dataclass(frozen=True, eq=False)
 class Undo(Generic[C]):
-    """Functions that undo a command. They outlive the object that gave the command, and should not refer to it.
+    """Functions that undo a command.
+
+    They outlive the object that gave the command, and should not refer to it.
 
     Attributes:
         client: Function that returns a new client of the peer. The client connects when it is used, and is closed after
