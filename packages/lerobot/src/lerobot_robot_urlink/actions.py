@@ -86,9 +86,8 @@ class Actions:
     def lead(self, values: Floats, led: Floats) -> Floats:
         """Return the joint set-points after an action, shape (6,), in rad.
 
-        The motion starts at the set-points `led`.
-        No joint moves by more than a step or beyond its limits. For a pose, all joints move by the same fraction of
-        their distance, so that the tool stays close to its path.
+        The motion starts at the set-points `led`. No joint moves by more than a step or beyond its limits. For a pose,
+        all joints move by the same fraction of their distance, so that the tool stays close to its path.
 
         Raises:
             BadValue: If the pose is not valid, or would turn a joint by more than 1.5 rad.

@@ -71,7 +71,8 @@ class UR(Robot):
         super().__init__(config)
         if not (0.0 < config.fps <= 500.0 and config.max_step > 0.0):
             raise BadValue(
-                f"fps={config.fps}, max_step={config.max_step}; expected fps above 0 and at most 500, and max_step above 0"
+                f"fps={config.fps}, max_step={config.max_step}; expected fps above 0 and at most 500, "
+                "and max_step above 0"
             )
         if config.action not in KINDS:
             raise BadValue(f"action={config.action!r}; expected one of {', '.join(KINDS)}")
@@ -240,9 +241,10 @@ class UR(Robot):
 
         Raises:
             LocalError: If there was no observation, or the firmware is older than 3.4.
-            BadValue: See `send_action`. Also if all actions are in the past, or too far apart for the arm. Nothing is
-                sent.
-            DeviceNotConnectedError, Unreachable, SafetyStop, NotRunning, NotEnabled, LinkError: See `send_action`.
+            BadValue: If `send_action` would raise it, if all actions are in the past, or if they are too far apart for
+                the arm. Nothing is sent.
+            DeviceNotConnectedError, Unreachable, SafetyStop, NotRunning, NotEnabled, LinkError: If `send_action` would
+                raise it.
         """
         robot, actions, fingers = self._connected(), self._meaning(), self._fingers
         if self._observed is None:
