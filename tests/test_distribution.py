@@ -144,7 +144,7 @@ def run(program: str, *first: Path) -> subprocess.CompletedProcess[str]:
 def test_import_warns_when_another_urlink_shadows_it(other: Path, module: str) -> None:
     done = run(f"import {module}", other)
     assert "the distribution 'urlink' 1.0.2 is installed" in done.stderr
-    assert "'import urlink' finds another project's" in done.stderr
+    assert "'import urlink' finds the package of the other project" in done.stderr
     assert "pip uninstall -y urlink" in done.stderr
     # The packages need urlink, so their import fails after the warning; rhdlink does not.
     assert (done.returncode != 0) == (module == "urlink_mqtt"), done.stderr
@@ -155,7 +155,7 @@ def test_import_warns_when_another_urlink_is_shadowed(other: Path) -> None:
     done = run(f"import sys; sys.path.append({str(other)!r}); import urlink; urlink.BadValue")
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("the distribution 'urlink' 1.0.2 is installed") == 1
-    assert "'import urlink' finds that of urlink-robot" in done.stderr
+    assert "'import urlink' finds the package of urlink-robot" in done.stderr
 
 
 @pytest.mark.real_time

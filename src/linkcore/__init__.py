@@ -23,14 +23,13 @@ _METADATA = (".dist-info", ".egg-info")
 def _warn_of_other() -> None:
     """Warn if another distribution that is installed has a package `urlink`.
 
-    It lists the folders of the path rather than asking `importlib.metadata`, whose import takes longer than that of
-    urlink.
+    It lists the folders of the path instead of using `importlib.metadata`, which takes longer to import than urlink.
     """
     for folder in sys.path:
         try:
             entries = os.listdir(folder or ".")
         except OSError:
-            continue  # no folder: a zip file, or a path that does not exist
+            continue  # not a folder: a zip file, or a path that does not exist
         for entry in entries:
             stem, suffix = os.path.splitext(entry)
             name, _, version = stem.partition("-")
@@ -40,7 +39,10 @@ def _warn_of_other() -> None:
 
 
 def _has_the_package(metadata: str) -> bool:
-    """Whether a distribution has a package `urlink`. One that does not list its files might have it."""
+    """Whether a distribution has a package `urlink`.
+
+    A distribution that does not list its files might have it.
+    """
     try:
         with open(os.path.join(metadata, "RECORD"), encoding="utf-8") as files:
             return any(line.startswith("urlink/__init__.py,") for line in files)
@@ -49,9 +51,9 @@ def _has_the_package(metadata: str) -> bool:
 
 
 def _warn(version: str) -> None:
-    found = "another project's" if _is_shadowed() else f"that of {NAME}"
+    found = "the package of the other project" if _is_shadowed() else f"the package of {NAME}"
     warnings.warn(
-        f"the distribution {_OTHER!r} {version} is installed; it is another project than {NAME!r}. "
+        f"the distribution {_OTHER!r} {version} is installed; it is a different project from {NAME!r}. "
         f"Both have a package 'urlink', and 'import urlink' finds {found}. To use {NAME}, run: "
         f"pip uninstall -y {_OTHER} && pip install --force-reinstall --no-deps {NAME}",
         RuntimeWarning,
@@ -66,7 +68,7 @@ def _is_shadowed() -> bool:
     try:
         spec = find_spec("urlink")
     except ValueError:
-        return True  # the other one has been imported, and has replaced its module by an object without a spec
+        return True  # the other package was imported, and has replaced its module by an object without a spec
     if spec is None or spec.origin is None:
         return True
     with open(spec.origin, encoding="utf-8", errors="replace") as file:

@@ -1,4 +1,4 @@
-"""Checks of arguments that many calls share: an error says what was given and what was expected."""
+"""Argument checks that many calls share; their errors name the given value and the expected one."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import Any
 
 from .errors import BadValue
 
-#: Seconds that `wait=True` waits.
+#: Maximum wait of `wait=True`, in s.
 _WAIT = 60.0
 
-#: Beyond every quantity of a robot.
+#: Larger than every quantity of a robot, in any unit.
 _LARGEST = 1e9
 _DEGREES = 180.0 / math.pi
-#: A value out of range by less than this factor is not taken for one in another unit.
+#: A value that exceeds its limits by less than this factor is assumed to be in the right unit.
 _FAR = 1.25
-#: The unit that a value out of range was perhaps given in, and how many of it are one of the unit that was expected.
+#: Expected unit -> the unit in which a value out of range might have been given, and its number per expected unit.
 _OTHER_UNITS = {
     "m": ("mm", 1e3),
     "m/s": ("mm/s", 1e3),
@@ -33,16 +33,16 @@ _OTHER_UNITS = {
 
 
 def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool = False) -> float:
-    """`value` as a number of seconds, 0 or more; infinity is one, unless it has to be `finite`.
+    """Return `value` as a number of seconds, 0 or more.
 
-    If it has to be finite, it must not exceed the longest wait that the operating system supports
-    (`threading.TIMEOUT_MAX`). Otherwise the wait itself would raise `OverflowError`, after a command was sent.
+    A finite number must not exceed the longest wait that the operating system supports (`threading.TIMEOUT_MAX`).
+    Otherwise the wait itself would raise `OverflowError`, after a command was sent.
 
     Args:
         value: Argument of the caller.
         name: Name of the argument, used in the error.
         positive: Whether 0 is rejected.
-        finite: Whether infinity is rejected.
+        finite: Whether infinity, and any number above `threading.TIMEOUT_MAX`, is rejected.
 
     Raises:
         BadValue: If `value` is not a number, is NaN, or is out of the allowed range.
@@ -60,10 +60,11 @@ def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool
 
 
 def check_wait(value: bool | float) -> float:
-    """The seconds of an argument ``wait=``: 0 for False, which does not wait, and 60 for True.
+    """Return the seconds of an argument ``wait=``: 0 for False (no wait), and 60 for True.
 
     Raises:
-        BadValue: neither of the two, and no finite number of seconds, or one that is too large (`check_seconds`).
+        BadValue: If `value` is neither a bool nor a finite number of seconds, or if it is too large. See
+            `check_seconds`.
     """
     if isinstance(value, bool):
         return _WAIT if value else 0.0
@@ -73,21 +74,22 @@ def check_wait(value: bool | float) -> float:
 def check_number(
     value: Any, name: str, least: float = -_LARGEST, most: float = _LARGEST, unit: str = "", limit_of: str = ""
 ) -> float:
-    """A finite number from `least` to `most`.
+    """Return `value` as a finite number from `least` to `most`.
 
     Args:
-        value: what the caller was given.
-        name: what the caller calls it.
-        least, most: the limits.
-        unit: of the value and the limits, such as ``"m/s"``; empty for a number without one.
-        limit_of: whose limits these are, for the message; empty if they hold everywhere.
+        value: Argument of the caller.
+        name: Name of the argument, used in the error.
+        least: Smallest allowed number.
+        most: Largest allowed number.
+        unit: Unit of the value and of the limits, such as ``"m/s"``; empty for a number without a unit.
+        limit_of: Name of the object that has these limits, used in the error; empty if they apply everywhere.
 
     Raises:
-        BadValue: it is not a number, or out of range; the message has value, limits and unit, and asks for another
-            unit if the value were within the limits in that one.
+        BadValue: If `value` is not a number, or is out of range. The message has the value, the limits and the unit.
+            If the value would be within the limits in another unit, the message asks about this unit.
     """
     try:
-        # Of Python or of numpy, which has its own boolean type.
+        # Numpy has its own boolean type.
         if isinstance(value, (str, bytes)) or type(value).__name__ in ("bool_", "bool"):
             raise TypeError
         real = float(value)
@@ -105,7 +107,10 @@ def check_number(
 
 
 def other_unit(value: float, unit: str, least: float, most: float) -> str:
-    """The question at the end of a message whether a value out of range is in millimetres, degrees, ...; else empty.
+    """Return the question whether a value out of range is in another unit.
+
+    Return an empty text if that is unlikely. The question asks about millimetres, degrees and so on, and goes to the
+    end of an error message.
 
     >>> other_unit(50.0, "m/s", 0.001, 5.0)
     ' (in mm/s?)'
@@ -113,16 +118,16 @@ def other_unit(value: float, unit: str, least: float, most: float) -> str:
     ''
     """
     name, factor = _OTHER_UNITS.get(unit, ("", 1.0))
-    # A value that is a little too large is in the right unit.
+    # A value that is only slightly too large is in the right unit.
     is_far = abs(value) >= _FAR * max(abs(least), abs(most))
     return f" (in {name}?)" if name and is_far and least <= value / factor <= most else ""
 
 
 def check_whole(value: Any, name: str, least: int, most: int) -> int:
-    """A whole number from `least` to `most`, of Python or of numpy.
+    """Return `value`, an integer of Python or of numpy, as a whole number from `least` to `most`.
 
     Raises:
-        BadValue: If it is something else.
+        BadValue: If `value` is not a whole number, or is out of range.
     """
     whole = whole_number(value, least, most)
     if whole is None:
@@ -131,7 +136,7 @@ def check_whole(value: Any, name: str, least: int, most: int) -> int:
 
 
 def whole_number(value: Any, least: int, most: int) -> int | None:
-    """A whole number from `least` to `most`, of Python or of numpy; None if `value` is something else."""
+    """Return `value` as a whole number, or None if it is not an integer from `least` to `most`."""
     with contextlib.suppress(TypeError):
         whole = operator.index(value)
         if not isinstance(value, bool) and least <= whole <= most:
@@ -146,20 +151,22 @@ def check_choice(value: Any, name: str, choices: Sequence[Any]) -> None:
 
 
 def check_fields(fields: Sequence[Any]) -> None:
-    """Check the names of fields that a call takes one by one.
+    """Check the names of fields of a call that takes each name as a separate argument.
 
     Raises:
-        BadValue: If one of them is not a string, such as a list of names.
+        BadValue: If an argument is not a string, but a list of names, for example.
     """
     for field in fields:
         if not isinstance(field, str):
             raise BadValue(
-                f"field {field!r} is not a string; expected names one by one, such as 'q_actual', 'q_target'"
+                f"field {field!r} is not a string; expected each name as an argument, such as 'q_actual', 'q_target'"
             )
 
 
 def element_of(name: str) -> tuple[str, int] | None:
-    """The field and the index of an element that is named as in exported files; None if it is not named so.
+    """Return the field and the index of an element from its name in exported files.
+
+    Return None for any other name.
 
     >>> element_of("q_actual_3"), element_of("q_actual")
     (('q_actual', 3), None)

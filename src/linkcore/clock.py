@@ -1,17 +1,17 @@
-"""The one clock and the one way to wait, the times at which bytes arrived, and the expiry of commands.
+"""The clock of the library, functions that wait, time stamps of arrived bytes, and the expiry of commands.
 
 All ages, rates and deadlines use `now`, and everything that waits for a thread uses `wait` or one of its forms below.
-Both also count the time for which this computer was suspended: `time.monotonic` does not on Linux and macOS, so a state
-from before a suspend would count as fresh, and a timeout would start again where it was.
+Both count the time for which this computer was suspended. `time.monotonic` does not count it on Linux and macOS, so a
+state from before a suspend would be considered fresh, and a timeout would continue where it was.
 
-`now` looks up `read` in each call, so that it is also the simulated clock while time is simulated
-(`linkcore.simulated`), even where it is kept as a default value.
+`now` looks up `read` in each call. So it reads the simulated clock while time is simulated (`linkcore.simulated`), even
+if `now` is kept as a default value.
 
 `Expiry` is for a server that offers a robot in a middleware. If a process is suspended or gets no processor time, its
 commands stay in the buffers of the middleware. They are delivered when the process resumes, and their client has
-abandoned them by then. The middleware does not report the age of a command. But this process can measure whether it was
-interrupted, without another clock: a tick is recorded ten times a second. If a tick is late, a command that arrives for
-a while after the tick may have been sent before it.
+abandoned them by then. The middleware does not report the age of a command. But this process can detect an interruption
+without another clock, because it records a tick ten times a second. If a tick is late, commands that arrive shortly
+after the tick might have been sent before it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ T = TypeVar("T")
 # -- the clock -------------------------------------------------------------------------------------
 
 if sys.platform == "win32":
-    # Before CPython 3.13 `time.monotonic` has steps of 15.6 ms there. Both clocks include the time of a suspend.
+    # Before CPython 3.13, `time.monotonic` has steps of 15.6 ms on Windows. Both clocks include the time of a suspend.
     read: Callable[[], float] = time.perf_counter
 
     #: Smallest step of `now`, in seconds.
@@ -45,57 +45,58 @@ if sys.platform == "win32":
 else:
 
     def _which() -> int:
-        """The clock to read: on macOS and the BSDs CLOCK_MONOTONIC includes a suspend, on Linux only CLOCK_BOOTTIME."""
+        """Return the clock that includes a suspend: CLOCK_BOOTTIME on Linux, CLOCK_MONOTONIC on macOS and the BSDs."""
         boot_time: int | None = getattr(time, "CLOCK_BOOTTIME", None)
         if boot_time is not None:
-            with contextlib.suppress(OSError):  # a sandbox might not have it
+            with contextlib.suppress(OSError):  # a sandbox might not provide this clock
                 time.clock_gettime(boot_time)
                 return boot_time
         return time.CLOCK_MONOTONIC
 
     _CLOCK = _which()
-    #: The same as `now`, but not a Python function, so a call takes about 370 instructions fewer. Use it only for work
-    #: that is done for each packet. Call it as `clock.read()`, because simulated time replaces it here.
+    #: The same time as `now`, but not a Python function, so a call takes about 370 instructions fewer. Use it only for
+    #: work that is done for each packet. Call it as `clock.read()`, because simulated time replaces it in this module.
     read = partial(time.clock_gettime, _CLOCK)
     #: Smallest step of `now`, in seconds.
     RESOLUTION = time.clock_getres(_CLOCK)
 
 
 def now() -> float:
-    """Time in seconds, on a monotonic clock that includes the time for which this computer was suspended."""
+    """Return the time in s, on a monotonic clock that includes the time of a suspend."""
     return read()
 
 
 #: A faster clock, in seconds, to measure how long a call of this process took. Do not use it for an age, a rate or a
-#: deadline, because it might not include a suspend. Call it as `clock.ticks()`: simulated time replaces it here.
+#: deadline, because it might not include a suspend. Call it as `clock.ticks()`, because simulated time replaces it.
 ticks = time.perf_counter
 
 
 def left(until: float) -> float:
-    """Seconds left until the deadline `until` on this clock; 0.0 if it has passed."""
+    """Return the seconds left until the deadline `until` on this clock; 0.0 if it has passed."""
     return max(until - now(), 0.0)
 
 
 # -- waiting ---------------------------------------------------------------------------------------
 
-#: Whether Ctrl-C does not interrupt a wait for a lock: on Windows, before CPython 3.14.
+#: Whether Ctrl-C cannot interrupt a wait for a lock. This is so on Windows before CPython 3.14.
 _IS_DEAF = sys.platform == "win32" and sys.version_info < (3, 14)
 
-#: Seconds that one call of the system waits at most. Such a call does not count the time of a suspend on Linux and
-#: macOS, so a deadline that passed during a suspend is noticed so much later.
+#: Longest wait of one system call, in s. On Linux and macOS such a call does not count the time of a suspend. So a
+#: deadline that passed during a suspend is noticed at most this much later.
 _SLICE = 0.1 if _IS_DEAF else 1.0
 
-#: How long one call of the system should wait if the wait has no limit; None for no limit.
+#: Longest wait of one system call in a wait without a limit; None if the system call has no limit either.
 ENDLESS = _SLICE if _IS_DEAF else None
 
-#: Seconds after which a wait that nothing can wake notices that its pending call was abandoned.
+#: Interval in s at which `wait` checks whether its pending call was abandoned, because nothing can wake this wait.
 _LOOK = 0.05
 
 
 def slice_of(seconds: float | None) -> float | None:
-    """How long one call of the system should wait, of `seconds` in total; None if it may wait without a limit.
+    """Return how long one system call should wait, out of `seconds` in total.
 
-    For a loop that reads the clock itself after each call; everything else uses `wait`.
+    Return None if it may wait without a limit. Use it in a loop that reads the clock itself after each system call.
+    Everything else uses `wait`.
     """
     if seconds is None or seconds == math.inf:
         return ENDLESS
@@ -103,14 +104,16 @@ def slice_of(seconds: float | None) -> float | None:
 
 
 def wait(attempt: Callable[[float | None], object], timeout: float | None = None) -> bool:
-    """Wait by calls of `attempt`, such as `event.wait`, until one returns something true; False if time is up.
+    """Call `attempt`, such as `event.wait`, until it returns a true value.
+
+    Return False after `timeout`.
 
     Args:
         attempt: Function that waits for the given number of seconds, or without a limit if given None.
         timeout: Maximum wait in seconds; None or infinity for no limit.
 
     Raises:
-        Cancelled: If this thread makes a pending call that was abandoned; within 0.05 s.
+        Cancelled: If this thread makes a pending call that was abandoned. It is raised within 0.05 s.
     """
     if pending_call() is None:
         return _wait(attempt, timeout)
@@ -134,7 +137,7 @@ def _wait(attempt: Callable[[float | None], object], timeout: float | None) -> b
 
 
 def sleep(seconds: float) -> None:
-    """Sleep for `seconds`; returns at once if there are none left.
+    """Sleep for `seconds`; return at once if the number is not positive.
 
     Raises:
         Cancelled: If this thread makes a pending call that was abandoned.
@@ -153,10 +156,10 @@ def sleep(seconds: float) -> None:
 
 
 def get(items: queue.SimpleQueue[T], timeout: float | None = None) -> T:
-    """Take the next item of a queue that only this thread reads.
+    """Remove and return the next item of a queue that only this thread reads.
 
     Raises:
-        queue.Empty: If no item came within `timeout` seconds.
+        queue.Empty: If no item arrives within `timeout` seconds.
         Cancelled: If this thread makes a pending call that was abandoned.
     """
     got: list[T] = []
@@ -173,7 +176,9 @@ def get(items: queue.SimpleQueue[T], timeout: float | None = None) -> T:
 
 
 def is_done(future: Future[T], timeout: float | None = None) -> bool:
-    """Wait until a future has a result, an error, or was cancelled; False if time is up.
+    """Wait until a future has a result or an error, or was cancelled.
+
+    Return False after `timeout`.
 
     Raises:
         Cancelled: If this thread makes a pending call that was abandoned.
@@ -194,7 +199,7 @@ def is_done(future: Future[T], timeout: float | None = None) -> bool:
 
 
 def join(thread: threading.Thread, timeout: float | None = None) -> bool:
-    """Wait until a thread has ended; False if time is up."""
+    """Wait until a thread has ended; return False after `timeout`."""
 
     def attempt(seconds: float | None) -> bool:
         thread.join(seconds)
@@ -207,12 +212,12 @@ def join(thread: threading.Thread, timeout: float | None = None) -> bool:
 
 
 class Stamp(NamedTuple):
-    """When the bytes of a packet arrived, on two clocks.
+    """Time at which the bytes of a packet arrived, on two clocks.
 
     Attributes:
-        monotonic: `linkcore.clock.now()` in seconds. `age` is the time since then. Do not compare it with
-            `time.monotonic()`, which differs from it once this computer was suspended.
-        wall: `time.time()`, seconds since 1970 UTC; compare with it across machines.
+        monotonic: Time of `linkcore.clock.now()`, in s. `age` is the time since then. Do not compare it with
+            `time.monotonic()`, because the two differ after this computer was suspended.
+        wall: Time of `time.time()`, in s since 1970 UTC. Use it to compare times between machines.
     """
 
     monotonic: float
@@ -220,23 +225,23 @@ class Stamp(NamedTuple):
 
     @classmethod
     def now(cls) -> Stamp:
-        """The stamp of this moment."""
+        """Return the stamp of this moment."""
         return cls(now(), time.time())
 
     @property
     def age(self) -> float:
-        """Seconds since then, including those for which this computer was suspended."""
+        """Seconds since the stamp, including the time for which this computer was suspended."""
         return now() - self.monotonic
 
 
 # -- commands that may be too old ------------------------------------------------------------------
 
-#: Seconds between two ticks after which a command may be too old; a busy machine may take 1.5 s for a tick.
+#: Seconds between two ticks above which a command might be too old. On a busy machine a tick may take 1.5 s.
 _HELD_UP = 2.0
 
 
 class Expiry(StrictAttributes):
-    """Check of a robot's server for commands that may be too old, because this process was recently interrupted.
+    """Check that rejects commands that might be too old, because this process was recently interrupted.
 
     Args:
         settling: Seconds for which commands are rejected after the process resumes; delayed commands arrive by then.
@@ -248,12 +253,15 @@ class Expiry(StrictAttributes):
         self._now = now
         self._lock = threading.Lock()
         self._ticked: float | None = None
-        self._held_up = 0.0  # seconds, the last time
-        self._until = -math.inf  # commands are refused
-        self._is_new = False  # that it was held up, since the last tick
+        self._held_up = 0.0  # duration of the last interruption, in s
+        self._until = -math.inf  # commands are rejected until this time
+        self._is_new = False  # whether an interruption has happened since the last tick
 
     def tick(self) -> bool:
-        """Record, ten times a second, that this process runs; return whether it was interrupted since the last tick."""
+        """Record that this process runs; return whether it was interrupted since the last tick.
+
+        Call it ten times a second.
+        """
         with self._lock:
             self._measure()
             was_held_up, self._is_new = self._is_new, False
@@ -266,13 +274,13 @@ class Expiry(StrictAttributes):
             LinkTimeout: If this process was recently interrupted for more than 2 s. Nothing is done.
         """
         with self._lock:
-            if self._ticked is not None:  # before the first there was nothing to be held up
+            if self._ticked is not None:  # before the first tick no interruption can be detected
                 self._measure()
             left = self._until - self._now()
         if left > 0.0:
             raise LinkTimeout(
-                f"this process was held up for {self._held_up:.1f} s, so the command may be as old, and its client may "
-                f"have given it up: nothing was done. Commands are taken again in {left:.1f} s"
+                f"this process was interrupted for {self._held_up:.1f} s, so the command might be that old, and its "
+                f"client might have abandoned it; nothing was done, and commands are accepted again in {left:.1f} s"
             )
 
     def _measure(self) -> None:

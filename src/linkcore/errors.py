@@ -5,11 +5,11 @@ A `LocalError` is a wrong call, and a `RemoteError` is a failure of the peer or 
     LinkError
     ├── LocalError                  you called it wrongly; nothing was sent
     │   ├── BadValue                a value that cannot be put on the wire        (ValueError)
-    │   ├── BadAddress              an address that names no robot                (ValueError)
-    │   ├── BadVersion              a version that is not one                     (ValueError)
+    │   ├── BadAddress              an address that cannot be used                (ValueError)
+    │   ├── BadVersion              an invalid or unknown version                 (ValueError)
     │   ├── BadRecording            a file that is not a recording                (ValueError)
     │   ├── Cancelled               a motion or program that was cancelled
-    │   └── Closed                  used after close()
+    │   └── Closed                  an object that is used after close()
     └── RemoteError                 the peer sent invalid data, or disconnected
         ├── ConnectFailed           no answer, refused, no route                  (ConnectionError)
         ├── ConnectionLost          the connection has ended                      (ConnectionError)
@@ -30,12 +30,12 @@ class LinkError(Exception):
     """Base class of all errors that this library raises on purpose."""
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Copied and pickled without its `__init__`, which may take other arguments than `args`.
+        # Copies and pickles are made without `__init__`, because its arguments might differ from `args`.
         return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
 class LocalError(LinkError):
-    """Base class of errors of the caller; nothing was sent."""
+    """Base class of errors in the calling program; nothing was sent."""
 
 
 class BadValue(LocalError, ValueError):
@@ -43,7 +43,7 @@ class BadValue(LocalError, ValueError):
 
 
 class BadAddress(LocalError, ValueError):
-    """An address that names no robot."""
+    """An address that is malformed, or that does not name a robot."""
 
 
 class Cancelled(LocalError):
@@ -51,7 +51,7 @@ class Cancelled(LocalError):
 
 
 class BadVersion(LocalError, ValueError):
-    """Text that is not a version, or a version that the library does not know."""
+    """A text that is not a version, or a version that the library does not support."""
 
 
 class BadRecording(LocalError, ValueError):
@@ -67,7 +67,7 @@ class RemoteError(LinkError):
 
 
 class ConnectFailed(RemoteError, ConnectionError):
-    """No connection could be made."""
+    """A connection that could not be made."""
 
 
 class ConnectionLost(RemoteError, ConnectionError):
@@ -75,7 +75,7 @@ class ConnectionLost(RemoteError, ConnectionError):
 
 
 class LinkTimeout(RemoteError, TimeoutError):
-    """Nothing arrived before the deadline."""
+    """A timeout: nothing arrived before the deadline."""
 
 
 class WrongPeer(RemoteError):

@@ -1,4 +1,4 @@
-"""The asyncio event loop of a program: that it runs, waiting in it, what it opens, and threads for calls that wait."""
+"""Helpers for programs with an asyncio event loop: waiting in the loop, and threads for calls that block."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ C = TypeVar("C", bound=_Closing)
 
 
 class Opening(StrictAttributes, Generic[C]):
-    """Result of `connect_async`: ``robot = await opening``, or ``async with opening as robot``, which closes it.
+    """Result of `connect_async`, to be awaited or entered.
+
+    Write ``robot = await opening``, or ``async with opening as robot``, which closes the robot.
 
     Args:
         open: Function that connects; called once for each use.
@@ -46,7 +48,7 @@ class Opening(StrictAttributes, Generic[C]):
 
     def _hint(self, name: str) -> str:
         how = "'async with connect_async(...) as robot:' or 'robot = await connect_async(...)'"
-        return f"; it is not connected yet, write {how}"
+        return f"; it is not connected yet; write {how}"
 
     def __await__(self) -> Generator[Any, None, C]:
         return self._open().__await__()
@@ -71,15 +73,20 @@ def running_loop(what: str) -> asyncio.AbstractEventLoop:
     except RuntimeError:
         raise LocalError(
             f"{what} needs a running asyncio event loop, and none runs in this thread; "
-            "from trio, curio or a plain thread, use the blocking calls, in a thread of their own"
+            "from trio, curio or a plain thread, use the blocking calls in a separate thread"
         ) from None
 
 
 async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
-    """Wait until a future is done; False if time is up; None waits forever. It is neither cancelled nor read.
+    """Wait until a future is done; return False after `seconds`.
 
-    A task that is cancelled while it waits here ends at once, also in the turn of the loop in which the future is done.
-    `asyncio.wait_for` of Python 3.11 and older returns then, and the task goes on (bpo-42130).
+    The future is neither cancelled nor read. A task that is cancelled while it waits here ends at once, even if the
+    future becomes done in the same iteration of the loop. In this case `asyncio.wait_for` of Python 3.11 and older
+    returns, and the task continues (bpo-42130).
+
+    Args:
+        seconds: Maximum wait in s; None waits forever.
+        future: Future to wait for.
     """
     part = clock.slice_of(seconds)
     if part is None or part == seconds:  # one call is enough
@@ -92,7 +99,10 @@ async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
 
 
 async def finished(ending: asyncio.Future[T]) -> T:
-    """Wait for what has to come to its end; a task that is cancelled meanwhile ends after it."""
+    """Wait for a future that must not be interrupted.
+
+    A task that is cancelled meanwhile ends after the future.
+    """
     try:
         await asyncio.wait({ending})
     except asyncio.CancelledError:
@@ -101,19 +111,20 @@ async def finished(ending: asyncio.Future[T]) -> T:
     try:
         return ending.result()
     finally:
-        del ending  # an error refers to this frame, and the future to the error
+        del ending  # an error refers to this frame, and the future refers to the error
 
 
 def happened(future: asyncio.Future[None]) -> None:
-    """Have a future that stands for an event be done; idempotent, as `asyncio.Event.set` is."""
+    """Mark a future that represents an event as done; idempotent like `asyncio.Event.set`."""
     if not future.done():
         future.set_result(None)
 
 
 def ended(future: Future[Any], loop: asyncio.AbstractEventLoop) -> asyncio.Future[None]:
-    """A future of `loop` that is done one turn after `future`, which any thread may end and which is left as it is.
+    """Return a future of `loop` that is done one iteration after `future`, which any thread may end.
 
-    `asyncio.wrap_future` takes no turn of the loop from Python 3.14 on where the loop's own thread ends `future`.
+    `future` itself is not changed. `asyncio.wrap_future` does not wait for an iteration of the loop on Python 3.14 and
+    later if the thread of the loop ends `future`.
     """
     end = loop.create_future()
 
@@ -126,11 +137,11 @@ def ended(future: Future[Any], loop: asyncio.AbstractEventLoop) -> asyncio.Futur
 
 
 class _Threads:
-    """Threads that make calls, in the order in which the calls are submitted.
+    """Threads that make calls in the order of their submission.
 
     Args:
         name: Name of the threads.
-        most: Maximum number of threads; math.inf for as many as the system has.
+        most: Maximum number of threads; math.inf for no limit.
         kept: Number of threads that stay when there is nothing to do.
     """
 
@@ -145,7 +156,7 @@ class _Threads:
         self._threads: set[threading.Thread] = set()
 
     def start(self, count: int) -> None:
-        """Start so many threads now.
+        """Start `count` threads now.
 
         Raises:
             LocalError: If the system has no thread left.
@@ -155,11 +166,11 @@ class _Threads:
                 self._start()
 
     def submit(self, call: Callable[[], T], *, waits_for_thread: bool = False) -> Future[T]:
-        """Make a call in a thread that is idle, or in a new one while there are less than the maximum.
+        """Make a call in an idle thread, or in a new thread if the maximum is not reached.
 
         Args:
             call: The call.
-            waits_for_thread: If no new thread can be started, whether the call waits for a thread that is busy now.
+            waits_for_thread: Whether the call waits for a busy thread if no new thread can be started.
 
         Raises:
             Closed: If the threads were closed.
@@ -180,7 +191,7 @@ class _Threads:
         return future
 
     def close(self) -> None:
-        """Make the calls that were submitted, and no more. Does not wait. Idempotent."""
+        """Accept no more calls. Submitted calls are still made. Does not wait. Idempotent."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
@@ -230,15 +241,15 @@ class _Threads:
 
 
 class Workers:
-    """Threads of one robot: those for calls, and those for what stops it, which never waits for a call.
+    """Threads of one robot for its calls, and separate threads for stops, which never wait for a call.
 
     A thread for calls is started when it is needed, and stays.
 
     Args:
         name: Name of the threads.
-        most: Maximum number of calls at once; 1 makes calls follow each other.
-        stopping: Number of threads for stops that are started at once, so that they cannot fail to start later. More
-            of them are started while all are busy.
+        most: Maximum number of calls at the same time; 1 makes calls one after the other.
+        stopping: Number of threads for stops that are started immediately, so that they cannot fail to start later.
+            More threads are started while all of them are busy.
 
     Raises:
         LocalError: If the system has no thread left.
@@ -258,7 +269,7 @@ class Workers:
         _open.add(self._stopping)
 
     def submit(self, call: Callable[[], T]) -> Future[T]:
-        """Call in a thread.
+        """Make a call in a thread.
 
         Raises:
             Closed: If it was closed.
@@ -268,11 +279,11 @@ class Workers:
         return self._threads.submit(call)
 
     def stop(self, call: Callable[[], T]) -> Future[T]:
-        """Make a call that stops the robot or closes something, in a thread that no other call keeps busy.
+        """Make a call that stops the robot or closes something, in a separate thread for stops.
 
         Raises:
             Closed: If it was closed.
-            LocalError: If the system has no thread left, and none was started with the robot.
+            LocalError: If the system has no thread left, and no thread for stops exists yet.
         """
         self.is_used = True
         return self._stopping.submit(call, waits_for_thread=True)
@@ -280,10 +291,13 @@ class Workers:
     async def make(
         self, call: Callable[[], T], undo: Callable[[T], object] = lambda result: None, *, is_ordered: bool = True
     ) -> T:
-        """Call in a thread, and wait for the result. A task that is cancelled meanwhile abandons the call and ends.
+        """Make a call in a thread, and wait for the result.
+
+        Cancelling the task abandons the call, and ends the task.
 
         Args:
-            undo: Function that is called with the result, in a thread, if the abandoned call still returns one.
+            call: The call.
+            undo: Function that is called with the result, in a thread, if an abandoned call still returns a result.
             is_ordered: See `PendingCall`.
 
         Raises:
@@ -300,7 +314,9 @@ class Workers:
             del making  # an error refers to this frame, and the future to the error
 
     async def make_stop(self, call: Callable[[], T]) -> T:
-        """As `make`, for a call that stops the robot: it is made even if the task is cancelled, which ends at once.
+        """Make a call that stops the robot.
+
+        If the task is cancelled, it ends at once, but the call is still made.
 
         Raises:
             Closed, LocalError: See `stop`.
@@ -310,7 +326,7 @@ class Workers:
     async def _result(self, making: Future[T]) -> T:
         try:
             await ended(making, asyncio.get_running_loop())
-            if making.cancelled():  # it waited for a thread
+            if making.cancelled():  # it was still waiting for a thread
                 raise Closed(f"{self._name} was closed")
             return making.result()
         finally:
@@ -330,11 +346,11 @@ class Workers:
     def _undo(self, call: Callable[[], object]) -> None:
         try:
             self.stop(call)
-        except (Closed, LocalError):  # the robot is closed, so there is nothing to wait for; or there is no thread left
-            call()
+        except (Closed, LocalError):
+            call()  # the robot is closed, so the call does not have to wait; or the system has no thread left
 
     def close(self) -> None:
-        """Make no more calls; the threads end with what they do. Does not wait. Idempotent."""
+        """Make no more calls. The threads end after their current calls. Does not wait. Idempotent."""
         _close(self._threads, self._stopping)
 
 
@@ -344,15 +360,18 @@ def _close(threads: _Threads, stopping: _Threads) -> None:
     stopping.close()
 
 
-#: Seconds for which the end of the process waits for stops that are being sent.
+#: Maximum time in s for which the end of the process waits for stops that are being sent.
 _AT_EXIT = 2.0
 
-#: The threads for stops of all robots.
+#: Threads for the stops of all robots.
 _open: weakref.WeakSet[_Threads] = weakref.WeakSet()
 
 
 def _send_stops() -> None:
-    """Wait for stops, since the threads end with the process: a task might have been cancelled just before."""
+    """Wait until all stops are sent, because the threads end with the process.
+
+    A task might have been cancelled just before the end.
+    """
     threads = tuple(_open)
     for each in threads:
         each.close()

@@ -1,4 +1,4 @@
-"""Handles of motions, programs and missions on a robot, and the one state machine of their life.
+"""Handles of motions, programs and missions on a robot, and the state machine of their life.
 
 ========== ========= ============ ========= ===================================
 event      in SENT   in RUNNING   after     in DONE, CANCELLED, FAILED
@@ -16,18 +16,19 @@ CANCEL     CANCELLED CANCELLED    -         -
 FAIL       FAILED    FAILED       -         -
 ========== ========= ============ ========= ===================================
 
-Each event happens once, even if two connections report it. REPORT is the exception: the last of several is kept. There
-is no transition back, and the first end is final. An event that cannot happen raises an error. After the end, events
-have no effect. docs/architecture.md shows the table. The phase alone is not the whole state. The primary connection
-reports BEGIN, REPORT and STOP of a program, and its link causes LINK, LOSE and BRAKE. These two connections deliver
-their events in any order.
+Each event happens once, even if two connections report it. REPORT is the exception: the last of several is kept. A life
+never returns to an earlier phase, and the first end is final. An event that cannot happen in a phase raises an error.
+After the end, events have no effect. docs/architecture.md shows the table. The phase alone is not the whole state. The
+primary connection reports BEGIN, REPORT and STOP of a program, and its link causes LINK, LOSE and BRAKE. These two
+connections deliver their events in any order.
 
 `Lifecycle` is used inside the library, and users hold a `Handle`. Both work without a lock: each event is put into a
 dictionary with `setdefault`, which is one step for threads and for signal handlers.
 
-A life that has ended is not in a reference cycle, because a program may have switched off the garbage collector. So it
-releases its handle and its brake at the end. Its error is kept and returned as copies that have never been raised. A
-raised exception refers to the frames that it passes, and the variables of these frames refer to the handle.
+A life that has ended must not be part of a reference cycle, because a program may have switched off the garbage
+collector. Therefore it releases its handle and its brake at the end. It keeps and returns copies of its error that have
+never been raised. A raised exception refers to the frames that it passes, and the variables of these frames refer to
+the handle.
 """
 
 from __future__ import annotations
@@ -68,14 +69,14 @@ class Phase(enum.Enum):
 class Event(enum.Enum):
     """Event in the life of a motion, program or mission."""
 
-    SEND = "send"  # it leaves this computer, or its thread is started
-    BEGIN = "begin"  # the robot has begun it
-    LINK = "link"  # its program takes what it is sent
-    LOSE = "lose"  # the link to its program is lost
-    BRAKE = "brake"  # nothing more is sent to it but what ends it
+    SEND = "send"  # it was sent to the robot, or its thread was started
+    BEGIN = "begin"  # the robot has started it
+    LINK = "link"  # its program has connected, and receives messages
+    LOSE = "lose"  # the link to its program was lost
+    BRAKE = "brake"  # from now on, only messages that end it are sent
     REPORT = "report"  # its program has reported how it ends
     STOP = "stop"  # the controller has ended it, and the reason is not known yet
-    SETTLE = "settle"  # its program has ended, and the arm is still on its way
+    SETTLE = "settle"  # its program has ended, and the arm is still moving
     FINISH = "finish"
     CANCEL = "cancel"
     FAIL = "fail"
@@ -84,7 +85,7 @@ class Event(enum.Enum):
 _LIVE = (Phase.SENT, Phase.RUNNING)
 _ENDS = {Event.FINISH: Phase.DONE, Event.CANCEL: Phase.CANCELLED, Event.FAIL: Phase.FAILED}
 
-#: (phase, event) -> the phase after it. What is missing cannot happen; in the other phases nothing has an effect.
+#: (phase, event) -> the next phase. In SENT and RUNNING a missing event is an error; in other phases it has no effect.
 TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
     {
         (Phase.SENT, Event.SEND): Phase.SENT,
@@ -95,14 +96,14 @@ TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = MappingProxyType(
         **{(phase, event): after for phase in _LIVE for event, after in _ENDS.items()},
     }
 )
-#: event -> the one that has to have happened before it.
+#: event -> the event that must have happened before it.
 AFTER: Mapping[Event, Event] = MappingProxyType(
     {Event.LINK: Event.SEND, Event.LOSE: Event.SEND, Event.BRAKE: Event.SEND, Event.SETTLE: Event.REPORT}
 )
 
 
 class Occurrence(NamedTuple):
-    """Record of an event: which, when, and with which error.
+    """Record of an event with its time and its error.
 
     Attributes:
         event: The event.
@@ -120,8 +121,8 @@ class Lifecycle:
 
     Args:
         name: Name, used in log and error messages.
-        callbacks: Thread in which callbacks of users are called.
-        waiting: Context in which a thread waits for the end. It may admit other threads meanwhile, or refuse to wait.
+        callbacks: Thread that calls the callbacks of users.
+        waiting: Context that surrounds each wait for the end. It may admit other threads meanwhile, or refuse to wait.
 
     Attributes:
         brake: Function that stops the robot; may raise `LinkError`. It is called if the life ends early and the robot
@@ -141,26 +142,26 @@ class Lifecycle:
         self.handle: Handle | None = None
         self._callbacks = callbacks
         self._waiting = waiting
-        #: by event; what has ended it under None, whichever it was
+        #: event -> its record. The event that has ended the life is recorded under the key None.
         self._marks: dict[Event | None, Occurrence] = {}
         self.future: Future[None] = Future()
-        # So that a task that is cancelled while it awaits cannot cancel the future instead of the motion.
+        # A task that is cancelled while it awaits must cancel the motion rather than the future.
         self.future.set_running_or_notify_cancel()
         self._releases: deque[Callable[[], object]] = deque()
         self._done_callbacks: deque[Callable[[], object]] = deque()
         self.enter()
 
     def enter(self) -> None:
-        """Count it as started by the call that this thread is in now.
+        """Record that it is started by the call that this thread executes now.
 
-        A block is made by one call and entered by another one, perhaps much later.
+        A block is made by one call, and entered by another call that might come much later.
 
         Raises:
             Cancelled: If that call was abandoned.
         """
         self._call = current_call()
         order = None if self._call is None else self._call.order
-        #: number of that call, to be compared with that of a stop; see `linkcore.pending_call`
+        #: Number of this call, which is compared with the number of a stop. See `linkcore.pending_call`.
         self.order = next_order() if order is None else order
         if self._call is not None:
             self._call.has_begun(self)
@@ -174,7 +175,10 @@ class Lifecycle:
         return Phase.RUNNING if Event.BEGIN in self._marks else Phase.SENT
 
     def happened(self, event: Event) -> Occurrence | None:
-        """Return the record of an event other than an end; None if it has not happened before the end."""
+        """Return the record of an event other than an end.
+
+        Return None if it has not happened before the end.
+        """
         return self._marks.get(event)
 
     @property
@@ -193,10 +197,13 @@ class Lifecycle:
         end = self._marks.get(None)
         return None if end is None or end.error is None else unraised(end.error)
 
-    # -- what happens --------------------------------------------------------------------------------
+    # -- events --------------------------------------------------------------------------------------
 
     def begin(self, at: float = math.nan) -> bool:
-        """Record that the robot has begun it. Like all of these, return False if repeated or after the end."""
+        """Record that the robot has begun it.
+
+        Like all of these, return False if repeated or after the end.
+        """
         return self.fire(Event.BEGIN, at=at)
 
     def finish(self) -> bool:
@@ -209,7 +216,7 @@ class Lifecycle:
 
     def give_up(self) -> bool:
         """Cancel it and stop the robot, because the task that awaited it was cancelled."""
-        return self.cancel("given up by the task that awaited it", brake=True)
+        return self.cancel("cancelled, because the task that awaited it was cancelled", brake=True)
 
     def fail(self, error: Exception, *, brake: bool = False) -> bool:
         """Record that it has failed; with `brake`, stop the robot."""
@@ -260,7 +267,7 @@ class Lifecycle:
         return True
 
     def _settle(self, error: Exception | None) -> None:
-        # Also if the call that ends it was abandoned: what it holds must not stay open.
+        # `regardless`, because resources must be released even if the call that ends it was abandoned.
         _drain(self._releases, regardless)
         if error is None:
             self.future.set_result(None)
@@ -269,10 +276,13 @@ class Lifecycle:
         _drain(self._done_callbacks, self._callbacks.call)
         self.brake, self.handle = _nothing, None
 
-    # -- who wants to know ---------------------------------------------------------------------------
+    # -- waiting for the end -------------------------------------------------------------------------
 
     def on_end(self, release: Callable[[], object]) -> None:
-        """Call `release` when it ends, in the thread that ends it: the library's own, which neither wait nor raise."""
+        """Call `release` when it ends, in the thread that ends it.
+
+        This is for functions of the library that neither wait nor raise.
+        """
         self._releases.append(release)
         if self.is_over:
             _drain(self._releases, regardless)
@@ -341,7 +351,10 @@ class Handle(StrictAttributes):
 
     @property
     def error(self) -> Exception | None:
-        """Error that ended it early, which `wait` raises; None if it finished normally or has not ended."""
+        """Error that ended it early, which `wait` raises.
+
+        It is None if it finished normally or has not ended.
+        """
         return self._life.error
 
     def wait(self, timeout: float = 60.0, *, cancel: bool = True) -> None:
@@ -363,7 +376,9 @@ class Handle(StrictAttributes):
         seconds = check_seconds(timeout, "timeout", finite=True)
         try:
             if not self._life.wait(seconds):
-                raise LinkTimeout(f"{self.name} is {self.phase.value}, and not over within {seconds:g} s; it goes on")
+                raise LinkTimeout(
+                    f"{self.name} has not ended within {seconds:g} s, and continues; its phase is {self.phase.value}"
+                )
         except BaseException as error:
             if cancel:
                 self._give_up(error)
@@ -378,17 +393,21 @@ class Handle(StrictAttributes):
             try:
                 self.cancel()
             finally:
-                self.cancel()  # without effect, unless a second Ctrl-C has interrupted the first
+                self.cancel()  # has an effect only if a second Ctrl-C has interrupted the first call
 
     def cancel(self) -> None:
-        """Cancel it, and let the robot brake. Returns before the robot is at rest; no effect if it has ended."""
+        """Cancel it, and let the robot brake.
+
+        Returns before the robot is at rest; no effect if it has ended.
+        """
         if self._life.cancel("cancelled", brake=True):
             _log.info("%s was cancelled", self.name)
 
     def add_done_callback(self, callback: Callable[[Self], object]) -> None:
-        """Call `callback` when it has ended, in the robot's callback thread; soon if it has already ended.
+        """Call `callback` in the robot's callback thread when it has ended.
 
-        The callback may command the robot, and wait. A slow callback delays other callbacks of the same robot.
+        If it has already ended, the callback is called soon. The callback may command the robot, and wait. A slow
+        callback delays other callbacks of the same robot.
 
         Raises:
             BadValue: If `callback` is not callable.
@@ -419,7 +438,7 @@ class Handle(StrictAttributes):
         return [("phase", self.phase.value), ("error", "" if self.error is None else str(self.error))]
 
     def _repr_html_(self) -> str:
-        from .text import html_table  # imported here: importing the library stays cheap
+        from .text import html_table  # imported here: importing the library stays fast
 
         return html_table(f"{type(self).__name__} {self.name}", (), [row for row in self._shown() if row[1]])
 
@@ -432,7 +451,7 @@ H = TypeVar("H", bound=Handle)
 
 
 def waited(handle: H, seconds: float) -> H:
-    """Return the handle of what was started; if `seconds` is not 0, wait for its end first, for so long at most.
+    """Return `handle`; if `seconds` is not 0, first wait for its end, for at most `seconds`.
 
     Raises:
         LinkTimeout: If it has not ended in time; it keeps running.

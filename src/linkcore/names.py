@@ -1,9 +1,11 @@
 """Package members that are imported at first use, and errors that suggest the right name for a misspelt attribute.
 
-- `lazy_names` makes the public names of a package (PEP 562), and `needs` says which extra brings a missing package.
-- `plugin` loads what a distribution of its own brings, such as a command or a recorder, and says what installs it.
+- `lazy_names` makes the public names of a package (PEP 562), and `needs` names the extra that installs a missing
+  package.
+- `plugin` loads a part from a separate distribution, such as a command or a recorder. If the distribution is missing,
+  the error shows the command that installs it.
 - `StrictAttributes` is a base class whose objects raise an error with a hint when a program reads or sets an attribute
-  that they do not have. A misspelt attribute that is set would otherwise be a new one, and change nothing.
+  that they do not have. Without it, setting a misspelt attribute would create a new attribute and have no effect.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from . import NAME
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-#: Package -> its module with the names of other libraries. It has `own_name(name)`, which returns None or the own name.
+#: Package -> its module with the names of other libraries. The function `own_name(name)` of the module returns the
+#: equivalent name in the package, or None.
 _foreign_names: dict[str, str] = {}
 
 
@@ -33,28 +36,30 @@ def lazy_names(
     foreign: str | None = None,
     packages: Mapping[str, str] | None = None,
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """What makes the public names of a package, so that a program pays for the modules which it uses and no others.
+    """Make the public names of a package lazy, so that a program imports only the modules that it uses.
 
-    A package says the same to type checkers, and a test holds the two equal::
+    The package declares the same names to type checkers, and a test checks that both are equal::
 
         if TYPE_CHECKING:
             from .robot import Robot as Robot
         else:
             __getattr__, __dir__, __all__ = lazy_names(__name__, {".robot": "Robot"})
 
-    A name must not be that of a module of the package: importing the module would replace the name.
+    A public name must differ from the names of the modules of the package, because importing such a module would
+    replace the name.
 
     Args:
-        package: its `__name__`.
-        homes: module -> its public names, separated by blanks. A module that begins with a dot is the package's own.
-        modules: modules of the package, separated by blanks, that are found under their last name without being
+        package: The `__name__` of the package.
+        homes: Public names of each module, separated by blanks. A module that begins with a dot belongs to the
+            package.
+        modules: Modules of the package, separated by blanks, that are found under their last name without being
             imported: `package.poses` for "arm.poses". They are not in `__all__`.
-        foreign: the package's module with the names of other libraries; it has `own_name(name)`.
-        packages: subpackage -> the distribution that brings it, by an entry point of the group `<package>.packages`.
-            It is imported as if it were here, and is not in `__all__`.
+        foreign: Module of the package with the names of other libraries; it has a function `own_name(name)`.
+        packages: Subpackage -> the distribution that provides it, by an entry point of the group
+            `<package>.packages`. It is imported as if it were in the package, and is not in `__all__`.
 
     Returns:
-        The package's `__getattr__`, `__dir__` and `__all__`.
+        The `__getattr__`, `__dir__` and `__all__` of the package.
     """
     home = {name: module for module, names in homes.items() for name in names.split()}
     public = sorted(home)
@@ -65,40 +70,43 @@ def lazy_names(
     if foreign is not None:
         _foreign_names[package] = f"{package}{foreign}"
     for name, distribution in brought.items():
-        # Before those of Python, which would import the modules of such a package a second time.
+        # Before the finders of Python, which would import the modules of such a package a second time.
         sys.meta_path.insert(0, _Brought(package, name, distribution))
 
     def imported(module: str) -> Any:
         try:
             return import_module(module, package)
         except AttributeError as error:
-            # Python takes that for a name which is not there, and `from package import name` does not show why.
+            # From this error Python would conclude that the name is missing, and `from package import name` would not
+            # show the reason.
             raise ImportError(f"{module} of {package} cannot be imported: {error}") from error
 
     def get(name: str) -> Any:
         if name in brought:
             return import_module(f"{package}.{name}")
         if name not in home and name not in of_package:
-            from .text import similar  # a package is imported without it
+            from .text import similar  # imported here: importing a package stays fast
 
             own = None if name.startswith("_") else foreign_hint(package, name)
             if own is not None:
-                raise AttributeError(f"module {package!r} has no {name!r}; here it is: {own}")
+                raise AttributeError(f"module {package!r} has no {name!r}; equivalent here: {own}")
             hint = "" if name.startswith("_") else similar(name, [*public, *of_package])
             raise AttributeError(f"module {package!r} has no attribute {name!r}{hint}")
         value = imported(of_package[name]) if name in of_package else getattr(imported(home[name]), name)
-        setattr(sys.modules[package], name, value)  # from now on it is found without asking here
+        setattr(sys.modules[package], name, value)  # later accesses do not call this function
         return value
 
     return get, lambda: sorted([*public, *of_package]), public
 
 
 def foreign_hint(package: str, name: str) -> str | None:
-    """What a name of another library is called in a package; None if no table has it.
+    """Return the equivalent in a package for a name of another library.
+
+    Return None if no table has the name.
 
     Args:
-        package: "linkcore" looks in the tables of all packages.
-        name: The name.
+        package: Name of the package; "linkcore" searches the tables of all packages.
+        name: Name in the other library.
     """
     for owner, module in _foreign_names.items():
         if package in (owner, "linkcore"):
@@ -110,50 +118,55 @@ def foreign_hint(package: str, name: str) -> str | None:
 
 @contextlib.contextmanager
 def needs(extra: str, purpose: str, distribution: str = NAME) -> Iterator[None]:
-    """Around the imports of what an extra of the distribution brings; of what it needs itself if `extra` is empty.
+    """Import optional packages in a block, with an error that shows how to install a missing one.
+
+    Args:
+        extra: Extra of the distribution that installs the packages; empty if the distribution itself requires them.
+        purpose: Name of the part that needs the packages, used in the error.
+        distribution: Name of the distribution.
 
     Raises:
-        LocalError: it is not installed; says what installs it.
+        LocalError: If a package is not installed. The message has the command that installs it.
     """
     try:
         yield
     except ImportError as error:
         package = error.name or extra
-        from .errors import LocalError  # a package is imported without it
+        from .errors import LocalError  # imported here: importing a package stays fast
 
         install = f"'{distribution}[{extra}]'" if extra else distribution
         raise LocalError(f"{purpose} needs {package}, which is not installed: pip install {install}") from error
 
 
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """The entry points that the installed distributions have in a group, by their names."""
-    import importlib.metadata  # a package is imported without it
+    """Return the entry points of all installed distributions in a group, by their names."""
+    import importlib.metadata  # imported here: importing a package stays fast
 
     return {entry.name: entry for entry in importlib.metadata.entry_points(group=group)}
 
 
 def plugin(group: str, name: str, distribution: str, purpose: str) -> Any:
-    """What a distribution of its own brings.
+    """Load a part that a separate distribution provides by an entry point.
 
     Args:
-        group: of its entry point.
-        name: of its entry point.
-        distribution: which brings it, with its extra if that is needed: "urlink-view[foxglove]".
-        purpose: what needs it, for the error.
+        group: Group of the entry point.
+        name: Name of the entry point.
+        distribution: Distribution that provides it, with its extra if one is needed: "urlink-view[foxglove]".
+        purpose: Name of the part that needs it, used in the error.
 
     Raises:
-        LocalError: it is not installed; says what installs it.
+        LocalError: If the distribution is not installed. The message has the command that installs it.
     """
     entry = plugins(group).get(name)
     if entry is None:
-        from .errors import LocalError  # a package is imported without it
+        from .errors import LocalError  # imported here: importing a package stays fast
 
         raise LocalError(missing_plugin(distribution, purpose))
     return entry.load()
 
 
 def missing_plugin(distribution: str, purpose: str) -> str:
-    """What an error says of a distribution that is not installed."""
+    """Return the error message for a distribution that is not installed."""
     install = f"'{distribution}'" if "[" in distribution else distribution
     return (
         f"{purpose} needs the package {distribution.partition('[')[0]}, which is not installed: pip install {install}"
@@ -161,12 +174,14 @@ def missing_plugin(distribution: str, purpose: str) -> str:
 
 
 class _Brought:
-    """Finds a subpackage, and the modules in it, in another distribution: each is one module under both names.
+    """Finder for a subpackage from another distribution.
+
+    Each of its modules is one module under both names.
 
     Args:
-        package: that the subpackage belongs to.
-        name: of the subpackage.
-        distribution: which brings it.
+        package: Package that the subpackage belongs to.
+        name: Name of the subpackage.
+        distribution: Distribution that provides the subpackage.
     """
 
     def __init__(self, package: str, name: str, distribution: str) -> None:
@@ -177,17 +192,17 @@ class _Brought:
         self._there = ""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """For the import system.
+        """Find a module. The import system of Python calls this.
 
         Raises:
-            ModuleNotFoundError: the distribution is not installed; says what installs it.
+            ModuleNotFoundError: If the distribution is not installed. The message has the command that installs it.
         """
         if name != self._prefix and not name.startswith(f"{self._prefix}."):
             return None
         entry = plugins(self._group).get(self._name)
         if entry is None:
             raise ModuleNotFoundError(missing_plugin(self._distribution, f"import {name}"), name=name)
-        from importlib.util import find_spec  # a package is imported without it
+        from importlib.util import find_spec  # imported here: importing a package stays fast
 
         self._there = entry.value
         return None if find_spec(self._elsewhere(name)) is None else ModuleSpec(name, self)  # type: ignore[arg-type]
@@ -196,14 +211,17 @@ class _Brought:
         return self._there + name.removeprefix(self._prefix)
 
     def create_module(self, spec: ModuleSpec) -> None:
-        """For the import system, which makes a module that `exec_module` replaces."""
+        """Return None, so that the import system makes an empty module, which `exec_module` replaces."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """For the import system, which goes on with what is in `sys.modules` after it."""
+        """Import the module under its other name.
+
+        The import system then uses the entry in `sys.modules`.
+        """
         sys.modules[module.__name__] = import_module(self._elsewhere(module.__name__))
 
 
-#: argument here -> what other libraries call it
+#: argument here -> its names in other libraries
 _KEYWORDS = {
     "speed": "v vel velocity max_vel max_velocity",
     "acceleration": "a acc accel max_acc max_acceleration",
@@ -220,11 +238,10 @@ _OF_MOVES = frozenset({"speed", "acceleration", "wait"})
 class StrictAttributes:
     """An object whose users can only read and set attributes that it has.
 
-    Code of the packages that its classes come from can add attributes. Any other code can set one that exists, and can
-    replace a method by another function, as tests do. Names that begin with an underscore are not checked when they
-    are set.
+    Code in the packages of its classes can add attributes. Any other code can set existing attributes, and can replace
+    a method by another function, as tests do. Names that begin with an underscore are not checked when they are set.
 
-    A method with an argument `speed`, `acceleration` or `wait` answers an unknown argument with a hint.
+    If a method has an argument `speed`, `acceleration` or `wait`, its error for an unknown argument has a hint.
     """
 
     __slots__ = ()
@@ -236,10 +253,10 @@ class StrictAttributes:
                 setattr(cls, name, _explaining_arguments(method))
 
     def _hint(self, name: str) -> str | None:
-        """The end of the message for a public name that this object does not have; None for the usual hints."""
+        """Return the end of the error message for a missing public name; None for the usual hints."""
         return None
 
-    if not TYPE_CHECKING:  # type checkers must not take it for an object with any attribute
+    if not TYPE_CHECKING:  # type checkers would conclude that the object has every attribute
 
         def __getattr__(self, name: str) -> object:
             raise unknown_attribute(self, name)
@@ -251,13 +268,13 @@ class StrictAttributes:
 
 
 class Elsewhere:
-    """A name that a class has not, with the hint what to use: it behaves as a missing attribute, and `dir` omits it.
+    """Missing attribute of a class whose error names the equivalent attribute; `dir` omits it.
 
-    For classes of packets, which have no `__getattr__`: it would slow down each access to a field.
+    It is used for classes of packets, which have no `__getattr__`, because that would slow down each access to a field.
 
     Args:
-        name: The name.
-        own: What it is called here.
+        name: Name of the missing attribute.
+        own: Equivalent name here.
     """
 
     def __init__(self, name: str, own: str) -> None:
@@ -265,12 +282,12 @@ class Elsewhere:
         self.own = own
 
     def __get__(self, held: object, kind: type) -> NoReturn:
-        message = f"{kind.__name__} has no {self._name!r}; here it is: {self.own}"
+        message = f"{kind.__name__} has no {self._name!r}; equivalent here: {self.own}"
         raise AttributeError(message, name=self._name, obj=None)
 
 
 def unknown_attribute(held: StrictAttributes, name: str, *, is_set: bool = False) -> AttributeError:
-    """The error for a name that an object does not have, or that cannot be set."""
+    """Return the error for a name that an object does not have, or that cannot be set."""
     kind = type(held)
     what, hint = f"attribute {name!r}", "" if name.startswith("_") else None
     if is_set and hasattr(kind, name):
@@ -282,12 +299,12 @@ def unknown_attribute(held: StrictAttributes, name: str, *, is_set: bool = False
     if hint is None:
         own = foreign_hint(kind.__module__.partition(".")[0], name)
         if own is not None:
-            what, hint = repr(name), f"; here it is: {own}"
+            what, hint = repr(name), f"; equivalent here: {own}"
     if hint is None:
-        from .text import similar  # imported here: importing the library stays cheap
+        from .text import similar  # imported here: importing the library stays fast
 
         hint = similar(name, (each for each in dir(held) if each[0] != "_" and each != name))
-    # Of no object, or Python adds a suggestion of its own to a traceback.
+    # `obj` is None because Python would otherwise add its own suggestion to a traceback.
     return AttributeError(f"{kind.__name__} has no {what}{hint}", name=name, obj=None)
 
 
@@ -297,12 +314,12 @@ def _is_method(kind: type, name: str) -> bool:
 
 @functools.cache
 def _packages(kind: Hashable) -> frozenset[str]:
-    """The packages that the classes of an object come from."""
+    """Return the top packages of the class of an object and of its base classes."""
     return frozenset(each.__module__.partition(".")[0] for each in cast("type", kind).__mro__)
 
 
 def _is_settable(held: object, name: str, value: object, module: str | None) -> bool:
-    """Whether code of a module may set an attribute."""
+    """Whether code of a module may set the attribute `name` to `value`."""
     kind = type(held)
     if module is not None and module.partition(".")[0] in _packages(cast("Hashable", kind)):
         return True
@@ -318,7 +335,7 @@ def _is_settable(held: object, name: str, value: object, module: str | None) -> 
 
 
 def _arguments(method: Callable[..., Any]) -> list[str]:
-    """The names of the arguments of a method, without `self`."""
+    """Return the names of the arguments of a method, without `self`."""
     while hasattr(method, "__wrapped__"):
         method = method.__wrapped__
     code = method.__code__
@@ -326,13 +343,13 @@ def _arguments(method: Callable[..., Any]) -> list[str]:
 
 
 def _moves(method: FunctionType) -> bool:
-    # A coroutine raises later, when it calls the method that does it.
+    # A coroutine calls the method that moves the robot later, and that method raises the error.
     is_coroutine = method.__code__.co_flags & 0x80
     return not is_coroutine and not _OF_MOVES.isdisjoint(_arguments(method))
 
 
 def _explaining_arguments(method: Callable[..., Any]) -> Callable[..., Any]:
-    """The same method, whose error for an unknown argument has a hint."""
+    """Wrap a method so that its error for an unknown argument has a hint."""
 
     @functools.wraps(method)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -354,6 +371,6 @@ def _argument_hint(unknown: str, known: list[str]) -> str:
 
     own = _OWN_KEYWORDS.get(unknown)
     if own in known:
-        how = " (wait=True returns when it has ended, wait=False at once)" if own == "wait" else ""
+        how = " (wait=True returns when the motion has ended, wait=False at once)" if own == "wait" else ""
         return f"; use {own!r}{how}"
-    return similar(unknown, known) or f"; it has {', '.join(known)}"
+    return similar(unknown, known) or f"; its arguments are {', '.join(known)}"

@@ -1,13 +1,14 @@
-"""Calls that can start something on a robot, their order among the stops of that robot, and how they are abandoned.
+"""Calls that can start a motion or program on a robot, their order among its stops, and how to abandon a call.
 
-Each call gets a number when it is entered (`Call`, `PendingCall`), and each stop of a robot gets a number too. What a
-call wants to send is compared with the last stop where bytes leave this computer: a call that was entered before the
-stop sends nothing after it. So a motion that is still being prepared, or that waits in a queue, does not begin after a
-stop. A call that was entered later is not affected.
+Each call gets a number when it is entered (`Call`, `PendingCall`), and each stop of a robot gets a number too. Before
+bytes leave this computer, the number of the call is compared with the number of the last stop. A call that was entered
+before the stop sends nothing after it. So a motion that is still being prepared, or that waits in a queue, does not
+start after a stop. A call that was entered later is not affected.
 
 Python cannot interrupt a thread from outside. So each wait of the library that can take long is entered with
 `interruptible`, which wakes the wait when the call is abandoned; the call then ends with `Cancelled`. An abandoned
-call sends nothing more: `check_wanted` is asked where bytes leave this computer. What it has started is cancelled.
+call sends nothing more, because `check_wanted` is called before bytes leave this computer. The motions and programs
+that it has started are cancelled.
 """
 
 from __future__ import annotations
@@ -31,53 +32,59 @@ _orders = itertools.count(1)
 
 
 def next_order() -> int:
-    """Number of a call or a stop: larger than each number before, in every thread and in signal handlers."""
+    """Return the number of a call or a stop.
+
+    It is larger than all earlier numbers of all threads.
+    """
     return next(_orders)
 
 
 class Started(Protocol):
-    """The life of something that a call has started on a robot; `linkcore.handle.Lifecycle` is one."""
+    """Life of a motion, program or mission that a call has started on a robot, such as `linkcore.handle.Lifecycle`."""
 
     @property
     def is_over(self) -> bool:
         """Whether it has ended."""
 
     def give_up(self) -> bool:
-        """Cancel it: nobody waits for it any more."""
+        """Cancel it, because the task that awaited it was cancelled."""
 
     def cancel(self, why: str, *, brake: bool = False) -> bool:
         """Cancel it, and stop the arm at once if `brake`."""
 
 
 class _Lives:
-    """The lives of what one call has started, which it does not keep alive: an abandoned handle may be collected."""
+    """Lives that one call has started.
+
+    The references are weak, so an abandoned handle may be collected.
+    """
 
     def __init__(self) -> None:
-        # Appending is one step, for two threads too.
+        # Appending to a list is one step, even if two threads do it.
         self._lives: list[weakref.ref[Started]] = []
 
     def add(self, life: Started) -> None:
         self._lives.append(weakref.ref(life))
 
     def live(self) -> list[Started]:
-        """Those that have not ended."""
+        """Return the lives that have not ended."""
         return [life for life in (each() for each in tuple(self._lives)) if life is not None and not life.is_over]
 
 
 class PendingCall:
     """A call that one thread makes for another party: a task of an event loop, or a client of a server.
 
-    Make this object when the call is requested, not when a thread gets to it: the call counts as entered then. The
-    party may abandon the call at any moment, before and while it is made.
+    Create this object when the call is requested rather than when a thread starts to make it, because the call counts
+    as entered when the object is created. The party may abandon the call at any moment, before and while it is made.
 
     Args:
-        is_ordered: whether everything in it counts as entered now. False for a function of the user that gives several
-            commands: each of them is entered when it is given.
+        is_ordered: Whether everything in the call counts as entered now. Pass False for a function of the user that
+            gives several commands, because each command is entered when it is given.
 
     Attributes:
-        order: number of this call; None if not `is_ordered`.
-        is_given_up: whether the call was abandoned.
-        has_stopped: see `stopped_here`.
+        order: Number of this call; None if not `is_ordered`.
+        is_given_up: Whether the call was abandoned.
+        has_stopped: Whether this thread has stopped the robot during the call. See `stopped_here`.
     """
 
     def __init__(self, *, is_ordered: bool = True) -> None:
@@ -87,14 +94,14 @@ class PendingCall:
         self._started = _Lives()
         self._undos: list[Callable[[], object]] = []
         self._wakes: list[Callable[[], object]] = []
-        #: held while waits are woken, so that no wait is woken after it has ended
+        #: Lock that is held while waits are woken, so that no wait is woken after it has ended.
         self._waking = threading.RLock()
 
     def make(self, call: Callable[[], T]) -> T:
         """Make the call in this thread.
 
         Raises:
-            Cancelled: If it was abandoned and would have sent something, or if the robot was stopped meanwhile.
+            Cancelled: If it was abandoned before it could send something, or if the robot was stopped meanwhile.
         """
         outer, _here.call = current_call(), self
         try:
@@ -103,7 +110,7 @@ class PendingCall:
             _here.call = outer
 
     def has_begun(self, life: Started) -> None:
-        """Record something that it is about to start on a robot.
+        """Record a motion or program that the call is about to start on a robot.
 
         Raises:
             Cancelled: If it was abandoned.
@@ -112,10 +119,11 @@ class PendingCall:
         self.check()
 
     def on_give_up(self, undo: Callable[[], object]) -> None:
-        """Call `undo` if the call is abandoned, even after its function has returned: nobody received the result then.
+        """Call `undo` if the call is abandoned, even if its function has returned, since its result is lost then.
 
         Args:
-            undo: Called in a thread, or here if the call was abandoned before. Must be idempotent.
+            undo: Idempotent function that undoes the call. It is called in a thread, or in this thread if the call was
+                already abandoned.
         """
         self._undos.append(undo)
         if self.is_given_up:
@@ -123,10 +131,12 @@ class PendingCall:
 
     @contextlib.contextmanager
     def interruptible(self, wake: Callable[[], object]) -> Iterator[None]:
-        """Around a wait: `wake` is called when the call is abandoned, and must end the wait without waiting itself.
+        """Surround a wait by a block: when the call is abandoned, `wake` is called to end the wait.
+
+        `wake` must not wait itself.
 
         Raises:
-            Cancelled: If the call was abandoned, whatever else the wait ended with.
+            Cancelled: If the call was abandoned, even if the wait ended with another error or with a result.
         """
         with self._waking:
             self._wakes.append(wake)
@@ -144,12 +154,13 @@ class PendingCall:
             raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 
     def give_up(self, submit: Callable[[Callable[[], object]], object] = lambda call: call()) -> None:
-        """Send nothing more, wake its waits, and cancel what it has started; the robot brakes. Idempotent.
+        """Abandon the call, so that it sends nothing more, its waits end, and its motions are cancelled. Idempotent.
 
-        From any thread.
+        Everything that the call has started is cancelled, and the robot brakes. Any thread may call this.
 
         Args:
-            submit: Runs a function, which sends the robot a stop and may wait for that; by default in this thread.
+            submit: Function that runs a given function, which sends a stop to the robot and may wait for the result.
+                By default it runs in this thread.
         """
         self.is_given_up = True
         with self._waking:
@@ -162,16 +173,18 @@ class PendingCall:
 
 
 class Call:
-    """One call of a public method that can start a motion, from its entry to its return; see `starts_motion`.
+    """One call of a public method that can start a motion, from its entry to its return.
+
+    See `starts_motion`.
 
     Args:
-        outer: The call in which this one is entered, or None. This one counts as entered with it.
+        outer: Call that is being made when this call is entered, or None. If given, both count as entered together.
 
     Attributes:
-        order: number of this call.
-        has_started: whether it only waits for the end of what it has started. If that wait times out, nothing is
-            cancelled.
-        outer: as given.
+        order: Number of this call.
+        has_started: Whether the call has started its motion or program, and only waits for the end. If this wait times
+            out, nothing is cancelled.
+        outer: Outer call, or None.
     """
 
     def __init__(self, outer: PendingCall | Call | None) -> None:
@@ -185,7 +198,7 @@ class Call:
 
     @property
     def is_given_up(self) -> bool:
-        """Whether the pending call that it is made for was abandoned."""
+        """Whether the pending call to which this call belongs was abandoned."""
         return self._task is not None and self._task.is_given_up
 
     def has_begun(self, life: Started) -> None:
@@ -200,7 +213,10 @@ class Call:
             self._task.check()
 
     def abandon(self, error: BaseException) -> None:
-        """Cancel what it has started, since it does not return a handle; the robot brakes."""
+        """Cancel everything that the call has started, because it does not return a handle.
+
+        The robot brakes.
+        """
         if self.has_started and isinstance(error, LinkTimeout):
             return  # the wait for it has timed out
         what = "could not return its handle" if isinstance(error, Exception) else "was interrupted"
@@ -211,8 +227,9 @@ class Call:
 def starts_motion(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
     """Decorate a public method that can start a motion.
 
-    The call is ordered among the stops of the robot from its entry on. If it raises before it has handed over what it
-    started (an exception, or Ctrl-C at any point), that is cancelled and the robot brakes: nobody has its handle.
+    The call is ordered among the stops of the robot by the moment of its entry. If it raises before it has returned its
+    handle, because of an error or of Ctrl-C at any point, everything that it has started is cancelled. The robot
+    brakes, because the program has no handle to stop it.
     """
 
     @functools.wraps(method)
@@ -232,16 +249,16 @@ def starts_motion(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenat
 
 
 def current_call() -> PendingCall | Call | None:
-    """The call that this thread is in, or None."""
+    """Return the call that this thread makes, or None."""
     call: PendingCall | Call | None = getattr(_here, "call", None)
     return call
 
 
 def stopped_here() -> int:
-    """Number of a stop that this thread makes now.
+    """Return the number of a stop that this thread makes now.
 
-    A signal handler may stop the robot in the middle of a call, and then start another motion. That one is entered
-    after the stop, although it is entered within the interrupted call.
+    A signal handler may stop the robot in the middle of a call, and then start another motion. This motion counts as
+    entered after the stop, although it is entered within the interrupted call.
     """
     call = current_call()
     while call is not None:
@@ -251,17 +268,19 @@ def stopped_here() -> int:
 
 
 def has_started() -> None:
-    """The call of this thread has started what it is for, and can only wait now."""
+    """Record that the call of this thread has started its motion or program, and that it only waits from now on."""
     call = current_call()
     if isinstance(call, Call):
         call.has_started = True
 
 
 def check_wanted() -> None:
-    """Raise if this thread makes a call that was abandoned; called before anything is sent.
+    """Raise if this thread makes a call that was abandoned.
+
+    It is called before anything is sent.
 
     Raises:
-        Cancelled: If it was.
+        Cancelled: If the call was abandoned.
     """
     call = current_call()
     if call is not None:
@@ -269,26 +288,35 @@ def check_wanted() -> None:
 
 
 def pending_call() -> PendingCall | None:
-    """The pending call that this thread makes, or None."""
+    """Return the pending call that this thread makes, or None."""
     call = current_call()
     return call._task if isinstance(call, Call) else call
 
 
 def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
-    """Around a wait; see `PendingCall.interruptible`. No effect unless this thread makes a pending call."""
+    """Surround a wait; see `PendingCall.interruptible`.
+
+    No effect unless this thread makes a pending call.
+    """
     call = pending_call()
     return contextlib.nullcontext() if call is None else call.interruptible(wake)
 
 
 def on_give_up(undo: Callable[[], object]) -> None:
-    """See `PendingCall.on_give_up`. No effect unless this thread makes a pending call."""
+    """Call `undo` if the pending call of this thread is abandoned; see `PendingCall.on_give_up`.
+
+    It has no effect unless this thread makes a pending call.
+    """
     call = pending_call()
     if call is not None:
         call.on_give_up(undo)
 
 
 def regardless(call: Callable[[], T]) -> T:
-    """Make a call that may send whatever happens: it stops the robot, or executes what was decided before."""
+    """Make a call that may send even if the current call was abandoned.
+
+    It is for calls that stop the robot, or that complete an earlier decision.
+    """
     outer, _here.call = current_call(), None
     try:
         return call()

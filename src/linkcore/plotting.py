@@ -1,4 +1,4 @@
-"""Plots of columns over time: a panel for each field, and a line for each of its elements."""
+"""Plots of columns over time, with one panel for each field and one line for each element of the field."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from . import clock
 from .errors import BadRecording, BadValue
 from .names import StrictAttributes, needs
 
-#: Points of a line from which on only the least and the greatest of each stretch are drawn.
+#: Maximum number of points of a line. For a longer line, only the minimum and maximum of each section are drawn.
 _MOST_POINTS = 8000
-#: Seconds that a window has at least for its events; matplotlib takes 0 for ever.
+#: Shortest time in s that a window gets for its events. Matplotlib would interpret 0 as no limit.
 SHORTEST = 0.01
-#: Elements of a pose, a speed or a force, whose unit names two, and units of vectors in space.
+#: Elements of a pose, a speed or a force, which have two units ("m, rad").
 _SPATIAL = ("x", "y", "z", "rx", "ry", "rz")
+#: Units of vectors in space.
 _OF_VECTORS = frozenset({"m", "m/s", "m/s^2", "N", "Nm"})
-#: Lines of a panel that share one column of its legend.
+#: Number of lines in one column of the legend of a panel.
 _COLUMN = 8
 _SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -45,7 +46,10 @@ class Curves(NamedTuple):
 
 
 def element_names(unit: str, count: int) -> tuple[str, ...]:
-    """Names of the elements of a vector in a legend: axes, with their unit if there are two, else numbers.
+    """Return the names of the elements of a vector for a legend.
+
+    They are the names of the axes for a vector in space, with the unit of each axis if there are two units. For other
+    vectors they are numbers.
 
     >>> element_names("m, rad", 6)
     ('x, m', 'y, m', 'z, m', 'rx, rad', 'ry, rad', 'rz, rad')
@@ -76,12 +80,12 @@ class Plot(StrictAttributes):
             raise BadValue("nothing to plot; name one field or more, such as q_actual")
         for each in curves:
             if each.values.dtype.kind not in "fiub":
-                raise BadValue(f"{each.name} is no number, and cannot be plotted")
+                raise BadValue(f"{each.name} is not a numeric field, so it cannot be plotted")
         self._curves = list(curves)
         self._title = title
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write it to a .png, .svg or .pdf.
+        """Write the plot to a .png, .svg or .pdf file.
 
         Raises:
             BadValue: If `path` has another suffix.
@@ -90,7 +94,7 @@ class Plot(StrictAttributes):
         """
         path = Path(path)
         if path.suffix.lower() not in _SUFFIXES:
-            raise BadValue(f"{path}: a picture is one of {', '.join(_SUFFIXES)}")
+            raise BadValue(f"{path}: unsupported type of file; expected one of {', '.join(_SUFFIXES)}")
         try:
             self.figure().savefig(path, bbox_inches="tight")
         except OSError as error:
@@ -125,11 +129,11 @@ class Plot(StrictAttributes):
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height, inches."""
+        """Width and height, in inches."""
         return 9.0, 0.8 + 1.9 * len(self._curves)
 
     def draw(self, figure: Any) -> None:
-        """Draw it into a figure of matplotlib."""
+        """Draw the plot into a figure of matplotlib."""
         panels = figure.subplots(len(self._curves), 1, sharex=True, squeeze=False)[:, 0]
         for panel, each in zip(panels, self._curves, strict=True):
             columns = each.values.reshape(len(each.time), -1).astype(float).T
@@ -160,35 +164,35 @@ class Plot(StrictAttributes):
 
 
 def _thinned(time: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Return the smallest and the largest of each stretch of many points, so that no peak is lost."""
+    """Return the minimum and maximum of each section of a long line, so that no peak is lost."""
     if len(time) <= _MOST_POINTS:
         return time, values
     stretch = 2 * len(time) // _MOST_POINTS
     count = len(time) // stretch
     pieces = values[: count * stretch].reshape(count, stretch)
-    # fmin and fmax pass over NaN, of which there is one where a connection was lost.
+    # fmin and fmax ignore NaN. A column has a NaN for each lost connection.
     ends = np.stack([np.fmin.reduce(pieces, axis=1), np.fmax.reduce(pieces, axis=1)], axis=1).ravel()
     return np.repeat(time[: count * stretch : stretch], 2), ends
 
 
 def is_in_notebook() -> bool:
     """Whether this program runs in the kernel of a notebook."""
-    # Without IPython in sys.modules this is not a notebook; it need not be imported to find out.
+    # A notebook has imported IPython already, so this function does not have to import it.
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     return shell is not None and hasattr(shell, "kernel")
 
 
 class LivePlot:
-    """Shows one plot after the other in the same place: in a notebook below its cell, elsewhere in a window.
+    """Display that shows one plot after the other: below the cell of a notebook, or else in a window.
 
     Raises:
-        LocalError: matplotlib is not installed.
+        LocalError: If matplotlib is not installed.
     """
 
     def __init__(self) -> None:
         self._handle: Any = None
         self._figure: Any = None
-        # Imported before states are received: the first import takes seconds.
+        # Import matplotlib before states are received, because the first import takes seconds.
         with needs("plot", "a live plot"):
             if is_in_notebook():
                 from matplotlib import figure  # noqa: F401
@@ -198,7 +202,7 @@ class LivePlot:
                 self._pyplot = pyplot
 
     def update(self, plot: Plot, pause: float) -> None:
-        """Show a plot in place of the one before, and give a window `pause` seconds for its events."""
+        """Replace the previous plot by this one, and give the window `pause` seconds for its events."""
         if is_in_notebook():
             from IPython.display import display
 
@@ -213,11 +217,11 @@ class LivePlot:
         self._figure.clear()
         plot.draw(self._figure)
         if self._pyplot.get_backend().lower() == "agg":
-            clock.sleep(pause)  # there is no window that could have events
+            clock.sleep(pause)  # there is no window, so there are no events
         else:
             self._pyplot.pause(pause)
 
     def close(self) -> None:
-        """Close the window; what a notebook shows stays."""
+        """Close the window. A plot in a notebook stays visible."""
         if self._figure is not None:
             self._pyplot.close(self._figure)

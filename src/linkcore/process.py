@@ -1,11 +1,16 @@
-"""This process: a forked child of it must not use its connections, and what it has started on robots ends with it.
+"""Rules for the end of this process and for its forked children.
 
-Three ends of a process can be noticed: the interpreter exits, also because of an exception such as `KeyboardInterrupt`;
-the process receives SIGTERM; and a cell of a notebook is interrupted, after which the process continues. SIGKILL,
-`os._exit` and a crash of the interpreter cannot be noticed.
+A forked child must not use the connections of its parent. When this process ends, the programs that it has started on
+robots are stopped. Three kinds of ends can be noticed:
 
-The handler of SIGTERM is installed only if nobody else has installed one, and only from the main thread, as Python
-requires. After the robots were stopped, the process ends by SIGTERM as it would have without the handler.
+- The interpreter exits, even because of an exception such as `KeyboardInterrupt`.
+- The process receives SIGTERM.
+- A cell of a notebook is interrupted. The process continues in this case.
+
+SIGKILL, `os._exit` and a crash of the interpreter cannot be noticed.
+
+The handler of SIGTERM is installed only if the program has no other handler, and only from the main thread, as Python
+requires. After the robots were stopped, SIGTERM ends the process as it would have without the handler.
 """
 
 from __future__ import annotations
@@ -24,10 +29,10 @@ from .errors import LocalError
 
 
 class HomeProcess:
-    """The process that made something.
+    """The process in which an object was created.
 
     Args:
-        name: What it made, for the error message.
+        name: Name of the object, used in the error message.
     """
 
     __slots__ = ("_name", "_number")
@@ -38,40 +43,41 @@ class HomeProcess:
 
     @property
     def is_here(self) -> bool:
-        """Whether this is that process, and not a forked child."""
+        """Whether the current process has created the object, rather than a forked child of that process."""
         return os.getpid() == self._number
 
     def check(self) -> None:
-        """Reject a use by a forked child.
+        """Reject the use of the object by a forked child.
 
         Raises:
-            LocalError: If this is another process.
+            LocalError: If the current process did not create the object.
         """
         if not self.is_here:
-            raise LocalError(f"{self._name} was connected to by the parent process; connect again in this one")
+            raise LocalError(f"{self._name} was connected by the parent process; connect again in this process")
 
 
 _log = logging.getLogger(__name__)
 
 
-#: Locks that a forked child finds free, although a thread of the parent might have held them.
+#: Locks that are released in a forked child, although a thread of the parent might have held them.
 _freed: weakref.WeakSet[Any] = weakref.WeakSet()
 
 
 def free_in_child(lock: Any) -> None:
-    """Let a forked child find `lock` free.
+    """Release `lock` in each forked child.
 
     The child has a copy of the lock, but not the thread of the parent that holds it, so nothing would ever release it.
 
     Args:
-        lock: A lock of `threading`. It can be collected.
+        lock: Lock from `threading`. Only a weak reference to it is kept.
     """
     _freed.add(lock)
 
 
 def _free_all() -> None:
     for lock in list(_freed):
-        # Python does the same for its own locks. The locks of simulated time have no such method, and no child.
+        # Python does the same for its own locks. The locks of simulated time have no such method, but a process in
+        # simulated time has no children either.
         getattr(lock, "_at_fork_reinit", lambda: None)()
 
 
@@ -80,13 +86,15 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
 
 
 class Abandonable(Protocol):
-    """Something that has started programs on a robot."""
+    """An object that has started programs on a robot."""
 
     def abandon(self, why: str, is_end: bool) -> object:
-        """Stop what was started, and if this is the end of the process, start nothing more. Must not raise `LinkError`.
+        """Stop the started programs, and if the process ends, start nothing more.
+
+        Must not raise `LinkError`.
 
         Args:
-            why: What has happened to this process.
+            why: Event that has happened to this process, for messages.
             is_end: Whether this process ends now.
         """
 
@@ -102,7 +110,7 @@ def abandon_at_end(part: Abandonable) -> None:
         _watched.add("exit")
         atexit.register(_abandon_all, "the interpreter exits", True)
         if hasattr(os, "register_at_fork"):
-            # What the parent has started is not the child's to stop.
+            # A child must not stop the programs that its parent has started.
             os.register_at_fork(after_in_child=_open.clear)
     if "SIGTERM" not in _watched and threading.current_thread() is threading.main_thread():
         _watched.add("SIGTERM")

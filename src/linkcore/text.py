@@ -1,6 +1,7 @@
-"""Text from elsewhere, made safe to show: bytes from the wire steer no terminal, forge no log line, are not HTML.
+"""Functions that make text from a peer safe to print, to log, and to show as JSON or HTML.
 
-What few programs use is imported where it is used: importing the library stays cheap.
+Bytes from the wire must not control a terminal, forge a log line, or be interpreted as HTML. Modules that few programs
+need are imported inside the functions, so that importing the library stays fast.
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ from typing import Any
 
 
 def printable(text: object) -> str:
-    r"""The text of an object on one line, every character that is not printable written as its escape.
+    r"""Return the text of an object on one line, with every unprintable character replaced by its escape.
 
-    That is all that moves the cursor, colours, renames the window, reverses the direction of writing or hides: control
-    characters, ESC, C1, bidirectional overrides, line separators, lone surrogates. Used wherever text of a peer, or an
-    error that may quote some, is printed or logged.
+    Unprintable characters can move the cursor, set colours, rename the window, reverse the writing direction or hide
+    text. They are control characters, ESC, C1, bidirectional overrides, line separators and lone surrogates. Use this
+    function wherever text of a peer is printed or logged, and for errors that may quote such text.
 
     >>> printable("stop\x1b[2J\u202e\n")
     'stop\\x1b[2J\\u202e\\n'
@@ -27,7 +28,7 @@ def printable(text: object) -> str:
 
 
 def similar(name: str, names: Iterable[str]) -> str:
-    """ "; did you mean 'x'?", or nothing where no name is similar.
+    """Return "; did you mean 'x'?", or an empty string if no name is similar.
 
     >>> similar("moniter", ["monitor", "echo"])
     "; did you mean 'monitor'?"
@@ -40,14 +41,14 @@ def similar(name: str, names: Iterable[str]) -> str:
 
 
 def strict_json(value: Any) -> str:
-    r"""`value` as one line of JSON that any parser takes: NaN and the infinities are null, the text is ASCII.
+    r"""Return `value` as one line of ASCII JSON that every parser accepts; NaN and infinity become null.
 
     >>> strict_json({"q": [1.5, float("nan")], "text": "\x1b\x7f"})
     '{"q": [1.5, null], "text": "\\u001b\\u007f"}'
     """
     import json
 
-    # DEL is ASCII to `json`, but a control character to a terminal.
+    # `json` does not escape DEL, because it is ASCII; a terminal treats it as a control character.
     return json.dumps(_finite(value), allow_nan=False).replace("\x7f", "\\u007f")
 
 
@@ -64,13 +65,13 @@ def _finite(value: Any) -> Any:
 def html_table(
     caption: object, head: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()
 ) -> str:
-    """A table; all texts are escaped, whatever came over the wire.
+    """Return an HTML table in which all texts are escaped, because they may come from a peer.
 
     Args:
-        caption: above it.
-        head: names of the columns; none for none.
-        rows: the cells.
-        notes: a list below it.
+        caption: Caption above the table.
+        head: Names of the columns; empty for a table without a header row.
+        rows: Rows of cells.
+        notes: Items of the list below the table; empty for no list.
     """
 
     import html

@@ -1,10 +1,14 @@
-"""Threads: starting one where the system may have none left, waiting for a lock, the one that calls a user's callbacks,
-and one of its own; what several of them make at first use, and what a block closes at its end.
+"""Helpers for threads and locks.
 
-Callbacks are done callbacks, `on_stop` and `on_text`. No lock is held meanwhile and no robot is kept waiting, so a
-callback may command the robot, wait for a motion, close the robot, be slow or raise. One that is slow keeps those after
-it waiting, and nothing else. What is `Runnable` runs once: in the thread that calls `run`, or in one of its own, from
-`start` to `close`.
+- `started` starts a thread, with a clear error if the system has no thread left.
+- `acquired`, `held` and `alone` hold a lock in a block, with a timeout.
+- `CallbackThread` calls the callbacks of a user: done callbacks, `on_stop` and `on_text`. No lock is held meanwhile,
+  and the robot does not wait. So a callback may command the robot, wait for a motion, close the robot, be slow or
+  raise. A slow callback delays only the callbacks after it.
+- `MadeOnce` holds an object that several threads may make at its first use.
+- `Closing` is a base class of context managers that close themselves at the end of their block.
+- `Runnable` is a server that runs once, either in the thread that calls `run`, or in a dedicated thread from `start` to
+  `close`.
 """
 
 from __future__ import annotations
@@ -37,19 +41,19 @@ def started(thread: threading.Thread) -> threading.Thread:
         thread.start()
     except RuntimeError as error:  # "can't start new thread", from pthread_create and its like
         raise LocalError(
-            f"no thread could be started for {thread.name} ({error}): this process, or its user, has as many as the "
-            f"system allows; there are {threading.active_count()} of Python"
+            f"no thread could be started for {thread.name} ({error}): this process or its user has reached the "
+            f"system's limit; this process has {threading.active_count()} Python threads"
         ) from error
     return thread
 
 
 @contextlib.contextmanager
 def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator[bool]:
-    """Acquire a lock for a block, within `timeout` seconds; yields whether that was possible."""
+    """Acquire a lock for a block, within `timeout` seconds; yield whether it was acquired."""
     got: list[bool] = []
 
     def attempt(seconds: float | None) -> bool:
-        # Acquired and noted in one step: Ctrl-C can come between two of them, and would leave the lock locked for ever.
+        # One step acquires the lock and notes it. Ctrl-C between two steps would leave the lock locked forever.
         got.extend(map(lock.acquire, (True,), (-1 if seconds is None else seconds,)))
         return got[-1]
 
@@ -57,7 +61,7 @@ def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator
         clock.wait(attempt, timeout)
         yield True in got
     finally:
-        if True in got:  # without a call, after which Ctrl-C could come
+        if True in got:  # no function is called here, because Ctrl-C could interrupt after it
             lock.release()
 
 
@@ -76,12 +80,13 @@ def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str)
 
 @contextlib.contextmanager
 def alone(lock: threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
-    """As `held`, for a block that waits for a peer and must not be entered again by a signal handler.
+    """Hold a lock like `held`, in a block that waits for a peer and that a signal handler must not enter again.
 
-    A handler runs in the thread that it has interrupted. If that thread is in the block, waiting for it is in vain.
+    A handler runs in the thread that it has interrupted. If this thread is in the block already, the handler would wait
+    forever.
 
     Raises:
-        LinkTimeout: See `held`. At once, if the current thread is in the block already.
+        LinkTimeout: If other threads hold the lock for longer, or at once if the current thread holds it.
     """
     if is_mine(lock):
         raise LinkTimeout(f"{otherwise} (the call that this signal handler has interrupted)")
@@ -96,10 +101,10 @@ def is_mine(lock: threading.RLock) -> bool:
 
 
 class ReentrantEvent:
-    """As `threading.Event`, but a signal handler can use it while its own thread is in one of its methods.
+    """An event like `threading.Event` that a signal handler can use even if it has interrupted one of its methods.
 
-    The lock of `threading.Event` is not re-entrant. A handler that sets an event while the interrupted thread sets it
-    too, or begins to wait for it, would wait forever.
+    The lock of `threading.Event` is not re-entrant. If the interrupted thread sets the event or starts to wait for it,
+    a handler that sets the event too would wait forever.
     """
 
     def __init__(self) -> None:
@@ -107,7 +112,7 @@ class ReentrantEvent:
         self._is_set = False
 
     def is_set(self) -> bool:
-        """Whether it was set, and not cleared since."""
+        """Whether it was set, and has not been cleared since."""
         return self._is_set
 
     def set(self) -> None:
@@ -121,7 +126,7 @@ class ReentrantEvent:
         self._is_set = False
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it is set; False if that takes longer than `timeout` seconds."""
+        """Wait until it is set; return False if it is not set within `timeout` seconds."""
         if self._is_set:
             return True
         with self._changed:
@@ -131,17 +136,17 @@ class ReentrantEvent:
 _log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-# Re-entrant, unlike `queue.Queue`: a signal handler may put while its thread is putting.
+# Re-entrant, unlike `queue.Queue`: a signal handler may call `put` while the interrupted thread is in `put`.
 _Calls = SimpleQueue[tuple[Callable[..., object], tuple[Any, ...]] | None]
 
 
 class MadeOnce(Generic[T]):
-    """Object that is made at its first use, by the first thread that uses it.
+    """Holder of an object that is made at its first use, by the first thread that uses it.
 
-    Without a lock, since a signal handler may be the one that uses it, also in the middle of the first use by the
-    thread that it interrupts, where a lock would be held for ever. So two may make one at the same time; `keep` tells
-    which of them holds, by `dict.setdefault`, which is one step for threads and signal handlers. Making it must do
-    nothing that has to be undone; what is kept may be started then.
+    It has no lock. A signal handler might interrupt the first use and use the object itself; it would wait for a lock
+    forever. Therefore two threads might make an object at the same time, and `keep` decides which object is kept. It
+    uses `dict.setdefault`, which is one step for threads and signal handlers. Making the object must not have effects
+    that need to be undone. The kept object may be started afterwards.
     """
 
     def __init__(self) -> None:
@@ -149,7 +154,7 @@ class MadeOnce(Generic[T]):
 
     @property
     def made(self) -> T | None:
-        """The object; None before it is made, and after `take`."""
+        """Kept object; None before it is made, and after `take`."""
         return self._made.get(None)
 
     def keep(self, made: T) -> T:
@@ -172,12 +177,12 @@ class CallbackThread:
         self._name = name
         self._calls: _Calls = SimpleQueue()
         self._is_closed = False
-        # With the event of its end: a thread that another one is just starting cannot be joined yet.
+        # Each thread has an event for its end, because a thread that is just being started cannot be joined yet.
         self._thread: MadeOnce[tuple[threading.Thread, ReentrantEvent]] = MadeOnce()
         weakref.finalize(self, self._calls.put, None)
 
     def start(self) -> None:
-        """Start the thread now, if it does not run yet: a later call cannot fail for want of a thread.
+        """Start the thread now if it does not run yet, so that a later call cannot fail for lack of a thread.
 
         Raises:
             LocalError: If the system has no thread left.
@@ -189,7 +194,7 @@ class CallbackThread:
         """Call `function(*arguments)` soon. If the system has no thread left, log an error instead."""
         if self._has_thread(function):
             self._calls.put((function, arguments))
-            # A reader that is just ending may call after `close`, which may have taken the thread before this call.
+            # A reader that is just ending may call this after `close` has removed the thread.
             if self._is_closed and self._has_thread(function):
                 self.close(0.0)
 
@@ -203,7 +208,7 @@ class CallbackThread:
                 except LocalError:
                     self._thread.take()
                     has_ended.set()
-                    _log.exception("%r is not called", function)
+                    _log.exception("%r is not called: the system has no thread left", function)
                     return False
         return True
 
@@ -230,15 +235,16 @@ def _run(calls: _Calls, has_ended: ReentrantEvent) -> None:
             try:
                 function(*arguments)
             except BaseException:
-                # Also SystemExit and KeyboardInterrupt: they would end this thread, and with it all later callbacks.
-                _log.exception("%r raised; the callbacks after it are called all the same", function)
+                # SystemExit and KeyboardInterrupt are caught too: they would end this thread, so that later callbacks
+                # would never be called.
+                _log.exception("callback %r raised; later callbacks are still called", function)
             del call, function, arguments
     finally:
         has_ended.set()
 
 
 class Closing:
-    """A context manager that closes itself: a class with this base has a `close`, which is idempotent."""
+    """Base class of context managers that call their own `close`, which must be idempotent, at the end of the block."""
 
     close: Callable[..., object]
 
@@ -274,15 +280,18 @@ class Runnable(Closing, ABC):
         self._is_used = False
         self._ended = ReentrantEvent()
 
-    # -- what it does ----------------------------------------------------------------------------------
+    # -- methods of a subclass -------------------------------------------------------------------------
 
     @abstractmethod
     def _begin(self) -> None:
-        """Open everything; if that fails, `_give_up` is called and the error is raised."""
+        """Open everything. If this raises, `_give_up` is called, and the error is raised again."""
 
     @abstractmethod
     def _serve(self) -> None:
-        """Run until `_is_stopping`; then end in order. Keep an error that ends it on its own in `failure`."""
+        """Run until `_is_stopping` is set; then shut down in order.
+
+        Keep an error that ends it early in `failure`.
+        """
 
     @abstractmethod
     def _give_up(self) -> None:
@@ -290,14 +299,17 @@ class Runnable(Closing, ABC):
 
     @abstractmethod
     def _wake(self) -> None:
-        """Make `_serve` check whether it must stop. May be called in a signal handler, so it must take no lock."""
+        """Make `_serve` check whether it must stop.
+
+        May be called in a signal handler, so it must take no lock.
+        """
 
     # -- life ------------------------------------------------------------------------------------------
 
     def _begin_once(self) -> None:
         if self._is_used:
-            raise Closed(f"a {self._kind} runs once; make another")
-        # Before anything that may fail: what has begun once may have left devices open, and is not begun again.
+            raise Closed(f"this {self._kind} has already run; create a new one")
+        # Set before anything that might fail: a failed attempt may have left devices open, so it cannot be repeated.
         self._is_used = True
         try:
             self._begin()
@@ -348,15 +360,18 @@ class Runnable(Closing, ABC):
         return self
 
     def _in_thread(self) -> None:
-        # The exception that ended it is kept in `failure`. Raised here it would only be printed.
+        # The exception that ended it is kept in `failure`. If it were raised here, it would only be printed.
         try:
             self._serve_to_end()
         except BaseException:
             _log.exception("the %s has ended", self._kind)
 
     def stop(self) -> None:
-        """Make it end after this round. Call it in any thread, callback, plugin or signal handler."""
-        # A plain flag and a byte into a pipe: a lock could be held by the very code that a signal handler interrupts.
+        """Make it end after this round.
+
+        Any thread, callback, plugin or signal handler may call this.
+        """
+        # A flag and a byte into a pipe need no lock. The code that a signal handler interrupts might hold a lock.
         self._is_stopping = True
         self._wake()
 
@@ -379,13 +394,13 @@ class Runnable(Closing, ABC):
         return True
 
     def close(self) -> None:
-        """Stop, and wait until all has ended in order; idempotent.
+        """Stop, and wait until everything has ended in order; idempotent.
 
         In a process that was forked from the process that started it, this does nothing: the forked process must not
         stop the robot.
 
         Raises:
-            LinkTimeout: If it does not end.
+            LinkTimeout: If it does not end in time.
         """
         if not self._home.is_here:
             return
@@ -395,7 +410,7 @@ class Runnable(Closing, ABC):
             thread.join(self._close_timeout)
             if thread.is_alive():
                 raise LinkTimeout(
-                    f"the {self._kind} has not ended within {self._close_timeout:g} s: {self._holds} does not answer"
+                    f"the {self._kind} has not ended within {self._close_timeout:g} s: {self._holds} does not respond"
                 )
 
     def __enter__(self) -> Self:

@@ -44,7 +44,7 @@ class SafetyStop(RemoteError):
 
 
 class NotEnabled(SafetyStop):
-    """No stop is active, but the policy requires a call of `safety.enable()` first."""
+    """Missing call of `safety.enable()`, which the policy requires. No stop is active."""
 
 
 class NotRunning(RemoteError):

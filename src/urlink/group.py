@@ -107,7 +107,9 @@ class Group(StrictAttributes):
         """
         seconds = check_wait(wait)
         if len(trajectories) != len(self.robots):
-            raise BadValue(f"{len(trajectories)} trajectories for a group of {len(self.robots)} robots")
+            raise BadValue(
+                f"got {len(trajectories)} trajectories for a group of {len(self.robots)} robots; expected one for each"
+            )
         tolerances = Tolerances.checked(path_tolerance, goal_tolerance, goal_time, start_tolerance)
         common = CommonTime()
         parts = []
@@ -172,7 +174,7 @@ class Group(StrictAttributes):
         if time is not None:
             check_overridden("time sets the duration", speed=speed, acceleration=acceleration)
         if len(q) != len(self.robots):
-            raise BadValue(f"{len(q)} goals for a group of {len(self.robots)} robots")
+            raise BadValue(f"got {len(q)} goals for a group of {len(self.robots)} robots; expected one for each")
         goals = [six(goal, f"q[{number}]") for number, goal in enumerate(q)]
         starts = []
         for robot in self.robots:
@@ -205,7 +207,9 @@ class Group(StrictAttributes):
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> GroupStream:
-        """Move all arms through timed points, to which your program appends while the arms move::
+        """Return a stream of timed points for all arms, which are appended while the arms move.
+
+        Use it as a ``with`` block::
 
             with both.stream() as stream:
                 for left, right in planner:
@@ -291,14 +295,14 @@ class Group(StrictAttributes):
         clocks (`RobotClock.bound`). Moments without a state from every arm are skipped.
 
         Args:
-            timeout: Time within which each arm must send a state, in seconds; None waits forever.
+            timeout: Longest time to wait for a state of each arm, in seconds; None waits forever.
 
         Yields:
             One state for each arm, in the order of the group.
 
         Raises:
             LinkTimeout: If no state of an arm arrives in time.
-            RemoteError, LocalError: See `Stream.iterate`.
+            RemoteError, LocalError: If `Stream.iterate` would raise it.
         """
         moments = self._moments()
         others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in moments.others}

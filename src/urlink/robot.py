@@ -52,14 +52,14 @@ if TYPE_CHECKING:
 
 
 class View(Protocol):
-    """An arm on a page, as the package ``urlink-view`` shows it. A context manager."""
+    """A web page that shows an arm, made by the package ``urlink-view``. A context manager."""
 
     @property
     def address(self) -> str:
-        """The address for browsers."""
+        """Address for browsers."""
 
     def close(self) -> None:
-        """Show no more; idempotent."""
+        """Close the view. Idempotent."""
 
     def __enter__(self) -> Self: ...
 
@@ -75,34 +75,35 @@ def connect(options: ConnectOptions) -> Robot:
     undone, for at most `timeout` seconds; see docs/motion-ends.md. A connection with `read_only` undoes nothing.
 
     Args:
-        address: Address of the robot: ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"`` or
-            ``"replay:///path/run.urlog?rate=2"``; or the path of a recording: ``"run.urlog"``, or any `pathlib.Path`.
+        address: Address of the robot, for example ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"``
+            or ``"replay:///path/run.urlog?rate=2"``. It may also be the path of a recording, such as ``"run.urlog"`` or
+            any `pathlib.Path`.
         timeout: Maximum time to make any connection, in seconds.
-        read_only: Use ports 30011 to 30013, which accept no commands.
+        read_only: Whether to use ports 30011 to 30013, which accept no commands.
         backoff: Waiting times between attempts of a stream to reconnect.
-        silence: Time without a packet after which a stream counts as disconnected, in seconds.
+        silence: Longest time without a packet, in seconds. After it, a stream counts as disconnected.
         require_enable: Whether `robot.safety.enable()` must be called before the arm can be moved: "never",
             "on_startup" (once) or "always" (at first and after every stop).
-        stale_after: Time without a packet from the robot, in seconds, after which motions end with `NotRunning` and
-            new motions are refused.
-        start_timeout: Time in which an uploaded program must start, in seconds. A program that starts later gets no
+        stale_after: Longest time without a packet from the robot, in seconds. After it, motions end with `NotRunning`
+            and new motions are refused.
+        start_timeout: Longest time until an uploaded program starts, in seconds. A program that starts later gets no
             start permission, and ends without moving the arm.
-        start_register: Number of the integer output register, 0 to 47, in which a program finds its start permission.
-            All clients that use this library may share one register; no other program may use it. None uses the flags
+        start_register: Number of the integer output register, 0 to 47, for the start permission of a program. All
+            clients that use this library may share one register; no other program may use it. None uses the flags
             instead.
         start_flags: Numbers of the flags, 0 to 31, that carry the start permission on firmware before 3.9 and 5.3,
             which lacks the register. The more flags, the less likely it is that the permission of another client
             starts an abandoned program. With neither register nor flags, each program starts when the controller reads
             it, however late that is. A motion whose handle failed long ago can then still be executed.
-        reverse_host: Address at which the robot reaches this computer, for streamed set-points. None derives it from
-            the route to the robot.
-        reverse_port: Port on this computer to which the robot connects; 0 for a free port.
-        reverse_peer: Address from which the robot's connections come; None for the address of the robot. A simulator
-            in a container might connect from another address.
+        reverse_host: Address of this computer as seen by the robot, for streamed set-points. None derives it from the
+            route to the robot.
+        reverse_port: Port on this computer for connections from the robot; 0 for a free port.
+        reverse_peer: Source address of the robot's connections; None for the address of the robot. A simulator in a
+            container might connect from another address.
         commands_via: How outputs and the speed slider are set. "auto" uses RTDE if the controller has it and no other
             client holds the inputs, and a script otherwise. "script" never claims an RTDE input.
-        isolate: Read the real-time interface in a dedicated process. The newest state is then available at any time,
-            even if your program holds the interpreter lock for long. Not supported on Windows.
+        isolate: Whether to read the real-time interface in a dedicated process. The newest state is then available at
+            any time, even if your program holds the interpreter lock for long. Not supported on Windows.
 
     Raises:
         BadAddress: If the address is invalid.
@@ -182,7 +183,7 @@ def assemble(
 
 
 def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
-    """Keys by which this process recognises a controller, and its services that can be used without a robot."""
+    """Return keys that identify a controller, and its services that can be used without a robot."""
     services = ("dashboard", "robot_api", "gripper")
     parts = (service_of(place.host, place.ports[name]) for name in services if name in place.ports)
     return (place.host.casefold(), frozenset(place.ports.items())), *parts
@@ -392,7 +393,7 @@ class Robot(StrictAttributes, Closing):
         finish_timeout: float = 60.0,
         on_text: Callable[[str], object] | None = None,
     ) -> Interpreter:
-        """Start interpreter mode, in which the controller executes URScript statements one by one.
+        """Start interpreter mode: the controller executes URScript statements one by one.
 
         The call uploads a program, which preempts the current program. It returns when the new program accepts
         statements. Firmware 5.10 or later is required.
@@ -442,10 +443,10 @@ class Robot(StrictAttributes, Closing):
             cog: Centre of gravity in the flange frame, shape (3,), in m, each coordinate within 1 m. Not on CB2.
             inertia: Moments of inertia about the centre of gravity: xx, yy, zz, xy, xz, yz, in kg m². Firmware 5.10 or
                 later.
-            transition_time: Time over which the controller changes to the new payload, in seconds, so that an arm that
-                grips or releases does not jerk. Requires `cog`, `inertia`, and firmware 5.10 or later.
-            confirm: Time after the transition within which the robot's states must show the payload, in seconds.
-                Firmware before 5.10 does not show it. None does not wait.
+            transition_time: Duration of the change to the new payload, in seconds, so that an arm that grips or
+                releases does not jerk. Requires `cog`, `inertia`, and firmware 5.10 or later.
+            confirm: Longest time after the transition until the robot's states show the payload, in seconds. Firmware
+                before 5.10 does not show it. None does not wait.
 
         Raises:
             BadValue: If a number is out of range, or this firmware does not support the setting. Nothing is sent.
@@ -513,7 +514,7 @@ class Robot(StrictAttributes, Closing):
             axes: Free axes x, y, z, rx, ry, rz of the frame, as six values of 0 or 1; None for all axes. Firmware 5.10
                 or later.
             frame: Frame of the axes: "base", "tool" (the current tool frame), or a pose in the base frame, shape (6,).
-            watchdog: Time without a message from this computer after which the arm stops, in seconds.
+            watchdog: Longest time without a message from this computer, in seconds. After it, the arm stops.
             link: See `Motions.follow`.
 
         Raises:
@@ -617,7 +618,7 @@ class Robot(StrictAttributes, Closing):
             plots: Names of the `RealtimeState` fields to plot.
             urdf: URDF file with meshes for the links; None draws cylinders and spheres.
             jog: Whether to show buttons that move the arm while they are pressed.
-            port: Port on which the page is served; 0 for a free port.
+            port: Port of the page; 0 for a free port.
 
         Raises:
             BadValue: If a field does not exist.

@@ -1,16 +1,17 @@
-"""What tools that are packages of their own need of the library, beside the names that are for every program.
+"""Names for tools in separate packages, in addition to the names that every program uses.
 
-A tool tests a controller, shows an arm, or stands in for another client. It needs protocols without a connection, the
-parameters of the arms, and the parts of a command line. A program that moves an arm needs nothing of this module.
+Such a tool tests a controller, shows an arm, or imitates the API of another client. It needs protocols without a
+connection, the parameters of the arms, and the parts of a command line. A program that moves an arm needs nothing from
+this module.
 
-What it promises: the packages below packages/ import from here, from `urlink` and from the other public modules, and
-from nowhere else. Each name of this module is that of the module which the library itself uses, so it may change with
-any release. Such a change is made here and in the packages at the same time.
+The packages below packages/ import only from this module, from `urlink`, and from the other public modules. Each name
+here comes from a module that the library itself uses, so it may change with any release. Such a change is made here and
+in the packages at the same time.
 """
 
 from __future__ import annotations
 
-# For commands: arguments, progress, and what ends them.
+# For commands: arguments, progress, and interruption.
 from linkcore.cli.options import (
     DURATION as DURATION,
     argument as argument,
@@ -21,10 +22,10 @@ from linkcore.cli.options import (
 from linkcore.cli.progress import ProgressBar as ProgressBar
 from linkcore.cli.terminal import Interruption as Interruption
 
-# For classes and texts.
+# For classes and text.
 from linkcore.names import StrictAttributes as StrictAttributes, needs as needs
 
-# For conversations with a controller by itself, without a stream.
+# For single requests to a controller, without a stream.
 from linkcore.net.dialogue import Dialogue as Dialogue
 from linkcore.net.http_client import HttpClient as HttpClient
 from linkcore.net.listener import bound_socket as bound_socket, local_address as local_address
@@ -48,7 +49,7 @@ from linkcore.text import printable as printable, similar as similar, strict_jso
 from linkcore.threads import Closing as Closing, ReentrantEvent as ReentrantEvent
 from linkcore.wire.cycles import gaps_of as gaps_of
 
-# For arms: their files, their parameters, and what is computed from them.
+# For arms: their files, their parameters, and computations with them.
 from .arm import rigid as rigid
 from .arm.arm_file import (
     MOTORS as MOTORS,
@@ -111,10 +112,10 @@ from .recording.ros_messages import (
 )
 from .robot import simulated as simulated
 
-# The text of URScript.
+# For URScript text.
 from .script import text as text
 
-# For addresses, and what is known of a robot.
+# For addresses, and the identity of a robot.
 from .session.address import (
     RecordingAddress as RecordingAddress,
     RobotAddress as RobotAddress,
@@ -123,5 +124,5 @@ from .session.address import (
 )
 from .session.identity import Identity as Identity, described_identity as described_identity
 
-#: The speed that a full deflection of a jog stands for. Without the prefix it is that of a motor.
+#: Speed at full deflection of a jog. The prefix distinguishes it from `FULL_SPEED` of the motors.
 FULL_JOG_SPEED = _jog.FULL_SPEED

@@ -218,7 +218,7 @@ TestLife.settings = settings(deadline=None, stateful_step_count=15)
 
 def test_waiting(life: Lifecycle) -> None:
     handle = Handle(life)
-    with pytest.raises(LinkTimeout, match=r"job is sent, and not over within 0\.01 s; it goes on"):
+    with pytest.raises(LinkTimeout, match=r"job has not ended within 0\.01 s, and continues; its phase is sent"):
         handle.wait(0.01)
     waiter = threading.Thread(target=handle.wait, args=(10,))
     waiter.start()

@@ -137,7 +137,7 @@ def test_setting_names_what_can_be_set() -> None:
         held: Any = robot
         for part, name, hint in (
             (held.safety, "policey", r"Safety has no attribute 'policey'; did you mean 'policy'\?"),
-            (held, "speed", r"Robot has no 'speed'; here it is: robot.set_speed_slider\(fraction\)"),
+            (held, "speed", r"Robot has no 'speed'; equivalent here: robot.set_speed_slider\(fraction\)"),
             (held.io, "tool_voltage", r"IO has no attribute 'tool_voltage' that can be set; use set_tool_voltage\(\)"),
             (held.motion, "stop", r"Motions has no attribute 'stop' that can be set; stop\(\) is a method"),
             (held.controller, "remote_contol", "did you mean 'remote_control'"),
@@ -195,7 +195,7 @@ def test_plugins_keep_attributes_of_their_own() -> None:
 def test_opening_names_how_to_connect() -> None:
     opening: Any = urlink.connect_async("sim://")
     with pytest.raises(
-        AttributeError, match="Opening has no attribute 'realtime'; it is not connected yet, write 'async"
+        AttributeError, match="Opening has no attribute 'realtime'; it is not connected yet; write 'async"
     ):
         opening.realtime  # noqa: B018
     opening = rhdlink.connect_async("localhost")

@@ -92,10 +92,10 @@ EXTERNAL = '<!DOCTYPE rhd [<!ENTITY x SYSTEM "file:///etc/hostname">]><rhd>&x;</
         ("<rhd>&undeclared;</rhd>", "undefined entity"),
         ("<rhd>" * (DEEPEST + 1) + "</rhd>" * (DEEPEST + 1), "levels"),
         ("<rhd>" + "<a/>" * MOST_ELEMENTS + "</rhd>", "elements"),
-        ("<rhd>" + " " * LARGEST + "</rhd>", "larger"),
-        ("", "not XML"),
-        ("<rhd>", "not XML"),
-        ("<rhd/><rhd/>", "not XML"),
+        ("<rhd>" + " " * LARGEST + "</rhd>", "too large"),
+        ("", "invalid XML"),
+        ("<rhd>", "invalid XML"),
+        ("<rhd/><rhd/>", "invalid XML"),
         ("<?xml version='1.0' encoding='klingon'?><rhd/>", "encoding"),
         ("<config/>", "<rhd>"),
         ('<rhd><scheduler><type value="cron"/></scheduler></rhd>', "cron"),
@@ -173,7 +173,7 @@ def test_a_file_is_as_large_as_a_text_may_be(tmp_path: Path) -> None:
     path.write_text("<rhd>" + " " * (LARGEST - 11) + "</rhd>")
     assert read_config(path) == Configuration()
     path.write_text(path.read_text() + " ")
-    with pytest.raises(BadConfiguration, match=r"^robot\.xml is larger than 1048576 bytes$"):
+    with pytest.raises(BadConfiguration, match=r"^robot\.xml is too large; the maximum is 1048576 bytes$"):
         read_config(path)
 
 
@@ -195,7 +195,7 @@ def test_the_message_names_file_and_line(tmp_path: Path) -> None:
         ("<server>\n<resend value='never'/>\n</server>", "2: <resend>"),
         ("<server resend='never'>\n</server>", "1: <server>"),
     ):
-        with pytest.raises(BadConfiguration, match=f"rhdconfig.xml:{place}: value='(cron|never)' is none of"):
+        with pytest.raises(BadConfiguration, match=f"rhdconfig.xml:{place}: value='(cron|never)'; expected one of"):
             parse_config(f"<rhd>{text}</rhd>")
 
 
@@ -255,14 +255,14 @@ def test_a_c_library_is_an_error_that_says_what_to_do(lib: str) -> None:
 @pytest.mark.parametrize(
     ("lib", "reason"),
     [
-        ("collections", "names no plugin"),
-        ("collections:", "names no plugin"),
-        (":OrderedDict", "names no plugin"),
-        ("collections:OrderedDict.fromkeys", "names no plugin"),
+        ("collections", "is not the name of a plugin"),
+        ("collections:", "is not the name of a plugin"),
+        (":OrderedDict", "is not the name of a plugin"),
+        ("collections:OrderedDict.fromkeys", "is not the name of a plugin"),
         ("no_such_module_at_all:X", "cannot import"),
         ("collections:Missing", "no class"),
         ("collections:abc", "no class"),
-        ("numbers:Rational", "cannot make"),
+        ("numbers:Rational", "cannot create"),
     ],
 )
 def test_a_plugin_that_cannot_be_loaded_says_why(lib: str, reason: str) -> None:

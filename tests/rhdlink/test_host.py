@@ -145,7 +145,7 @@ def test_what_nobody_foresaw_is_kept_for_who_asks(error: BaseException, caplog: 
 
         host._service.sync = boom  # type: ignore[method-assign]
         client.send(b"rree")
-        with pytest.raises(HostFailed, match=f"the host ended by {type(error).__name__}") as caught:
+        with pytest.raises(HostFailed, match=f"the host ended because of {type(error).__name__}") as caught:
             host.wait(10.0)
         assert caught.value.__cause__ is error
         assert host.failure is caught.value
@@ -211,7 +211,7 @@ def test_ctrl_c_in_a_plugin_ends_a_host_in_the_foreground_in_order() -> None:
         host.run()
     assert notes[-1] == "terminate a"
     assert host.stats.failed_plugins == ()
-    with pytest.raises(HostFailed, match="ended by KeyboardInterrupt"):
+    with pytest.raises(HostFailed, match="ended because of KeyboardInterrupt"):
         host.wait(0.0)
 
 
@@ -226,7 +226,7 @@ def test_a_plugin_that_does_not_come_back_is_named_by_close() -> None:
     assert host._thread is not None
     waited: list[float | None] = []
     host._thread.join = waited.append  # type: ignore[assignment]
-    with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not answer"):
+    with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not respond"):
         host.close()
     assert waited == [10.0]
     Hangs.released.set()
@@ -847,7 +847,7 @@ def test_real_time_priority_is_not_had_and_that_is_said(caplog: pytest.LogCaptur
     Host.from_config(parse_config("<rhd/>"))
     assert caplog.text == ""
     Host.from_config(parse_config("<rhd><scheduler><realtimepriority enable='true'/></scheduler></rhd>"))
-    assert "real-time priority is asked for; this host runs without it" in caplog.text
+    assert "real-time priority is requested, but not supported by this host" in caplog.text
 
 
 def test_arguments_have_the_last_word_over_the_file() -> None:
@@ -857,7 +857,7 @@ def test_arguments_have_the_last_word_over_the_file() -> None:
 
 def test_a_class_that_is_no_plugin_is_refused() -> None:
     text = CONFIG.replace("tests.rhdlink.test_host:Configured", "collections:OrderedDict")
-    with pytest.raises(BadConfiguration, match="is no rhdlink"):
+    with pytest.raises(BadConfiguration, match="is not an rhdlink"):
         Host.from_config(parse_config(text))
     with pytest.raises(BadConfiguration, match="in C"):
         Host.from_config(parse_config(CONFIG.replace('"false"', '"true"')))
@@ -939,9 +939,9 @@ def test_a_forked_child_does_not_end_its_parent_s_host() -> None:
 @pytest.mark.parametrize(
     ("plugins", "text"),
     [
-        (Echo(), r"expected a list of them: \[Echo\(...\)\]"),
-        ([Echo], "is no plugin; expected instances"),
-        ([3], "3 is no plugin"),
+        (Echo(), r"expected a list of plugins: \[Echo\(...\)\]"),
+        ([Echo], "is not a plugin; expected instances"),
+        ([3], "3 is not a plugin"),
         (3, "plugins=3; expected a list of plugins"),
     ],
 )

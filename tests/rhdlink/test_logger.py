@@ -148,9 +148,9 @@ def test_each_start_has_a_file_of_its_own_and_none_is_overwritten(tmp_path: Path
 
 
 def test_what_cannot_be_a_log(tmp_path: Path) -> None:
-    with pytest.raises(BadValue, match=r"\.csv or a \.urlog"):
+    with pytest.raises(BadValue, match=r"\.csv or \.urlog"):
         Logger(tmp_path / "x.txt")
-    with pytest.raises(BadValue, match="path=3; expected that of a"):
+    with pytest.raises(BadValue, match="path=3; expected the path of a"):
         Logger(3)  # type: ignore[arg-type]
     with pytest.raises(BadValue, match="every"):
         Logger(tmp_path / "x.csv", every=0)

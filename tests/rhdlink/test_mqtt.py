@@ -47,10 +47,10 @@ def test_the_table_is_a_file_that_can_be_edited(tmp_path: Path) -> None:
         ("", "expected one topic with x, y and heading"),
         ("watch a b c", "line 1: expected read, command or alive"),
         ("# nothing\nread a b", "line 2: expected read, command or alive"),
-        ("read a/+/b v time", "no wildcards"),
+        ("read a/+/b v time", "without wildcards"),
         (ROBOBOT_TABLE + "alive another - time", "one alive"),
-        (ROBOBOT_TABLE.replace("linear", "forward"), "no values called linear and angular"),
-        (ROBOBOT_TABLE.replace("ti/rc ", "ti/alive "), "is there twice"),
+        (ROBOBOT_TABLE.replace("linear", "forward"), "must have values called linear and angular"),
+        (ROBOBOT_TABLE.replace("ti/rc ", "ti/alive "), "is listed twice"),
     ],
 )
 def test_what_is_no_table_says_so(text: str, said: str) -> None:

@@ -132,11 +132,11 @@ def test_strokes_say_how_wide_and_how_dark(tmp_path: Path) -> None:
     [
         ('<path d="M0 0 A1 1 0 0 0 2 2"/>', "0 0 9 9", "the command A"),
         ('<path d="M0 0 L1"/>', "0 0 9 9", "ends within the command L"),
-        ('<path d="7 7"/>', "0 0 9 9", "numbers where a command is expected"),
+        ('<path d="7 7"/>', "0 0 9 9", "contains numbers instead of a command"),
         ('<line x1="a"/>', "0 0 9 9", "x1"),
         ("", "0 0 0 9", "no width"),
-        ("<line", "0 0 9 9", "not XML"),
-        ('<path d="' + "M0 0 L1 1 " * 3000 + '"/>', "0 0 9 9", "more than 5000 pieces"),
+        ("<line", "0 0 9 9", "invalid XML"),
+        ('<path d="' + "M0 0 L1 1 " * 3000 + '"/>', "0 0 9 9", "the maximum is 5000"),
     ],
 )
 def test_a_drawing_that_cannot_be_read_says_why(tmp_path: Path, shapes: str, box: str, said: str) -> None:
@@ -147,7 +147,7 @@ def test_a_drawing_that_cannot_be_read_says_why(tmp_path: Path, shapes: str, box
 def test_what_is_no_drawing_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "page.svg"
     path.write_text("<html/>")
-    with pytest.raises(BadValue, match="begins with <svg>"):
+    with pytest.raises(BadValue, match="must be <svg>"):
         Scene.from_svg(path)
     with pytest.raises(BadValue, match="No such file"):
         Scene.from_svg(tmp_path / "none.svg")

@@ -327,7 +327,7 @@ def test_a_reader_s_values_are_counted_and_not_taken(caplog: pytest.LogCaptureFi
     assert caplog.text.count("may only read") == 1
     # To ask as a writer is another thing: it would wait for what it is never sent.
     served.receive(reader, b"rwee")
-    assert reader.failure == "asks as a writer without being one"
+    assert reader.failure == "requests as a writer without permission to write"
     assert served.bad_clients == 1
 
 

@@ -209,7 +209,7 @@ def test_a_stop_of_one_reaches_the_other() -> None:
         with pytest.raises(SafetyStop, match=r"^192\.168\.0\.100: .*protective stop"):
             motion.wait()
         assert motion.phase is Phase.FAILED
-        with pytest.raises(Cancelled, match=r"stopped, since that of 192\.168\.0\.100 ended: .*stop"):
+        with pytest.raises(Cancelled, match=r"stopped because the motion of 192\.168\.0\.100 ended: .*stop"):
             motion.motions[1].wait()
         time.sleep(1.0)
         for side in both.sides:
@@ -226,7 +226,7 @@ def test_who_cancels_one_cancels_all() -> None:
         motion = both.group.follow(both.steady())
         time.sleep(0.7)
         motion.motions[1].cancel()
-        with pytest.raises(Cancelled, match=r"with that of 192\.168\.0\.101"):
+        with pytest.raises(Cancelled, match=r"with the motion of 192\.168\.0\.101"):
             motion.wait()
         assert [each.phase for each in motion.motions] == [Phase.CANCELLED] * 2
         time.sleep(1.0)
@@ -426,7 +426,7 @@ def test_where_one_cannot_go_over_none_does() -> None:
             stream.replace(0.0, far)
         with pytest.raises(BadValue, match=r"end at 2\.4, 1 s; expected the same time for all"):
             stream.replace(0.0, [both.dense()[0], far[1]])
-        with pytest.raises(BadValue, match="points for 1 arms"):
+        with pytest.raises(BadValue, match="points has entries for 1 arms"):
             stream.replace(0.0, far[:1])
         stream.wait_until_dry()
         assert stream.starved == 0
@@ -443,7 +443,7 @@ def test_where_a_message_comes_too_late_to_one_all_are_cleared() -> None:
         route = both.sim.network.route(both.sim.here, both.right.computer)
         route.latency, quick = 0.3, route.latency
         soon = [beside(path, 0.0) for path in both.dense(1.0)]
-        with pytest.raises(BadValue, match=r"cleared: it came too late to 192\.168\.0\.101: "):
+        with pytest.raises(BadValue, match=r"because the change reached 192\.168\.0\.101 too late: "):
             stream.replace(0.0, soon)
         route.latency = quick
         stream.wait_until_dry()
@@ -497,7 +497,7 @@ def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytes
             with pytest.raises(SafetyStop, match=r"^192\.168\.0\.100: "):
                 stream.append(both.dense())
         assert isinstance(stream.error, SafetyStop)
-        with pytest.raises(Cancelled, match=r"stopped, since that of 192\.168\.0\.100 ended: .*stop"):
+        with pytest.raises(Cancelled, match=r"stopped because the motion of 192\.168\.0\.100 ended: .*stop"):
             stream.motions[1].wait()
         for side in both.sides:
             side.mark()
@@ -525,7 +525,7 @@ def test_who_leaves_the_block_or_cancels_stops_all(firmwares: tuple[str, str]) -
             stream.append(both.dense(), wait=False)
             time.sleep(0.5)
             stream.motions[1].cancel()
-            with pytest.raises(Cancelled, match=r"with that of 192\.168\.0\.101"):
+            with pytest.raises(Cancelled, match=r"with the motion of 192\.168\.0\.101"):
                 stream.wait_until_dry()
         time.sleep(0.5)
         assert [side.controller.arm.is_moving for side in both.sides] == [False, False]
@@ -547,7 +547,7 @@ def test_what_the_stream_of_a_group_refuses() -> None:
         both.right.robot.safety.wait_until_clear(timeout=10.0)
         both.right.robot.safety.enable()
         with both.group.stream() as stream:
-            with pytest.raises(BadValue, match="points for 1 arms; expected them for each of the 2"):
+            with pytest.raises(BadValue, match="points has entries for 1 arms; expected one for each of the 2"):
                 stream.append(both.steady()[:1])
             with pytest.raises(BadValue, match=r"end at 1, 1\.6 s; expected the same time for all"):
                 stream.append([both.steady(1.0)[0], both.steady(1.6)[1]])
@@ -635,10 +635,10 @@ def test_what_a_group_refuses() -> None:
         group = urlink.Group(one, two)
         assert repr(group) == "<Group of sim://ur5e, sim://ur5e>"
         here = one.realtime.wait().q_target
-        with pytest.raises(BadValue, match="1 goals for a group of 2"):
+        with pytest.raises(BadValue, match="got 1 goals for a group of 2"):
             group.move_joints([here])
         path = Trajectory.from_arrays([0, 1], [here, here + 0.1])
-        with pytest.raises(BadValue, match="3 trajectories for a group of 2"):
+        with pytest.raises(BadValue, match="got 3 trajectories for a group of 2"):
             group.follow([path] * 3)
         with pytest.raises(BadValue, match="is not a Trajectory"):
             group.follow([path, None])  # type: ignore[list-item]

@@ -35,7 +35,7 @@ Try = Callable[[Any], object]
 #: (what is tried, kind of error, part of its message)
 MISTAKES: list[tuple[Try, type[Exception], str]] = [
     # names of URScript, ur_rtde and urx
-    (lambda r: r.motion.movej(Q), AttributeError, r"here it is: robot.motion.move_joints\(q\)"),
+    (lambda r: r.motion.movej(Q), AttributeError, r"equivalent here: robot.motion.move_joints\(q\)"),
     (lambda r: r.motion.movel(POSE), AttributeError, "move_linear"),
     (lambda r: r.motion.movec(POSE, POSE), AttributeError, "move_circular"),
     (lambda r: r.motion.movep(POSE), AttributeError, r"robot.motion.path\("),
@@ -85,7 +85,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: r.motion.move_linear(POSE[:3]), LocalError, "expected six numbers"),
     (lambda r: r.motion.path(Q), LocalError, "expected a Joint, Linear or Circular"),
     (lambda r: r.motion.path([]), LocalError, "expected 1 to"),
-    (lambda r: r.motion.follow([Q, Q]), LocalError, "is no Trajectory"),
+    (lambda r: r.motion.follow([Q, Q]), LocalError, "is not a Trajectory"),
     (lambda r: r.motion.jog("world"), LocalError, "frame='world'; expected"),
     (lambda r: r.motion.until_contact("down"), LocalError, "direction is 'down'; expected numbers"),
     (lambda r: r.motion.force_mode("flange", Q, Q, Q), LocalError, "expected 'base', 'tool', or a pose"),
@@ -99,7 +99,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: r.script.run(""), LocalError, "program"),
     (lambda r: r.script.run("movej(["), LocalError, "ends in the middle of a statement"),
     (lambda r: r.script.run(None), LocalError, "program"),
-    (lambda r: r.script.run("pick.script"), LocalError, "name of a file"),
+    (lambda r: r.script.run("pick.script"), LocalError, "is a file name"),
     (lambda r: r.script.run("programs/my pick.script"), LocalError, "pass pathlib.Path"),
     (lambda r: r.realtime.wait(timeout=True), LocalError, "timeout=True; expected a number of seconds"),
     (lambda r: r.realtime.wait("5"), LocalError, "timeout='5'; expected a number of seconds"),
@@ -108,7 +108,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: r.kinematics.inverse(POSE[:3], Q), LocalError, "must be 6 finite numbers"),
     (lambda r: r.record("run.csv"), LocalError, "record a .urlog"),
     (lambda r: urlink.connect("192.168.56.101:30003"), LocalError, "30003"),
-    (lambda r: urlink.connect("sim://ur7"), LocalError, "known are"),
+    (lambda r: urlink.connect("sim://ur7"), LocalError, "expected one of"),
     (lambda r: urlink.connect("sim://", timeout=True), LocalError, "timeout is True; expected a number"),
     (lambda r: urlink.connect(""), LocalError, "address"),
     (lambda r: urlink.load("no such file.urlog"), LocalError, "no such file"),
@@ -165,18 +165,18 @@ def test_other_interfaces_names_are_answered() -> None:
         outputs: Any = held.rtde.outputs("actual_q")
         realtime, primary = held.realtime.wait(), held.primary.wait()
         for owner, name, hint in (
-            (realtime, "actual_q", "RealtimeState has no 'actual_q'; here it is: q_actual"),
-            (realtime, "actual_TCP_pose", "here it is: tool_vector_actual"),
-            (realtime, "T_motor", "here it is: motor_temperatures"),
-            (realtime, "tcp", "here it is: tool_vector_actual"),
-            (primary, "q_actual", "RobotState has no 'q_actual'; here it is: joint_data.q_actual"),
-            (primary.joint_data, "actual_q", "JointData has no 'actual_q'; here it is: q_actual"),
-            (outputs.wait(), "q_actual", "Outputs has no 'q_actual'; here it is: actual_q"),
-            (outputs, "q_actual", r"its packets have it: wait\(\).actual_q"),
+            (realtime, "actual_q", "RealtimeState has no 'actual_q'; equivalent here: q_actual"),
+            (realtime, "actual_TCP_pose", "equivalent here: tool_vector_actual"),
+            (realtime, "T_motor", "equivalent here: motor_temperatures"),
+            (realtime, "tcp", "equivalent here: tool_vector_actual"),
+            (primary, "q_actual", "RobotState has no 'q_actual'; equivalent here: joint_data.q_actual"),
+            (primary.joint_data, "actual_q", "JointData has no 'actual_q'; equivalent here: q_actual"),
+            (outputs.wait(), "q_actual", "Outputs has no 'q_actual'; equivalent here: actual_q"),
+            (outputs, "q_actual", r"it is a field of the packets: use wait\(\).actual_q"),
             (outputs, "qd_actual", r"request it with robot.rtde.outputs\('actual_qd'\)"),
-            (held.realtime, "q_actual", r"its packets have it: wait\(\).q_actual"),
-            (held.realtime, "actual_q", r"its packets have it: wait\(\).q_actual"),
-            (held.primary, "q_actual", r"its packets have it: wait\(\).joint_data.q_actual"),
+            (held.realtime, "q_actual", r"it is a field of the packets: use wait\(\).q_actual"),
+            (held.realtime, "actual_q", r"it is a field of the packets: use wait\(\).q_actual"),
+            (held.primary, "q_actual", r"it is a field of the packets: use wait\(\).joint_data.q_actual"),
             (held, "actual_q", r"robot.realtime.wait\(\).q_actual, or robot.rtde.outputs\('actual_q'\)"),
             (held.dashboard, "poweron", r"robot.dashboard.power_on\(\)"),
             (held.kinematics, "ik", "robot.kinematics.inverse"),
@@ -200,7 +200,7 @@ def test_private_names_get_no_advice(robot: Any) -> None:
 @pytest.mark.parametrize("part", ["", "motion", "safety", "io"])
 def test_a_notebook_shows_the_robot_and_its_parts(robot: Any, part: str) -> None:
     shown = (getattr(robot, part) if part else robot)._repr_html_()
-    wanted = {"": "5.11", "motion": "move_joints", "safety": "let through", "io": "digital outputs"}[part]
+    wanted = {"": "5.11", "motion": "move_joints", "safety": "permitted", "io": "digital outputs"}[part]
     assert wanted in shown
     assert shown.count("<tr>") >= 2
 

@@ -36,9 +36,9 @@ def packets() -> dict[str, bytes]:
 def test_tails_and_unknown_types_are_errors(packets: dict[str, bytes]) -> None:
     for interface in ("realtime", "primary"):
         assert len(urlink.decode(packets[interface], interface)) == 1
-    with pytest.raises(PacketError, match="ends in bytes that are not known"):
+    with pytest.raises(PacketError, match="ends in unknown bytes"):
         urlink.decode(with_tail(packets["realtime"], b"what may this be"), "realtime")
-    with pytest.raises(PacketError, match=r"a type that is not known \(URLINK_STRICT\)"):
+    with pytest.raises(PacketError, match=r"has an unknown type \(URLINK_STRICT\)"):
         urlink.decode(packets["primary"] + with_sub_package(packets["primary"], 77, b"new"), "primary", "5.11")
 
 

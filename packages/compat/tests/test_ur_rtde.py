@@ -76,7 +76,7 @@ def test_what_is_not_received_is_named(controller: Controller) -> None:
 def test_a_recording(receive: RTDEReceiveInterface, tmp_path: Path) -> None:
     assert not receive.stopFileRecording()
     assert receive.startFileRecording(str(tmp_path / "run.csv"), ["timestamp", "actual_q", "joint_mode"])
-    with pytest.raises(LocalError, match="under way"):
+    with pytest.raises(LocalError, match="in progress"):
         receive.startFileRecording(str(tmp_path / "other.csv"))
     began = receive.getTimestamp()
     until(lambda: receive.getTimestamp() > began + 0.1)
@@ -259,7 +259,7 @@ def test_reupload_script_allows_a_move_at_once(controller: Controller, control: 
 
 
 def test_what_is_not_offered(controller: Controller) -> None:
-    with pytest.raises(NotOffered, match=r"servoC is not offered here; instead there is robot.motion.move_circular"):
+    with pytest.raises(NotOffered, match=r"servoC is not offered; use robot.motion.move_circular"):
         RTDEControlInterface.servoC([0.0] * 6)
     with pytest.raises(NotOffered, match="FLAG_CUSTOM_SCRIPT"):
         RTDEControlInterface(controller.address, -1.0, RTDEControlInterface.FLAG_CUSTOM_SCRIPT)

@@ -228,7 +228,7 @@ def test_commands_sent_to_suspended_server_are_rejected(
         client.stdin.flush()
         late = json.loads(client.stdout.readline())
         assert (late["accepted"], late["called"]) == (False, False)
-        assert "held up for" in late["text"]
+        assert "interrupted for" in late["text"]
         begun = time.monotonic()
         while time.monotonic() < begun + 6.0:
             assert np.abs(robot.realtime.wait().qd_actual).max() < 1e-3

@@ -76,7 +76,7 @@ def test_an_arm_that_is_gone_is_not_shown_as_live(browser: Any) -> None:
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot, robot.view() as view:
         opened(browser, view)
         controller.close()
-        until(lambda: "shown is" in said(browser, "connection"), SOON)
+        until(lambda: "shown state is" in said(browser, "connection"), SOON)
 
 
 def test_the_arm_moves_while_a_button_is_held(browser: Any) -> None:

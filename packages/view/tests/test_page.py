@@ -36,10 +36,10 @@ def page() -> Iterator[Page]:
         ("127.0.0.1:8080", "null", True, "is another page"),
         ("127.0.0.1:8080", "http://evil.example", False, "is another page"),
         # A name of somebody else's that has been made to mean this computer.
-        ("evil.example:8080", "http://evil.example:8080", True, "asked for at evil.example"),
-        ("127.0.0.1.evil.example", None, False, "asked for at"),
+        ("evil.example:8080", "http://evil.example:8080", True, "requested as evil.example"),
+        ("127.0.0.1.evil.example", None, False, "requested as"),
         ("evil@127.0.0.1:8080", "http://evil.example", True, "is another page"),
-        (None, None, False, "asked for at None"),
+        (None, None, False, "requested as None"),
     ],
 )
 def test_what_is_refused(host: str | None, origin: str | None, is_upgrade: bool, says: str | None) -> None:

@@ -22,17 +22,18 @@ from .packets import Packets
 T = TypeVar("T")
 K = TypeVar("K")
 
-#: Seconds that a live plot's window has for its events; the loop waits for them.
+#: Time in s that the window of a live plot gets for its events, while the loop waits.
 _EVENTS = 1e-3
 
 
 class AsyncFeed(StrictAttributes, Generic[T]):
-    """The packets of one class on a stream: iterate, wait for the next, look at the newest, be called back.
+    """The packets of one class on a stream: iterate, wait, read the newest, or subscribe.
 
-    Made by `AsyncStream.of`; a stream is the feed of its main class. For tasks of the loop that reads the stream.
+    `AsyncStream.of` returns a feed. A stream is itself the feed of its main class. It is for tasks of the loop that
+    reads the stream.
 
     Args:
-        feed: the same for threads; it has the texts of its errors, and keeps the stream from being collected.
+        feed: Same feed for threads. It makes the errors, and prevents the garbage collection of the stream.
     """
 
     __slots__ = ("_feed", "_kind", "_loop_connection")
@@ -48,17 +49,20 @@ class AsyncFeed(StrictAttributes, Generic[T]):
 
     @property
     def latest(self) -> T | None:
-        """The newest packet of this connection, or None. Never waits; see `Feed.latest`."""
+        """Newest packet of the current connection, or None. Never waits; see `Feed.latest`."""
         return self._feed.latest
 
     async def wait(self, timeout: float = 5.0) -> T:
-        """The next packet that arrives.
+        """Wait for the next packet, and return it.
+
+        Args:
+            timeout: Maximum wait in seconds.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
-            LinkTimeout: none came within `timeout` seconds.
-            RemoteError: the first connection could not be made, or the stream gave up.
-            Closed: the stream was closed.
+            BadValue: If `timeout` is not a number of seconds.
+            LinkTimeout: If no packet arrives within `timeout` seconds.
+            RemoteError: If the first connection cannot be made, or the stream has stopped reconnecting.
+            Closed: If the stream was closed.
         """
         timeout = check_seconds(timeout, "timeout")
         async with self._packets(latest, timeout) as packets:
@@ -67,19 +71,20 @@ class AsyncFeed(StrictAttributes, Generic[T]):
         raise self._feed._why_nothing(timeout)
 
     async def wait_until(self, condition: Callable[[T], object], timeout: float = 5.0) -> T:
-        """The first packet for which a condition holds: the newest that there is, or one that arrives.
+        """Wait for a packet that meets a condition, and return it.
 
-        Every packet is looked at as it comes, in the thread of the loop. Of events (`State.IS_EVENT`) only those count
-        that arrive from now on.
+        The newest packet is examined first, then every packet as it arrives, all in the thread of the loop. For events
+        (`State.IS_EVENT`), only events that arrive from now on are examined.
 
         Args:
-            condition: gets each packet; what it raises ends the waiting.
-            timeout: seconds.
+            condition: Function that is called with each packet. An exception that it raises ends the wait.
+            timeout: Maximum wait in seconds.
 
         Raises:
-            BadValue: `condition` cannot be called, or `timeout` is not a number of seconds.
-            LinkTimeout: it did not hold within `timeout` seconds; the message says how many packets there were.
-            RemoteError, Closed: as `wait`.
+            BadValue: If `condition` is not callable, or `timeout` is not a number of seconds.
+            LinkTimeout: If no packet meets the condition within `timeout` seconds; the message contains the number of
+                examined packets.
+            RemoteError, Closed: See `wait`.
         """
         check_callable(condition, "condition")
         timeout = check_seconds(timeout, "timeout")
@@ -99,26 +104,27 @@ class AsyncFeed(StrictAttributes, Generic[T]):
     def iterate(
         self, policy: Policy | None = None, timeout: float | None = None, lifespan: float | None = None
     ) -> Packets[T]:
-        """Iterate with a policy or a timeout of your own; a plain ``async for`` keeps the newest state, or 1024 events.
+        """Iterate over the packets with your own policy or timeout.
 
-        Ends when the stream is closed, or given up. Without a timeout it waits for as long as the back-off allows for a
-        robot that went away; `ConnectionEvent` tells of that.
+        A plain ``async for`` keeps only the newest state, or 1024 events. The iteration ends when the stream is closed,
+        or has stopped reconnecting. Without a timeout, it waits for a disconnected robot for as long as the back-off
+        allows; a `ConnectionEvent` reports the disconnection.
 
         Args:
-            policy: `latest`, `drop_oldest(n)`, or `block`, under which nothing is lost: the loop reads no more from
-                this robot while the task is behind.
-            timeout: seconds within which each packet has to come.
-            lifespan: seconds after its arrival for which a packet is worth having; None for ever. One that is older
+            policy: `latest`, `drop_oldest(n)` or `block`. With `block` no packet is dropped: while the task is behind,
+                the loop does not read from this robot.
+            timeout: Maximum wait for each packet, in seconds.
+            lifespan: Maximum age of a packet in seconds after its arrival; None for no limit. A packet that is older
                 when its turn comes is dropped and counted as `expired`.
 
         Returns:
-            The iterator; its `stats` count what was offered, delivered and dropped. `AsyncStream.stats` counts what
-            slow loops drop, as `dropped`.
+            The iterator. Its `stats` count the offered, delivered and dropped packets. `AsyncStream.stats` counts the
+            packets that slow loops drop, as `dropped`.
 
         Raises:
-            BadValue: no policy, or no number of seconds.
-            LinkTimeout: nothing came within `timeout` seconds.
-            RemoteError: the first connection could not be made, or the stream gave up.
+            BadValue: If `policy` is not a policy, or a time is not a number of seconds.
+            LinkTimeout: If no packet arrives within `timeout` seconds.
+            RemoteError: If the first connection cannot be made, or the stream has stopped reconnecting.
         """
         policy = self._feed._policy(policy, latest)
         if timeout is not None:
@@ -141,17 +147,19 @@ class AsyncFeed(StrictAttributes, Generic[T]):
     ) -> Subscription:
         """Call `callback` with each packet, in order, in the thread of the loop, until closed.
 
-        It has to be quick and must not wait: until it returns, the loop does nothing else. Calls of more than 0.5 ms
-        are counted in `AsyncStream.stats`. What it raises is logged and counted, and it is called again.
+        The callback must be quick and must not wait, because the loop does nothing else until it returns. Calls of more
+        than 0.5 ms are counted in `AsyncStream.stats`. An exception in the callback is logged and counted, and the
+        callback is called again for the next packet.
 
         Args:
-            callback: gets each packet.
-            deadline, on_deadline: as for `Feed.subscribe`; `on_deadline` is called in the thread of the loop too.
+            callback: Function that is called with each packet.
+            deadline: See `Feed.subscribe`.
+            on_deadline: See `Feed.subscribe`. It is also called in the thread of the loop.
 
         Raises:
-            BadValue: an argument is not what it should be.
-            RemoteError: the first connection could not be made.
-            Closed: the stream was closed.
+            BadValue: If an argument is invalid.
+            RemoteError: If the first connection cannot be made.
+            Closed: If the stream was closed.
         """
         check_callable(callback, "callback")
         deadline = check_deadline(deadline, on_deadline)
@@ -163,21 +171,25 @@ class AsyncFeed(StrictAttributes, Generic[T]):
         )
 
     async def history(self, seconds: float) -> History:
-        """As `Feed.history`: ``with await robot.realtime.history(5) as history:``.
+        """Keep the states of the last seconds: ``with await robot.realtime.history(5) as history:``.
+
+        See `Feed.history`.
 
         Raises:
-            BadValue, RemoteError, Closed: as `Feed.history`.
+            BadValue, RemoteError, Closed: See `Feed.history`.
         """
         await self._loop_connection.connected()
         return self._feed.history(seconds)
 
     async def plot(self, *fields: str, seconds: float = 10.0, window: float = 10.0, period: float = 0.2) -> None:
-        """As `Feed.plot`. The loop does nothing else while a picture is drawn, which takes tens of milliseconds.
+        """Plot fields while they arrive; see `Feed.plot`.
+
+        The loop does nothing else while a plot is drawn, which takes tens of milliseconds.
 
         Raises:
-            BadValue, LocalError, LinkTimeout, RemoteError, Closed: as `Feed.plot`.
+            BadValue, LocalError, LinkTimeout, RemoteError, Closed: See `Feed.plot`.
         """
-        from ..plotting import LivePlot  # imported here: importing the library stays cheap
+        from ..plotting import LivePlot  # imported here: importing the library stays fast
 
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
@@ -201,13 +213,14 @@ class AsyncFeed(StrictAttributes, Generic[T]):
 
 
 class AsyncStream(AsyncFeed[T]):
-    """The packets of one interface of one robot, for programs that use asyncio: ``async for state in robot.realtime``.
+    """The packets of one interface of a robot, for programs that use asyncio.
 
-    The event loop reads it; there is no thread. Connects when first used, connects again by itself when the connection
-    is lost, and keeps its iterators and subscriptions meanwhile.
+    Example: ``async for state in robot.realtime``. The event loop reads it, without a thread. It connects when it is
+    first used. It reconnects automatically when the connection is lost, and keeps its iterators and subscriptions
+    meanwhile.
 
     Attributes:
-        stream: the same for other threads, over the connection that the loop reads.
+        stream: Same stream for other threads, over the connection that the loop reads.
     """
 
     __slots__ = ("stream",)
@@ -218,38 +231,38 @@ class AsyncStream(AsyncFeed[T]):
 
     @property
     def name(self) -> str:
-        """The address and the interface."""
+        """Address and interface."""
         return self.stream.name
 
     @property
     def connection(self) -> ConnectionState:
-        """What the connection is doing."""
+        """Current state of the connection."""
         return self.stream.connection
 
     @property
     def failure(self) -> Exception | None:
-        """What ended the stream, where it was not closed on purpose."""
+        """Error that ended the stream; None if it was closed on purpose, or has not ended."""
         return self.stream.failure
 
     @property
     def stats(self) -> StreamStatistics:
-        """The counters at this moment."""
+        """Counters at this moment."""
         return self.stream.stats
 
     async def start(self) -> None:
-        """Connect, if nothing has yet, and wait until it is done.
+        """Connect if the stream has not connected yet, and wait until it is connected.
 
         Raises:
-            RemoteError: the connection could not be made; the next use tries again.
-            Closed: the stream was closed.
+            RemoteError: If the connection cannot be made; the next use tries again.
+            Closed: If the stream was closed.
         """
         await self._loop_connection.connected()
 
     def of(self, kind: type[K]) -> AsyncFeed[K]:
-        """The packets of another class on the same stream; see `Stream.of`.
+        """Return the feed of another class of packets on the same stream; see `Stream.of`.
 
         Raises:
-            BadValue: not a class that this stream can have.
+            BadValue: If packets of this class cannot arrive on this stream.
         """
         return AsyncFeed(self.stream.of(kind))
 
@@ -261,28 +274,33 @@ class AsyncStream(AsyncFeed[T]):
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
     ) -> Subscription:
-        """As `AsyncFeed.subscribe`; with `kind`, to packets of that class."""
+        """Subscribe as with `AsyncFeed.subscribe`; with `kind`, to the packets of this class."""
         if kind is None:
             return await super().subscribe(callback, deadline=deadline, on_deadline=on_deadline)
         feed: AsyncFeed[Any] = self.of(kind)
         return await feed.subscribe(callback, deadline=deadline, on_deadline=on_deadline)
 
     async def description(self) -> dict[str, Any]:
-        """As `Stream.description`."""
+        """Return the description for a recording; see `Stream.description`."""
         return self.stream.description()
 
     async def join(self, timeout: float | None = None) -> bool:
-        """Wait until the stream is over: closed, or given up; False when time is up. At once where nothing has started.
+        """Wait until the stream is closed, or has stopped reconnecting.
+
+        Return False after `timeout` seconds. It returns at once if the stream has not connected yet.
+
+        Args:
+            timeout: Maximum wait in seconds; None for no limit.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
+            BadValue: If `timeout` is not a number of seconds.
         """
         return await self._loop_connection.joined(None if timeout is None else check_seconds(timeout, "timeout"))
 
     async def close(self) -> None:
         """Disconnect and end every iterator and subscription. Idempotent.
 
-        What waits is dropped and counted; under the policy `block` it can still be taken.
+        Queued packets are dropped and counted. Under the policy `block` they can still be taken.
         """
         await self._loop_connection.disconnected()
 

@@ -1,12 +1,13 @@
-"""One connection of one peer, kept up by an event loop: opened, read, and opened again when it is lost.
+"""A connection to one peer that an event loop opens, reads, and opens again when it is lost.
 
     transport -> receiver -> fan-out -> queues -> tasks
     [------------------ event loop ------------------]
 
-No thread waits: the loop calls when the socket has bytes, they are handed out at once, and a timer measures silence.
+No thread waits. The loop makes a call when the socket has bytes, their packets are published at once, and a timer
+measures silence.
 
-Other threads may use it as well, to send and to wait, as the code that commands a robot does. For them the thread of
-the loop is the reader. A call that would wait in that thread is refused: it would wait for itself.
+Other threads may use the connection too, to send and to wait, as the code that commands a robot does. For them the
+thread of the loop is the reader. A call that would wait in this thread is refused, because it would wait for itself.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from ..streaming.receiver import Receiver
 from ..streaming.scheduling import urgent
 from ..threads import ReentrantEvent
 
-#: Seconds that another thread leaves to the loop to close a socket. After that it does so itself: what was given up
-#: must not be sent, also where the loop is held up.
+#: Time in s for which another thread waits until the loop closes a socket. After that, the thread closes it itself,
+#: because abandoned data must not be sent, even if the loop is blocked.
 _HANDOVER = 0.05
 
-#: Seconds by which a timer may be early.
+#: Time in s by which a timer may be early.
 _EARLY = 1e-4
 
 
@@ -37,8 +38,11 @@ class LoopConnection(Connection):
     """A connection that an event loop reads.
 
     Args:
-        name, transport, protocol, fan_out, options: as for `Connection`.
-        loop: reads it.
+        name: See `Connection`.
+        transport: See `Connection`.
+        arguments: Further arguments of `Connection`: `protocol` and `fan_out`.
+        loop: Event loop that reads the connection.
+        options: Keyword arguments of `Connection`.
     """
 
     _transport: AwaitedTransport
@@ -48,60 +52,63 @@ class LoopConnection(Connection):
     ) -> None:
         super().__init__(name, transport, *arguments, **options)
         self._loop = loop
-        self._task: asyncio.Task[None] | None = None  # refers to this, and this to it, until it is over
+        self._task: asyncio.Task[None] | None = None  # this object and the task refer to each other until it ends
         self._opening: asyncio.Task[None] | None = None
         self._settled: asyncio.Future[None] = loop.create_future()
         self._closing: asyncio.Future[None] = loop.create_future()
         self._has_ended = ReentrantEvent()
         self._has_ended.set()
-        # Of the present connection.
+        # The following attributes belong to the current connection.
         self._receiver: Receiver | None = None
         self._over: asyncio.Future[Exception | None] | None = None
-        self._descriptor = -1  # that the loop watches
+        self._descriptor = -1  # descriptor that the loop watches
         self._full: set[object] = set()  # queues that have no room
         self._timer: asyncio.TimerHandle | None = None
         self._timer_wait: float | None = None
         self._quiet_since = 0.0
-        self._is_taking = False  # and calls back: what is called may look too
+        self._is_taking = False  # whether `_take_waiting` runs; a callback may call it again
 
     # -- beginning and ending --------------------------------------------------------------------
 
     @property
     def is_running(self) -> bool:
-        """It is read, or is about to be."""
+        """Whether the loop reads it, or is about to read it."""
         return not self._has_ended.is_set()
 
     def reads_here(self) -> bool:
-        """The current thread is that of the loop."""
+        """Whether the current thread is the thread of the loop."""
         try:
             return asyncio.get_running_loop() is self._loop
         except RuntimeError:
             return False
 
     def refuse_to_wait(self, what: str) -> None:
-        """Raise where the current thread would wait for itself.
+        """Raise if the current thread would wait for itself.
 
         Raises:
-            LocalError: it is that of the loop.
+            LocalError: If the current thread is the thread of the loop.
         """
         if self.reads_here():
             raise LocalError(
-                f"{what} would wait for ever: it was called in the thread of the event loop, which reads {self.name} "
-                "and would read nothing meanwhile; await it"
+                f"{what} would wait forever: the thread of the event loop reads {self.name}, so nothing is read while "
+                "it waits; await the call instead"
             )
 
     def start(self, add: Callable[[], object] | None = None) -> None:
-        """As `Connection.start`, in any thread but that of the loop; there only once it is connected."""
+        """Connect as `Connection.start` does.
+
+        In the thread of the loop, it must already be connected.
+        """
         if not self._is_settled:
             self.refuse_to_wait("connecting")
         super().start(add)
 
     async def connected(self, add: Callable[[], object] | None = None) -> None:
-        """As `start`, for tasks of the loop.
+        """Connect as `start` does, for tasks of the loop.
 
         Raises:
-            RemoteError: the connection could not be made; the next use tries again.
-            Closed: it was closed.
+            RemoteError: If the connection cannot be made; the next use tries again.
+            Closed: If it was closed.
         """
         if self._life.is_closed:
             raise Closed(f"{self.name} was closed")
@@ -116,7 +123,7 @@ class LoopConnection(Connection):
             raise unraised(attempt.failure)
 
     async def disconnected(self) -> None:
-        """Disconnect and end every queue, as `close`, for tasks of the loop. Idempotent."""
+        """Disconnect and end every queue, as `close` does, for tasks of the loop. Idempotent."""
         self._stop()
         self.fan_out.close(all=False)
         task = self._task
@@ -124,11 +131,14 @@ class LoopConnection(Connection):
             await asyncio.wait({task})
 
     async def joined(self, timeout: float | None) -> bool:
-        """Wait until nothing will come any more, as `join`, for tasks of the loop; False when time is up."""
+        """Wait until no more packets will arrive; return False after `timeout` seconds.
+
+        It is for tasks of the loop.
+        """
         return self._task is None or await within(timeout, self._task)
 
     def abandon(self) -> None:
-        """End everything without waiting for anything."""
+        """End everything without waiting."""
         self._stop()
         if self._loop.is_closed():
             self._transport.abort()
@@ -143,7 +153,7 @@ class LoopConnection(Connection):
             raise
 
     def _start_reading(self) -> None:
-        if self._life.is_closed:  # since another thread asked for it
+        if self._life.is_closed:  # another thread has closed it meanwhile
             self._finish(None)
             self._has_ended.set()
             return
@@ -155,7 +165,7 @@ class LoopConnection(Connection):
         return clock.wait(self._has_ended.wait, timeout)
 
     def _hang_up(self) -> None:
-        """The task disconnects: `_stop` has woken it."""
+        """Do nothing, because `_stop` has woken the task, which disconnects."""
 
     def _settle(self) -> None:
         super()._settle()
@@ -163,7 +173,7 @@ class LoopConnection(Connection):
 
     def _stop(self) -> None:
         super()._stop()
-        with contextlib.suppress(LocalError):  # no loop, so nothing that goes on
+        with contextlib.suppress(LocalError):  # the loop is closed, so nothing runs any more
             self.call(self._on_closing)
 
     def _on_closing(self) -> None:
@@ -174,10 +184,10 @@ class LoopConnection(Connection):
         self._end(None)
 
     def call(self, function: Callable[[], object]) -> None:
-        """Call in the thread of the loop, at once if this is it.
+        """Call `function` in the thread of the loop; at once if this is the thread of the loop.
 
         Raises:
-            LocalError: the loop is closed.
+            LocalError: If the loop is closed.
         """
         if self.reads_here():
             function()
@@ -190,11 +200,11 @@ class LoopConnection(Connection):
     # -- sending ---------------------------------------------------------------------------------
 
     def abort(self) -> None:
-        """Give up what was sent: discard what the peer has not acknowledged, and connect again."""
+        """Abort the connection, discard the data that the peer has not acknowledged, and reconnect."""
         if self.reads_here():
             self._abort_here()
             return
-        # The loop has to forget the descriptor before its number can be given to another socket.
+        # The loop must forget the descriptor before its number can be given to another socket.
         done = ReentrantEvent()
 
         def abort() -> None:
@@ -209,13 +219,13 @@ class LoopConnection(Connection):
     def _abort_here(self) -> None:
         self._watch_no_more()
         self._transport.abort()
-        self._end(ConnectionLost(f"{self.name} was closed here"))
+        self._end(ConnectionLost(f"{self.name} was closed by this program"))
 
     # -- reading ---------------------------------------------------------------------------------
 
     async def _keep_up(self) -> None:
-        """What the reader thread of a `Connection` does."""
-        with urgent():  # the thread of the loop
+        """Do the work of the reader thread of a `Connection`."""
+        with urgent():  # for the thread of the loop
             await self._connect_until_closed()
 
     async def _connect_until_closed(self) -> None:
@@ -233,7 +243,7 @@ class LoopConnection(Connection):
                 if self._life.is_closed:
                     self._finish(None)
                     return
-        except asyncio.CancelledError:  # by the end of the loop
+        except asyncio.CancelledError:  # the loop ends
             super()._stop()
             self._finish(None)
             raise
@@ -241,7 +251,7 @@ class LoopConnection(Connection):
             self._has_ended.set()
 
     async def _connect_and_await(self) -> None:
-        """One connection, until it is lost or closed; raises what ended it."""
+        """Connect, and wait until the connection is lost or closed; raise the error that ended it."""
         self._connecting()
         self._opening = opening = self._loop.create_task(self._transport.connect(self._timeout))
         try:
@@ -259,7 +269,8 @@ class LoopConnection(Connection):
         self.silence.end(clock.now())
         try:
             self._watch()
-            while self._take_waiting():  # what came while it was connected; after that the loop tells
+            # Take the bytes that arrived while it was connecting. For later bytes, the loop makes a call.
+            while self._take_waiting():
                 pass
             self._set_timer()
             error = await over
@@ -270,19 +281,19 @@ class LoopConnection(Connection):
             try:
                 raise error
             finally:
-                del error  # it refers to this frame
+                del error  # breaks the reference cycle between the error and this frame
         await self._transport.disconnect()
 
     def _watch(self) -> None:
-        """Be called when bytes come.
+        """Let the loop make a call when bytes arrive.
 
         Raises:
-            ConnectionLost: it was closed meanwhile.
-            LocalError: the loop cannot do that.
+            ConnectionLost: If it was closed meanwhile.
+            LocalError: If the loop cannot wait for sockets.
         """
         descriptor = self._transport.fileno()
         if descriptor < 0:
-            raise ConnectionLost(f"{self.name} was closed here")
+            raise ConnectionLost(f"{self.name} was closed by this program")
         watch(self._loop, descriptor, self._readable)
         self._descriptor = descriptor
 
@@ -293,7 +304,7 @@ class LoopConnection(Connection):
         self._call_in(None)
 
     def _end(self, error: Exception | None) -> None:
-        """This connection is over; None where it is closed on purpose."""
+        """End this connection with an error; None if it is closed on purpose."""
         if self._over is not None and not self._over.done():
             self._watch_no_more()
             self._over.set_result(error)
@@ -304,7 +315,7 @@ class LoopConnection(Connection):
             self._set_timer()
 
     def _take_waiting(self) -> bool:
-        """Hand out what has come; False if nothing has."""
+        """Publish the packets of bytes that have arrived; return False if there are none."""
         if self._receiver is None or self._descriptor < 0 or self._is_taking:
             return False
         self._is_taking = True
@@ -323,19 +334,25 @@ class LoopConnection(Connection):
         return True
 
     def look(self) -> None:
-        """Hand out what has come, before anybody concludes that nothing has: the loop may have been held up."""
+        """Publish bytes that have already arrived, before a caller concludes that nothing has arrived.
+
+        The loop might have been blocked meanwhile.
+        """
         while self._take_waiting():
             pass
 
     # -- back-pressure ---------------------------------------------------------------------------
 
     def hold(self, queue: object) -> None:
-        """Read no more until `release`: a queue that loses nothing is full. In the thread of the loop."""
+        """Stop reading until `release`, because a queue that drops nothing is full.
+
+        Call it in the loop's thread.
+        """
         self._full.add(queue)
         self._watch_no_more()
 
     def release(self, queue: object) -> None:
-        """The queue has room, or is gone."""
+        """Continue to read if no other queue is full. The given queue has room again, or was closed."""
         if queue not in self._full:
             return
         self._full.discard(queue)
@@ -350,7 +367,7 @@ class LoopConnection(Connection):
     # -- silence ---------------------------------------------------------------------------------
 
     def _set_timer(self) -> None:
-        """Be called when nothing has come for `silence.wait` seconds from now."""
+        """Start a timer that expires if nothing arrives for `silence.wait` seconds from now."""
         self._quiet_since = clock.now()
         self._timer_wait = self.silence.wait
         self._call_in(self._timer_wait)
@@ -370,7 +387,7 @@ class LoopConnection(Connection):
         wait = self._timer_wait
         assert wait is not None
         left = self._quiet_since + wait - clock.now()
-        if left > _EARLY:  # not set anew for each packet: that would cost more than reading it
+        if left > _EARLY:  # the timer is not restarted for each packet, because this would take longer than reading it
             self._call_in(left)
             return
         try:

@@ -1,4 +1,4 @@
-"""Packets as a task takes them: a bounded queue that an event loop fills, and an asynchronous iterator over it."""
+"""Packets for a task: a bounded queue that an event loop fills, and an asynchronous iterator over it."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ T = TypeVar("T")
 
 
 class LoopQueue(BoundedQueue):
-    """Packets waiting for one task. Everything happens in the thread of the loop.
+    """Queue of packets for one task. Everything happens in the thread of the loop.
 
     Args:
-        policy: what to do when the task falls behind. If it makes the reader wait, the loop reads no more from this
-            peer when the queue is full, until it is half empty. What was read in the same moment, at most 64 KiB, is
-            still taken in, so up to some 60 packets more than the limit can wait.
-        connection: is read no more when the queue is full.
-        lifespan: seconds after its arrival for which a packet can be taken; None for ever.
+        policy: Behaviour when the task falls behind. If the policy makes the reader wait, the loop stops reading from
+            this peer when the queue is full, until it is half empty. Bytes that were read at the same moment, at most
+            64 KiB, are still accepted, so the queue can exceed the limit by about 60 packets.
+        connection: Connection that is not read while the queue is full.
+        lifespan: Seconds after its arrival for which a packet can be taken; None for no limit.
     """
 
     def __init__(self, policy: Policy, connection: LoopConnection, lifespan: float | None = None) -> None:
@@ -38,9 +38,9 @@ class LoopQueue(BoundedQueue):
         self._waiter: asyncio.Future[None] | None = None
 
     def offer(self, packets: Sequence[Any]) -> None:
-        """Hand packets over."""
+        """Add packets."""
         super().offer(packets)
-        # A full queue has to say so at once: what the loop reads next could not be refused.
+        # A full queue must stop the reading at once, because the next packets could not be rejected.
         if self.makes_reader_wait and len(self._packets) >= self._limit and not self._is_ended:
             self._reader_sleeps = True
             self._connection.hold(self)
@@ -59,22 +59,22 @@ class LoopQueue(BoundedQueue):
         self._connection.release(self)
 
     async def next(self, timeout: float | None = None) -> Any | None:
-        """Wait for a packet and take it; None when time is up, or when no more will come: `is_over` tells which.
+        """Wait for a packet, and return it; return None after `timeout`, or when `is_over` is true.
 
         Raises:
-            LocalError: another task waits here.
+            LocalError: If another task already waits for a packet.
         """
         timer: asyncio.TimerHandle | None = None
         is_late = False
 
         def time_is_up() -> None:
             nonlocal is_late
-            self._connection.look()  # the loop may have been held up while packets came
+            self._connection.look()  # packets might have arrived while the loop was blocked
             is_late = True
             self._wake_consumer()
 
         if self._waiter is not None:
-            raise LocalError("another task waits for packets of this iterator; give each task one of its own")
+            raise LocalError("another task waits for packets of this iterator; use a separate iterator for each task")
         loop = asyncio.get_running_loop()
         try:
             while (packet := self.take()) is None:
@@ -97,18 +97,18 @@ class LoopQueue(BoundedQueue):
 
 
 class Packets(StrictAttributes, Generic[T]):
-    """Packets of one class, one after the other; made by `AsyncFeed.iterate`, for one ``async for``.
+    """Iterator over the packets of one class, returned by `AsyncFeed.iterate`, for a single ``async for``.
 
-    It begins with the first step, and ends with the loop, or with `aclose`. A task that is cancelled while it waits
-    loses no packet: the next step has it.
+    It begins with the first step, and ends with the loop, or with `aclose`. If a task is cancelled while it waits, no
+    packet is lost: the next step returns it.
 
     Args:
-        connection: where they come from.
-        feed: the same for threads; it has the class, and what to raise where none came.
-        policy: what to do when the task falls behind.
-        timeout: seconds within which each has to come; None for ever.
-        lifespan: seconds after its arrival for which a packet is worth having; None for ever.
-        is_loop: Whether `Stream.stats` counts what is dropped because the task falls behind.
+        connection: Connection of the packets.
+        feed: Feed for threads. It has the class of the packets, and makes the errors.
+        policy: Behaviour when the task falls behind.
+        timeout: Maximum wait for each packet in seconds; None for no limit.
+        lifespan: Maximum age of a packet in seconds after its arrival; None for no limit.
+        is_loop: Whether `Stream.stats` counts the packets that are dropped because the task falls behind.
     """
 
     def __init__(
@@ -122,18 +122,18 @@ class Packets(StrictAttributes, Generic[T]):
         is_loop: bool,
     ) -> None:
         self._connection = connection
-        self._feed = feed  # keeps the stream from being collected
+        self._feed = feed  # prevents the garbage collection of the stream
         self._timeout = timeout
         self._expand: Callable[[Any], Iterable[T]] | None = connection.fan_out.expander(feed._kind)
         self._queue = LoopQueue(policy, connection, lifespan)
         self._is_loop = is_loop
-        self._parts: deque[T] = deque()  # of the packet that was taken last
+        self._parts: deque[T] = deque()  # remaining parts of the last packet
         self._is_open = False
         self._missed = 0
 
     @property
     def stats(self) -> SubscriptionStatistics:
-        """The counters at this moment; ``offered == delivered + dropped + waiting``."""
+        """Counters at this moment; ``offered == delivered + dropped + waiting``."""
         queue = self._queue
         return SubscriptionStatistics(
             queue.offered, queue.taken, queue.dropped, 0, queue.waiting, self._missed, queue.expired
@@ -156,11 +156,11 @@ class Packets(StrictAttributes, Generic[T]):
         raise self._feed._why_nothing(self._timeout)
 
     async def next(self, timeout: float | None) -> T | None:
-        """The next packet; None when time is up, or when no more will come.
+        """Return the next packet; return None after `timeout`, or if no more packets will arrive.
 
         Raises:
-            RemoteError, Closed: the first connection could not be made.
-            LocalError: another task waits here.
+            RemoteError, Closed: If the first connection cannot be made.
+            LocalError: If another task already waits for a packet.
         """
         if self._parts:
             return self._parts.popleft()
@@ -175,10 +175,10 @@ class Packets(StrictAttributes, Generic[T]):
         return self._parts.popleft()
 
     async def open(self) -> None:
-        """Connect, if nothing has yet; from now on no packet is missed.
+        """Connect if it has not connected yet, and start to queue packets.
 
         Raises:
-            RemoteError, Closed: the first connection could not be made.
+            RemoteError, Closed: If the first connection cannot be made.
         """
         connection = self._connection
         self._is_open = True
@@ -194,7 +194,7 @@ class Packets(StrictAttributes, Generic[T]):
             self._queue.end()
 
     async def aclose(self) -> None:
-        """Take no more; what waits is dropped and counted. Idempotent."""
+        """Accept no more packets; queued packets are dropped and counted. Idempotent."""
         self._connection.fan_out.remove(self._queue)
         self._queue.close()
         self._connection.counters.loop_ended(self._queue)
@@ -206,13 +206,13 @@ class Packets(StrictAttributes, Generic[T]):
         await self.aclose()
 
     def __del__(self) -> None:
-        # A loop that was left before its end: nobody can take what comes any more.
+        # The iterator was left before its end, so the next packets cannot be taken any more.
         if getattr(self, "_is_open", False):
             connection, queue = self._connection, self._queue
             connection.fan_out.remove(queue)
             connection.counters.loop_ended(queue)
             with contextlib.suppress(LocalError):  # the loop is closed
-                connection.call(queue.close)  # this may be a thread that collects garbage
+                connection.call(queue.close)  # the garbage collector may run in another thread
 
     def __repr__(self) -> str:
         stats = self.stats

@@ -17,7 +17,7 @@ from ..errors import ConnectFailed, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
 from .transport import TcpTransport, Transport
 
-#: What a connection that does not wait answers while it is made; 10035 is WSAEWOULDBLOCK, of Windows.
+#: Results of a non-blocking `connect` that is still in progress; 10035 is WSAEWOULDBLOCK of Windows.
 _IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK, 10035)
 
 
@@ -25,28 +25,31 @@ class AwaitedTransport(Transport, Protocol):
     """A source of bytes that an event loop can wait for."""
 
     async def connect(self, timeout: float) -> None:
-        """As `open`; while other things go on."""
+        """Connect like `open`, without blocking the event loop."""
 
     def fileno(self) -> int:
-        """The descriptor that is readable when bytes have come; -1 while there is no connection."""
+        """Return the descriptor that becomes readable when bytes arrive.
+
+        Return -1 if there is no connection.
+        """
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
-        """The bytes that have come already, or None; never waits; raises `ConnectionLost`."""
+        """Return the bytes that have already arrived, or None; never waits; raises `ConnectionLost`."""
 
     async def disconnect(self) -> None:
-        """As `close`; while other things go on."""
+        """Disconnect like `close`, without blocking the event loop."""
 
 
 class AwaitedTcp(TcpTransport):
     """A TCP connection that an event loop waits for."""
 
     async def connect(self, timeout: float) -> None:
-        """Connect within `timeout` seconds. Given up, nothing is left of it.
+        """Connect within `timeout` seconds. If the call is cancelled, everything is closed.
 
         Raises:
-            ConnectFailed: refused, unreachable, or no such host.
-            LinkTimeout: no answer in time.
-            LocalError: the loop cannot wait for sockets.
+            ConnectFailed: If the connection is refused, or the host is unreachable or unknown.
+            LinkTimeout: If the host does not answer in time.
+            LocalError: If the loop cannot wait for sockets.
         """
         self.abort()
         try:
@@ -56,21 +59,26 @@ class AwaitedTcp(TcpTransport):
         self.adopt(connection, ConnectFailed)
 
     async def receive_awaited(self, timeout: float) -> tuple[bytes, Stamp]:
-        """Wait for bytes; with the moment they came. Not while the loop watches the descriptor for somebody else.
+        """Wait for bytes; return them with the time of their arrival.
+
+        Do not call this while the loop watches the descriptor for another reader.
 
         Raises:
-            LinkTimeout: nothing came in that time.
-            ConnectionLost: the peer closed or reset the connection, or it was closed here.
-            LocalError: the loop cannot wait for sockets.
+            LinkTimeout: If nothing arrives in time.
+            ConnectionLost: If the peer closes or resets the connection, or this program closes it.
+            LocalError: If the loop cannot wait for sockets.
         """
         until = clock.now() + timeout
         while (received := self.receive_waiting()) is None:
             if not await _is_ready(self.fileno(), until - clock.now()):
-                raise LinkTimeout(f"{self.name}: nothing within {timeout:g} s")
+                raise LinkTimeout(f"{self.name}: nothing received within {timeout:g} s")
         return received
 
     async def disconnect(self) -> None:
-        """Disconnect when the peer's kernel has acknowledged what was sent; see `TcpTransport.close`."""
+        """Disconnect when the peer's kernel has acknowledged all sent data.
+
+        See `TcpTransport.close`.
+        """
         try:
             for pause in self.closing():
                 await asyncio.sleep(pause)
@@ -81,22 +89,22 @@ class AwaitedTcp(TcpTransport):
 def watch(
     loop: asyncio.AbstractEventLoop, descriptor: int, callback: Callable[[], object], *, for_room: bool = False
 ) -> None:
-    """Have the loop call when bytes have come; with `for_room`, when there is room to send.
+    """Let the loop call `callback` when bytes have arrived, or with `for_room`, when there is room to send.
 
     Raises:
-        LocalError: such a loop cannot.
+        LocalError: If the loop cannot wait for sockets.
     """
     try:
         (loop.add_writer if for_room else loop.add_reader)(descriptor, callback)
     except NotImplementedError:
         raise LocalError(
-            f"{type(loop).__name__} cannot wait for sockets; on Windows run the program with "
-            "asyncio.SelectorEventLoop, which can"
+            f"{type(loop).__name__} cannot wait for sockets; on Windows, run the program with "
+            "asyncio.SelectorEventLoop, which can wait for them"
         ) from None
 
 
 async def _is_ready(descriptor: int, seconds: float, *, for_room: bool = False) -> bool:
-    """Wait until bytes have come, or there is room; False when time is up."""
+    """Wait until bytes have arrived, or there is room; return False after `seconds`."""
     loop = asyncio.get_running_loop()
     ready: asyncio.Future[None] = loop.create_future()
     watch(loop, descriptor, lambda: happened(ready), for_room=for_room)
@@ -107,9 +115,9 @@ async def _is_ready(descriptor: int, seconds: float, *, for_room: bool = False) 
 
 
 async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, float]:
-    """A connection to the first address of `host` that answers, and the s of its handshake.
+    """Return a connection to the first address of `host` that answers, and the duration of its handshake in s.
 
-    `timeout` is for all of them together.
+    `timeout` is the maximum time for all addresses together.
     """
     until = clock.now() + timeout
     failure: Exception | None = None
@@ -118,7 +126,7 @@ async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socke
         left = (until - clock.now()) / (len(places) - number)
         try:
             connection = socket.socket(family, kind, protocol)
-        except OSError as error:  # this computer lacks the family
+        except OSError as error:  # this computer does not support the address family
             failure = unraised(error)
             continue
         try:
@@ -136,11 +144,11 @@ async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socke
     try:
         raise failure or OSError(f"{host} has no address")
     finally:
-        failure = None  # the error refers to this frame
+        failure = None  # breaks the reference cycle between the error and this frame
 
 
 async def _connect(connection: socket.socket, address: Any, seconds: float) -> None:
-    """As `loop.sock_connect`, in no task of its own: cancelled, nothing is left that has the descriptor."""
+    """Connect like `loop.sock_connect`, but without a separate task that might keep the descriptor after a cancel."""
     connection.setblocking(False)
     error = connection.connect_ex(address)
     if error in _IN_PROGRESS:
@@ -152,9 +160,9 @@ async def _connect(connection: socket.socket, address: Any, seconds: float) -> N
 
 
 async def _addresses(host: str, port: int, timeout: float) -> list[Any]:
-    with contextlib.suppress(OSError):  # it is a name
+    with contextlib.suppress(OSError):  # `host` is a name
         return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
-    # The system's resolver waits, so a thread of the loop's own asks it; what it answers too late is dropped.
+    # The system's resolver blocks, so a thread of the loop calls it. An answer that arrives too late is dropped.
     loop = asyncio.get_running_loop()
     asked = loop.run_in_executor(None, partial(socket.getaddrinfo, host, port, type=socket.SOCK_STREAM))
     try:
@@ -162,5 +170,5 @@ async def _addresses(host: str, port: int, timeout: float) -> list[Any]:
             return asked.result()
     finally:
         if not asked.cancel():
-            asked.exception()  # read, or asyncio would log it where the task is cancelled
+            asked.exception()  # reading the exception prevents asyncio from logging it if the task is cancelled
     raise TimeoutError

@@ -1,10 +1,10 @@
-"""Question and answer over TCP, a line or so each, on a connection that is made when it is needed.
+"""Short questions and answers over TCP, such as single lines, on a connection that is made when it is needed.
 
-An answer does not say which question it belongs to: only the order tells. So threads take turns, and a
-connection on which an exchange failed is closed, since a late answer on it would be taken for the answer to the next
-question. The next one begins on a new connection. A question that may have reached the peer is never asked again.
+An answer does not name its question; they are matched only by their order. So threads take turns. After a failed
+exchange the connection is closed, because a late answer would be mistaken for the answer to the next question. The next
+question uses a new connection. A question that might have reached the peer is never asked again.
 
-A signal handler that asks while its own thread waits for an answer uses a connection of its own.
+If a signal handler asks while the interrupted thread waits for an answer, it uses a separate connection.
 """
 
 from __future__ import annotations
@@ -22,38 +22,44 @@ from .undo import MAY_STILL
 
 
 class DialogueProtocol(Protocol):
-    """One connection, sans-IO; a new one for each connection."""
+    """Protocol of one connection, sans-IO; each connection has a new one."""
 
     @property
     def is_greeted(self) -> bool:
-        """The greeting of the peer has been received, so that something can be asked."""
+        """Whether the greeting of the peer was received, so that a question can be asked."""
 
     @property
     def is_in_step(self) -> bool:
-        """Greeted, nothing asked that was not answered, and nothing received that was not asked for."""
+        """Whether the greeting was received, every question was answered, and nothing else was received."""
 
     @property
     def settling(self) -> float | None:
-        """Seconds without more after which what has come is the answer; None where its end can be seen."""
+        """Seconds without further bytes after which an answer is complete.
+
+        It is None if its end can be recognised.
+        """
 
     def ask(self, text: str) -> bytes:
-        """The bytes that ask."""
+        """Return the bytes of a question."""
 
     def feed(self, data: bytes) -> str | None:
-        """The answer, once it is whole. No bytes are fed where nothing more has come for `settling`."""
+        """Return the answer when it is complete.
+
+        `data` is empty if nothing has arrived for `settling` seconds.
+        """
 
 
 class Dialogue:
-    """Asks one peer, which threads may share.
+    """Dialogue with one peer, which threads may share.
 
     Args:
-        transport: of the connection.
-        protocol: makes the protocol of one connection.
-        name: of the peer, for messages.
-        timeout: seconds for a connection to be made.
+        transport: Transport of the connection.
+        protocol: Function that returns a new protocol for each connection.
+        name: Name of the peer, used in messages.
+        timeout: Maximum time for connecting, in s.
 
     Attributes:
-        is_closed: `close` was called.
+        is_closed: Whether `close` was called.
     """
 
     def __init__(
@@ -79,33 +85,34 @@ class Dialogue:
         """Ask, and wait for the answer.
 
         Args:
-            text: the question.
-            timeout: seconds for all of it.
-            stays: says by the answer whether the connection is kept.
-            gate: calls what sends, which does not wait, or raises what keeps the question from being sent.
-            given_up: called where it was sent, and its answer did not come; the error then says that it may still be
-                carried out. None for a question that changes nothing.
+            text: Question.
+            timeout: Maximum time for the whole exchange, in s.
+            stays: Function that gets the answer, and returns whether the connection is kept.
+            gate: Function that calls its argument, which sends and does not wait. It may raise an error to prevent the
+                question from being sent.
+            given_up: Function that is called if the question was sent, but no answer was received. The error then
+                states that the question might still be executed. None for a question that changes nothing.
 
         Raises:
-            LinkTimeout: no answer came in time, or other threads had their turn for so long.
-            ConnectFailed, ConnectionLost: the peer is not there, or went away.
-            Closed: `close` was called.
-            Cancelled: the task that awaits this call was cancelled.
-            LinkError: whatever the protocol or the gate raises.
+            LinkTimeout: If no answer arrives in time, or other threads use the connection for longer than `timeout`.
+            ConnectFailed, ConnectionLost: If the peer cannot be reached, or disconnects.
+            Closed: If `close` was called.
+            Cancelled: If the task that awaits this call was cancelled.
+            LinkError: If the protocol or the gate raises it.
         """
         if self._asker == threading.get_ident():
-            # A signal handler, and the thread that it keeps waits for an answer on the connection.
+            # This is a signal handler, and the interrupted thread waits for an answer on the connection.
             return self._ask_beside(text, timeout, gate, given_up)
         until = clock.now() + timeout
-        busy = f"{self._name}: {text!r} was not sent, since for {timeout:g} s another thread waited for its own reply"
+        busy = f"{self._name}: {text!r} was not sent, because another thread waited for its reply for {timeout:g} s"
         is_sent, answer = False, None
 
         def send() -> None:
             nonlocal is_sent
             data = protocol.ask(text)
-            # All of it at once: a peer that has answered every question has room for the next.
+            # The whole question can be sent at once: a peer that has answered every question has room for the next.
             if self._transport.send_some(data) < len(data):
-                raise LinkTimeout(f"{self._name} does not take {text[:80]!r}")
+                raise LinkTimeout(f"{self._name} did not accept {text[:80]!r}")
             is_sent = True
 
         with held(self._lock, timeout, busy):
@@ -127,7 +134,7 @@ class Dialogue:
                     given_up()
                     hint = f"; {MAY_STILL}"
                 if self.is_closed and isinstance(error, ConnectionLost):
-                    raise Closed(f"{self._name} was closed while {text!r} waited{hint}") from error
+                    raise Closed(f"{self._name} was closed while {text!r} waited for a reply{hint}") from error
                 if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
                     error.args = (f"{error}{hint}",)
                 raise
@@ -147,7 +154,7 @@ class Dialogue:
         gate: Callable[[Callable[[], object]], object],
         given_up: Callable[[], object] | None,
     ) -> str:
-        """Ask on a new connection, which is closed afterwards."""
+        """Ask on a separate new connection, which is closed afterwards."""
         if self.is_closed:
             raise Closed(f"{self._name} was closed")
         beside = Dialogue(self._transport.another(), self._make, self._name, self._timeout)
@@ -157,12 +164,15 @@ class Dialogue:
             beside.close()
 
     def close(self) -> None:
-        """Disconnect for good; what waits in another thread ends with `Closed`. Idempotent."""
+        """Disconnect permanently; a question that waits in another thread ends with `Closed`.
+
+        Idempotent.
+        """
         self.is_closed = True
         self._transport.close()
 
     def _connected(self, until: float) -> DialogueProtocol:
-        """The protocol of a connection on which nothing is under way; a new one if need be."""
+        """Return the protocol of an idle connection; make a new connection if necessary."""
         if self._protocol is not None and not self._is_in_step(self._protocol):
             self._disconnect()
         if self._protocol is None:
@@ -171,14 +181,18 @@ class Dialogue:
             protocol = self._make()
             self._transport.open(clock.left(until))
             if self.is_closed:
-                raise ConnectionLost(f"{self._name} was closed here")
+                raise ConnectionLost(f"{self._name} was closed by this program")
             while not protocol.is_greeted:
-                protocol.feed(self._received(protocol, until, "no greeting came"))
+                protocol.feed(self._received(protocol, until, "no greeting was received"))
             self._protocol = protocol
         return self._protocol
 
     def _is_in_step(self, protocol: DialogueProtocol) -> bool:
-        """Nothing has been sent yet, so a connection that was lost, or on which something came unasked, can be left."""
+        """Whether the connection is open and idle, so that a question can be sent on it.
+
+        If it was lost, or if the peer has sent something without a question, it can be replaced, because nothing of the
+        next question has been sent yet.
+        """
         try:
             return self._transport.receive_waiting() is None and protocol.is_in_step
         except ConnectionLost:

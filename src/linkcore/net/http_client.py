@@ -1,7 +1,7 @@
-"""A client of HTTP with one deadline for all of an exchange: connecting, redirects, and every byte of the answer.
+"""An HTTP client with a single deadline for a whole exchange: connecting, redirects, and all bytes of the answer.
 
-The clients of the standard library bound each wait by itself, so that a server which sends a byte now and then holds
-them up for ever.
+The clients of the standard library limit each wait separately. So a server that sends a byte now and then could block
+them forever.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from ..wire.http import HttpParser, HttpRequest, HttpResponse
 from .transport import TcpTransport
 from .undo import MAY_STILL
 
-#: Redirects that are followed.
+#: Maximum number of redirects that are followed.
 _MOST_REDIRECTS = 5
 _MOVED = (301, 302, 303, 307, 308)
 
 
 class HttpClient:
-    """Asks one server, on a connection for each request. Threads may share it.
+    """Client of one server that makes a connection for each request. Threads may share it.
 
     Args:
-        host: name or address.
+        host: Host name or address.
         port: TCP port.
-        refused: what to say beside the error where the connection is refused; see `TcpTransport`.
+        refused: Function that returns a hint for the error if the connection is refused. See `TcpTransport`.
     """
 
     def __init__(self, host: str, port: int, *, refused: Callable[[], str] = str) -> None:
@@ -39,19 +39,20 @@ class HttpClient:
         self._is_closed = False
 
     def ask(self, request: HttpRequest, timeout: float, given_up: Callable[[], object] | None = None) -> HttpResponse:
-        """The answer to a request; redirects are followed.
+        """Send a request, follow redirects, and return the answer.
 
         Args:
-            request: what is asked.
-            timeout: seconds for all of it.
-            given_up: called where it was sent, and its answer did not come; the error then says that it may still be
-                carried out. None for a request that changes nothing.
+            request: Request.
+            timeout: Maximum time for the whole exchange, in s.
+            given_up: Function that is called if the request was sent, but no answer was received. The error then states
+                that the request might still be executed. None for a request that changes nothing.
 
         Raises:
-            ConnectFailed, ConnectionLost: the server is not there, or goes away.
-            LinkTimeout: the answer was not whole within `timeout` seconds.
-            Closed: `close` was called.
-            Cancelled: the task that awaits this call was cancelled.
+            ConnectFailed, ConnectionLost: If the server cannot be reached, or disconnects.
+            WrongPeer: If the peer is not an HTTP server, or redirects to an invalid address or too often.
+            LinkTimeout: If the answer is not complete within `timeout` seconds.
+            Closed: If `close` was called.
+            Cancelled: If the task that awaits this call was cancelled.
         """
         until = clock.now() + timeout
         host, port = self.host, self.port
@@ -65,16 +66,16 @@ class HttpClient:
                 there = urlsplit(urljoin(here, location))
                 host, port = there.hostname or "", there.port or 80
             except ValueError:
-                raise WrongPeer(f"{here} redirects to {location[:200]!r}, which is no address") from None
+                raise WrongPeer(f"{here} redirects to {location[:200]!r}, which is not a valid address") from None
             if there.scheme != "http" or not host:
-                raise WrongPeer(f"{here} redirects to {location[:200]}; only http is spoken here")
+                raise WrongPeer(f"{here} redirects to {location[:200]}; only http is supported")
             request = replace(request, target=f"{there.path or '/'}{'?' if there.query else ''}{there.query}")
             if response.status == 303:
                 request = replace(request, method="GET", body=b"")
         raise WrongPeer(f"{_authority(self.host, self.port)} redirects more than {_MOST_REDIRECTS} times")
 
     def close(self) -> None:
-        """End what is under way; nothing is asked any more. Idempotent, from any thread."""
+        """Abort running requests, and send no more. Idempotent, in any thread."""
         self._is_closed = True
         for transport in tuple(self._open):
             transport.abort()
@@ -97,7 +98,7 @@ class HttpClient:
             with interruptible(transport.abort):
                 transport.open(_left(until, transport.name, timeout))
                 if self._is_closed:
-                    raise ConnectionLost(f"{transport.name} was closed here")
+                    raise ConnectionLost(f"{transport.name} was closed by this program")
                 is_sent = True
                 transport.send(data, _left(until, transport.name, timeout))
                 while answer is None:
@@ -111,7 +112,7 @@ class HttpClient:
             if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
                 if self._is_closed:
                     what = f"{request.method} {request.target}"
-                    raise Closed(f"{transport.name} was closed while {what} waited{hint}") from error
+                    raise Closed(f"{transport.name} was closed while {what} waited for a reply{hint}") from error
                 error.args = (f"{error}{hint}",)
             raise
         finally:
@@ -120,7 +121,7 @@ class HttpClient:
 
 
 def _received(transport: TcpTransport, parser: HttpParser, left: float) -> HttpResponse | None:
-    """The answer, once what has come now completes it."""
+    """Receive bytes; return the answer if they complete it, or else None."""
     answer: HttpRequest | HttpResponse | None
     try:
         data = transport.receive(left)[0]
@@ -133,7 +134,7 @@ def _received(transport: TcpTransport, parser: HttpParser, left: float) -> HttpR
         try:
             answer = parser.feed(data)
         except PacketError as error:
-            raise WrongPeer(f"{transport.name} does not talk like a web server: {error}") from None
+            raise WrongPeer(f"{transport.name} does not respond like a web server: {error}") from None
     assert not isinstance(answer, HttpRequest)
     return answer
 

@@ -1,13 +1,14 @@
-"""The process that reads a connection for another one, which may hold its interpreter's lock for long.
+"""A process that reads a connection for its parent process, which may hold its interpreter's lock for a long time.
 
-It reads at once, stamps the bytes, keeps the newest packet in shared memory, and hands all bytes over as records in a
-pipe. Of what the other does not take, it keeps 16 MiB; then it reads no more, so that nothing is lost.
+It reads and stamps the bytes at once, keeps the newest packet in shared memory, and passes all bytes as records through
+a pipe. If the parent does not read, up to 16 MiB are buffered. Then this process stops reading, so that nothing is
+lost.
 
-It ends when the other does: its standard input is a pipe that is never written, and ends with the other process. Where
-a third process has inherited that pipe, it sees that it has another parent.
+It ends when its parent ends. Its standard input is a pipe that is never written to, and that ends with the parent. If a
+third process has inherited this pipe, the process notices that its parent has changed.
 
-There is no lock between processes. A checksum says whether a packet in memory is whole; a reader that came between two
-writes looks again. So it holds also on processors that reorder writes.
+There is no lock between the processes. A checksum shows whether a packet in shared memory is complete. A reader that
+reads between two writes reads again. So this is also correct on processors that reorder writes.
 """
 
 from __future__ import annotations
@@ -29,22 +30,22 @@ from ..errors import RemoteError
 from ..wire.framing import FrameBoundary, Framer
 from .transport import TcpTransport
 
-#: Bytes that wait for the other process: 25 s of real-time packets at 500 Hz.
+#: Maximum number of bytes that are buffered for the parent: 25 s of real-time packets at 500 Hz.
 _MOST_WAITING = 1 << 24
-#: Bytes handed to the pipe at once: what it holds on Linux.
+#: Maximum number of bytes written to the pipe at once, which is the size of a pipe on Linux.
 _PIPE = 1 << 16
-#: Seconds after which it looks whether the parent is still the same, where nothing else happens.
+#: Interval in s at which to check whether the parent is still the same, if nothing else happens.
 _LOOK = 0.5
 
-CONNECTED = b"C"  # the connection was made, with the s of its handshake
-DATA = b"D"  # bytes, as they came
-LOST = b"L"  # it could not be made, or was lost: the class of the error and its text, with a space between
+CONNECTED = b"C"  # the connection was made; the payload is the duration of its handshake in s
+DATA = b"D"  # the payload is the received bytes
+LOST = b"L"  # it could not be made, or was lost; the payload is the class of the error, a space, and the message
 
 _HEADER = struct.Struct("<cIdd")
 
 
 class HandedOver(NamedTuple):
-    """One of them."""
+    """A record in the pipe."""
 
     kind: bytes
     payload: bytes
@@ -55,13 +56,13 @@ class HandedOver(NamedTuple):
 
 
 class Records:
-    """Cuts them out of a stream of bytes."""
+    """Parser that extracts records from a stream of bytes."""
 
     def __init__(self) -> None:
         self._rest = bytearray()
 
     def feed(self, data: bytes) -> Iterator[HandedOver]:
-        """The records that are whole now."""
+        """Yield the records that `data` completes."""
         self._rest += data
         while len(self._rest) >= _HEADER.size:
             kind, length, monotonic, wall = _HEADER.unpack_from(self._rest)
@@ -73,23 +74,23 @@ class Records:
             yield HandedOver(kind, payload, Stamp(monotonic, wall))
 
 
-#: Number of the packet, its length, checksum of all but itself, monotonic and wall time.
+#: Number of the packet, its length, checksum of everything except the checksum, monotonic time and wall time.
 _SLOT = struct.Struct("<QIIdd")
-#: Bytes for one packet; longer ones are not kept.
+#: Maximum size of a packet in bytes; longer packets are not kept.
 _ROOM = 1 << 16
-#: How often a reader looks again. Writing takes a microsecond or two, and one packet follows another after 2 ms.
+#: Maximum number of tries of a reader. Writing takes a microsecond or two, and packets follow each other every 2 ms.
 _LOOKS = 20
 
 
 class Slot:
-    """Room for one packet.
+    """Shared memory for one packet.
 
     Args:
-        descriptor: of the file that is shared; None makes one without a name, which is gone with the last process that
-            has it.
+        descriptor: Descriptor of the shared file. If None, a file without a name is made, which is removed with the
+            last process that has it open.
 
     Attributes:
-        descriptor: the same.
+        descriptor: Descriptor of the shared file.
     """
 
     def __init__(self, descriptor: int | None = None) -> None:
@@ -110,11 +111,14 @@ class Slot:
             self._memory[: _SLOT.size + len(packet)] = head + packet
 
     def clear(self) -> None:
-        """There is none any more."""
+        """Remove the packet."""
         self._memory[: _SLOT.size] = bytes(_SLOT.size)
 
     def get(self) -> tuple[int, bytes, Stamp] | None:
-        """The number of the packet, the packet, and when its bytes came; None if there is none."""
+        """Return the number of the packet, the packet, and the arrival time of its bytes.
+
+        Return None if there is none.
+        """
         for _ in range(_LOOKS):
             number, length, checksum, monotonic, wall = _SLOT.unpack_from(self._memory)
             if not number:
@@ -126,7 +130,7 @@ class Slot:
         return None
 
     def close(self) -> None:
-        """Give it back. Idempotent."""
+        """Release the memory. Idempotent."""
         if not self._memory.closed:
             self._memory.close()
             os.close(self.descriptor)
@@ -137,7 +141,7 @@ def _checksum(number: int, packet: bytes, monotonic: float, wall: float) -> int:
 
 
 class _Pipe:
-    """The pipe to the other process, which is never waited for."""
+    """Pipe to the parent process. Writing to it never waits."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
@@ -159,16 +163,18 @@ class _Pipe:
 
 
 def read_for(parent: int, host: str, port: int, silence: float, timeout: float, slot: int, boundary: str) -> None:
-    """Read a connection until it is lost or the other process ends.
+    """Read a connection until it is lost, or until the parent process ends.
 
     Args:
-        parent: number of the other process.
-        host, port, silence: of the connection, as for `TcpTransport`.
-        timeout: seconds for it to be made.
-        slot: descriptor of the shared memory.
-        boundary: what packets look like: "module:class" of a `FrameBoundary`.
+        parent: Number of the parent process.
+        host: See `TcpTransport`.
+        port: See `TcpTransport`.
+        silence: See `TcpTransport`.
+        timeout: Maximum time for connecting, in s.
+        slot: Descriptor of the shared memory.
+        boundary: Boundary of the packets, as "module:class" of a `FrameBoundary`.
     """
-    # Ctrl-C is for the other process, which ends this one.
+    # The parent handles Ctrl-C, and then ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     module, _, name = boundary.partition(":")
     make: Callable[[], FrameBoundary] = getattr(importlib.import_module(module), name)
@@ -182,21 +188,21 @@ def read_for(parent: int, host: str, port: int, silence: float, timeout: float, 
     except RemoteError as error:
         newest.clear()
         pipe.put(HandedOver(LOST, f"{type(error).__name__} {error}".encode(), Stamp.now()))
-        # The other process may be busy; what it has not taken yet comes before this.
+        # The parent might be busy, and it must first read the records before this one.
         while pipe.waiting and _is_wanted(parent, [], [pipe.descriptor])[0]:
             pipe.flush()
     except BrokenPipeError:
-        pass  # it is gone
+        pass  # the parent has ended
     finally:
         transport.abort()
 
 
 def _relay(transport: TcpTransport, pipe: _Pipe, newest: Slot, framer: Framer, parent: int) -> None:
-    """Read and hand over until the other process is gone.
+    """Read the connection and write to the pipe until the parent process has ended.
 
     Raises:
-        RemoteError: the connection was lost.
-        BrokenPipeError: the other process is gone.
+        RemoteError: If the connection is lost.
+        BrokenPipeError: If the parent process has ended.
     """
     connection = transport.fileno()
     while True:
@@ -216,7 +222,10 @@ def _relay(transport: TcpTransport, pipe: _Pipe, newest: Slot, framer: Framer, p
 
 
 def _is_wanted(parent: int, reads: list[int], writes: list[int]) -> tuple[bool, list[Any]]:
-    """Wait for something to do; whether the other process is still there, and what can be read."""
+    """Wait for an event.
+
+    Return whether the parent process still runs, and the readable descriptors.
+    """
     ready, _, _ = select.select([*reads, 0], writes, [], _LOOK)
     if (0 in ready and not os.read(0, 1)) or os.getppid() != parent:
         return False, []

@@ -1,4 +1,4 @@
-"""A connection that another process reads, as a source of bytes."""
+"""A transport whose connection is read by another process."""
 
 from __future__ import annotations
 
@@ -24,42 +24,44 @@ _PROGRAM = (
     "import json, sys; path, arguments = json.loads(sys.argv[1]); sys.path[:] = path; "
     "from linkcore.net.isolated_reader import read_for; read_for(**arguments)"
 )
-#: Seconds that a new interpreter may take to begin, on a machine that is busy.
+#: Maximum time in s in which a new interpreter starts, on a busy machine.
 _BEGINNING = 10.0
-#: Bytes taken from the pipe at once.
+#: Maximum number of bytes read from the pipe at once.
 _CHUNK = 1 << 16
-#: Seconds that a process which was killed takes to be gone.
+#: Maximum time in s in which a killed process ends.
 _END = 2.0
 
 
 class IsolatedTransport:
-    """Bytes that a process of its own reads. It is started for each connection, and killed with it.
+    """Transport whose bytes are read by a separate process, which is started and killed with each connection.
 
-    Nothing can be sent: it is for interfaces that only say something.
+    It cannot send, so it is only for interfaces that need no input.
 
     Args:
-        host, port, silence: as for `TcpTransport`.
-        boundary: what packets look like: "module:class" of a `FrameBoundary`.
-        decode: a packet from its bytes, which the other process has seen to be whole.
+        host: See `TcpTransport`.
+        port: See `TcpTransport`.
+        silence: See `TcpTransport`.
+        boundary: Boundary of the packets, as "module:class" of a `FrameBoundary`.
+        decode: Function that returns a packet from its bytes. The other process has checked that they are complete.
 
     Raises:
-        LocalError: on Windows, where processes share no descriptors; in a program without an interpreter of its own.
+        LocalError: If this is Windows, where processes cannot share descriptors, or if `sys.executable` is not set.
     """
 
     def __init__(
         self, host: str, port: int, *, silence: float, boundary: str, decode: Callable[[bytes, Stamp], Any]
     ) -> None:
         if sys.platform == "win32":
-            raise LocalError("isolate=True shares memory by descriptors, which Windows does not; leave it out")
+            raise LocalError("isolate=True shares memory by descriptors, which Windows does not support; omit it")
         if not sys.executable:
-            raise LocalError("isolate=True needs a Python interpreter to start, and this program does not say which")
+            raise LocalError("isolate=True needs a Python interpreter to start, but sys.executable is not set; omit it")
         self.name = f"{host}:{port}"
         self.round_trip = math.inf
         self._arguments = {"host": host, "port": port, "silence": silence, "boundary": boundary}
         self._home = HomeProcess(self.name)
         self._silence = silence
         self._decode = decode
-        self._lock = threading.RLock()  # re-entrant, for signal handlers
+        self._lock = threading.RLock()  # re-entrant for signal handlers
         self._process: subprocess.Popen[bytes] | None = None
         self._is_receiving = False
         self._slot: Slot | None = None
@@ -70,12 +72,12 @@ class IsolatedTransport:
     # -- the newest packet -----------------------------------------------------------------------
 
     def newest(self) -> Any | None:
-        """The newest packet that the other process has read, decoded here and now; None if there is none.
+        """Return the newest packet that the other process has read; None if there is none.
 
-        It needs no thread of this process to have run before.
+        It is decoded in this call, so no other thread of this process must have run before.
 
         Raises:
-            PacketError: no layout holds it.
+            PacketError: If no layout can hold the packet.
         """
         slot = self._slot
         if slot is None:
@@ -95,11 +97,12 @@ class IsolatedTransport:
     # -- the connection --------------------------------------------------------------------------
 
     def open(self, timeout: float) -> None:
-        """Start the process, and have it connect within `timeout` seconds.
+        """Start the process, and let it connect within `timeout` seconds.
 
         Raises:
-            ConnectFailed, LinkTimeout: as `TcpTransport.open`.
-            LocalError: no process could be started; or this one was forked from the one which made the transport.
+            ConnectFailed, LinkTimeout: See `TcpTransport.open`.
+            LocalError: If no process can be started, or this process was forked from the process that made the
+                transport.
         """
         self._home.check()
         self.abort()
@@ -115,7 +118,7 @@ class IsolatedTransport:
             )
         except OSError as error:
             slot.close()
-            raise LocalError(f"{self.name}: no process could be started to read it: {error}") from error
+            raise LocalError(f"{self.name}: cannot start the process that reads it: {error}") from error
         self._slot, self._records, self._seen = slot, Records(), (0, None)
         self._waiting.clear()
         try:
@@ -125,11 +128,11 @@ class IsolatedTransport:
             raise
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
-        """Wait for bytes; with the moment at which the other process read them.
+        """Wait for bytes; return them with the time when the other process read them.
 
         Raises:
-            LinkTimeout: nothing came in that time.
-            ConnectionLost: the peer or this side ended it, or the process is gone.
+            LinkTimeout: If nothing arrives in time.
+            ConnectionLost: If the peer or this program ends the connection, or the process has ended.
         """
         record = self._next(self._silence if timeout is None else timeout, DATA)
         return record.payload, record.stamp
@@ -140,24 +143,24 @@ class IsolatedTransport:
         while not self._waiting:
             data = self._read(clock.left(until))
             if data is None:
-                raise LinkTimeout(f"{self.name}: nothing within {timeout:g} s")
+                raise LinkTimeout(f"{self.name}: nothing received within {timeout:g} s")
             self._waiting.extend(self._records.feed(data))
         record = self._waiting.popleft()
         if record.kind == LOST:
             raise _error(record.payload.decode(errors="replace"))
-        assert record.kind == kind, "a connection is made before anything comes"
+        assert record.kind == kind, "a connection is made before any data arrives"
         return record
 
     def _read(self, timeout: float) -> bytes | None:
-        """What the process has to tell; None when time is up.
+        """Read from the pipe of the process; return None after `timeout` seconds.
 
         Raises:
-            ConnectionLost: it has ended, or was ended here.
+            ConnectionLost: If the process has ended, or this program has ended it.
         """
         with self._lock:
             process = self._process
             if process is None or process.stdout is None:
-                raise ConnectionLost(f"{self.name} was closed here")
+                raise ConnectionLost(f"{self.name} was closed by this program")
             self._is_receiving = True
         try:
             poll = select.poll()
@@ -167,7 +170,7 @@ class IsolatedTransport:
             data = os.read(process.stdout.fileno(), _CHUNK)
             if data:
                 return data
-            by = "the process that read it has ended" if self._process is process else "closed here"
+            by = "the process that read it has ended" if self._process is process else "closed by this program"
             raise ConnectionLost(f"{self.name}: {by}")
         finally:
             with self._lock:
@@ -176,29 +179,30 @@ class IsolatedTransport:
                     process.stdout.close()
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Refuse.
+        """Raise, because this transport cannot send.
 
         Raises:
-            LocalError: always.
+            LocalError: If called.
         """
         self.send_some(data)
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """As `send`."""
-        raise LocalError(f"{self.name} is read by another process, so nothing can be sent to it from here")
+        """Raise; see `send`."""
+        raise LocalError(f"{self.name} is read by another process, so this program cannot send to it")
 
     def wait_for_room(self, timeout: float) -> bool:
-        """There never is any."""
+        """Return False, because this transport cannot send."""
         return False
 
     def abort(self) -> None:
-        """End the process, and with it the connection. Idempotent, from any thread."""
-        if not self._home.is_here:  # the process that reads is the parent's
+        """End the process, and with it the connection. Idempotent, in any thread."""
+        if not self._home.is_here:  # the reading process belongs to the parent of this one
             return
         with self._lock:
             process, self._process = self._process, None
             slot, self._slot = self._slot, None
-            is_receiving = self._is_receiving  # then `_read` closes what it reads: the number must not be given away
+            # While `_read` runs, it closes its pipe itself, so that the descriptor is not reused too early.
+            is_receiving = self._is_receiving
         if process is not None:
             process.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -210,12 +214,12 @@ class IsolatedTransport:
             slot.close()
 
     def close(self) -> None:
-        """As `abort`: nothing was sent."""
+        """Do the same as `abort`, because there is no sent data to wait for."""
         self.abort()
 
 
 def _error(said: str) -> RemoteError:
-    """The error that the other process has met."""
+    """Return the error that the other process has reported."""
     name, _, text = said.partition(" ")
     kind = getattr(errors, name, ConnectionLost)
     return kind(text) if issubclass(kind, RemoteError) else ConnectionLost(text)

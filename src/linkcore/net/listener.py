@@ -1,13 +1,12 @@
-"""Listening sockets, the one place where they are made, and `TcpListener`, which waits for a single peer.
+"""Listening sockets, and `TcpListener`, which waits for a single peer.
 
-A server of many clients takes its listening sockets from `linkcore.net.loop`, which makes them here too.
+All listening sockets of the project are made here. A server of many clients gets its sockets from `linkcore.net.loop`,
+which makes them here too. The same rules for host names apply to every port that this project opens:
 
-Host names are decided once, for every port that this project opens:
-
-- `""` is every IPv4 address of this computer. The peers are robots and their tools, whose programs open sockets to
-  IPv4 addresses only.
-- `"::"` is every address of either family (dual stack), where the system has IPv6.
-- A name or an address is that one; a name with addresses of both families is its IPv4 address.
+- `""` is every IPv4 address of this computer. The peers are robots and their tools, whose programs open sockets only to
+  IPv4 addresses.
+- `"::"` is every address of either family (dual stack), if the system has IPv6.
+- A name or an address is this address. If a name has addresses of both families, its IPv4 address is used.
 """
 
 from __future__ import annotations
@@ -21,23 +20,23 @@ from ..errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from ..process import HomeProcess
 from .transport import TcpTransport, mapped
 
-#: Seconds without a byte after which a connection that was accepted counts as silent.
+#: Seconds without a byte after which an accepted connection is considered silent.
 _SILENCE = 2.0
 
 
 def bound_socket(host: str, port: int, *, purpose: str = "") -> socket.socket:
-    """A non-blocking TCP socket that is bound and does not listen yet, so that connections are refused.
+    """Return a non-blocking TCP socket that is bound but does not listen yet, so that connections are refused.
 
     Args:
-        host: address of this computer; see the module's description for `""` and `"::"`.
-        port: 0 for one that is free.
-        purpose: what the port is for; stands in the error's text.
+        host: Address of this computer. See the module's description for `""` and `"::"`.
+        port: TCP port; 0 for a free port.
+        purpose: Purpose of the port, used in the error message.
 
     Raises:
-        BadAddress: taken, not an address of this computer, or no such port.
+        BadAddress: If the address is in use, is not an address of this computer, or has an invalid port.
     """
     where = f"{host or '*'}:{port}" + (f" for {purpose}" if purpose else "")
-    if not 0 <= port <= 65535:  # getaddrinfo takes a number modulo 65536
+    if not 0 <= port <= 65535:  # getaddrinfo would use the number modulo 65536
         raise BadAddress(f"cannot listen on {where}: expected a port from 0 to 65535")
     bound = None
     try:
@@ -46,13 +45,13 @@ def bound_socket(host: str, port: int, *, purpose: str = "") -> socket.socket:
         bound = socket.socket(family, kind, protocol)
         bound.setblocking(False)
         if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
-            # Windows, where SO_REUSEADDR would let another program take the port while it is in use.
+            # On Windows, SO_REUSEADDR would allow another program to take the port while it is in use.
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
         else:
-            # Elsewhere without it a port cannot be bound again for minutes after it had connections (TIME_WAIT).
+            # On other systems, a port with connections could otherwise not be bound again for minutes (TIME_WAIT).
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if family == socket.AF_INET6:
-            # Whether "::" takes IPv4 as well is a setting of the system otherwise.
+            # Otherwise a setting of the system decides whether "::" also accepts IPv4.
             bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, int(host != "::"))
         bound.bind(address)
     except (OSError, ValueError, OverflowError) as error:
@@ -64,7 +63,9 @@ def bound_socket(host: str, port: int, *, purpose: str = "") -> socket.socket:
 
 
 def numeric_host(address: str) -> str:
-    """The address of a peer as it is compared and printed: IPv4 seen through a dual-stack socket is IPv4 again.
+    """Return the address of a peer in the form for comparing and printing.
+
+    An IPv4 address that a dual-stack socket reports as IPv6 becomes IPv4 again.
 
     >>> numeric_host("::ffff:192.168.1.2"), numeric_host("fe80::1%eth0")
     ('192.168.1.2', 'fe80::1%eth0')
@@ -73,24 +74,24 @@ def numeric_host(address: str) -> str:
 
 
 class TcpListener:
-    """A port that takes connections one at a time. A context manager that closes itself.
+    """A port that accepts one connection at a time. It is a context manager that closes itself.
 
     Args:
-        host: address of this computer to listen on; see the module's description for `""` and `"::"`.
-        port: 0 for one that is free.
+        host: Address of this computer to listen on. See the module's description for `""` and `"::"`.
+        port: TCP port; 0 for a free port.
 
     Attributes:
-        address: (host, port) that it listens on.
+        address: Address (host, port) on which it listens.
 
     Raises:
-        BadAddress: it cannot be listened on: taken, not an address of this computer, no such port.
+        BadAddress: If the address is in use, is not an address of this computer, or has an invalid port.
     """
 
     def __init__(self, host: str, port: int = 0) -> None:
         listener = bound_socket(host, port)
         try:
             listener.listen(1)
-        except OSError as error:  # another socket that was bound to this port as well listens already
+        except OSError as error:  # another socket that was bound to the same port already listens
             listener.close()
             raise BadAddress(f"cannot listen on {host or '*'}:{port}: {error.strerror}") from error
         self._socket: socket.socket | None = listener
@@ -100,19 +101,19 @@ class TcpListener:
         _listeners.add(self)
 
     def accept(self, timeout: float) -> TcpTransport:
-        """The next connection, made within `timeout` seconds; 0 takes one that is there already.
+        """Wait up to `timeout` seconds for a connection, and return it; with 0, only accept a waiting one.
 
         Raises:
-            LinkTimeout: no connection came.
-            ConnectFailed: the listener was closed.
-            ConnectionLost: the peer that connected has disconnected again.
-            LocalError: in a process that was forked from the one which listens.
+            LinkTimeout: If no peer connects in time.
+            ConnectFailed: If the listener was closed.
+            ConnectionLost: If the peer has disconnected again.
+            LocalError: If this process was forked from the process that listens.
         """
         self._home.check()
         listener = self._socket
         where = f"{self.address[0]}:{self.address[1]}"
         if listener is None:
-            raise ConnectFailed(f"{where} is not listened on any more")
+            raise ConnectFailed(f"the listener on {where} was closed")
         try:
             listener.settimeout(max(timeout, 0.0))
             connection, peer = listener.accept()
@@ -129,11 +130,15 @@ class TcpListener:
         return transport
 
     def close(self) -> None:
-        """Listen no longer, and wake a thread that waits in `accept`. Idempotent; what was accepted stays."""
+        """Stop listening, and wake a thread that waits in `accept`.
+
+        Accepted connections stay. Idempotent.
+        """
         listener, self._socket = self._socket, None
         if listener is None:
             return
-        with contextlib.suppress(OSError):  # systems that cannot shut a listening socket down wake by closing
+        # On systems that cannot shut down a listening socket, closing it wakes the thread.
+        with contextlib.suppress(OSError):
             listener.shutdown(socket.SHUT_RDWR)
         listener.close()
 
@@ -144,12 +149,12 @@ class TcpListener:
         self.close()
 
 
-#: The listeners of this process.
+#: All listeners of this process.
 _listeners: weakref.WeakSet[TcpListener] = weakref.WeakSet()
 
 
 def _leave_to_parent() -> None:
-    """Run in a forked child: close its copies, so that nothing it calls takes or refuses the parent's connections."""
+    """Close the copies in a forked child, so that no call there accepts or refuses the parent's connections."""
     for each in list(_listeners):
         listener, each._socket = each._socket, None
         if listener is not None:
@@ -161,10 +166,10 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
 
 
 def addresses(host: str) -> frozenset[str]:
-    """The numeric addresses of a host, as `TcpListener.accept` names a peer that connects from there.
+    """Return the numeric addresses of a host, in the form of the peers of `TcpListener.accept`.
 
     Raises:
-        ConnectFailed: no such host.
+        ConnectFailed: If there is no such host.
     """
     try:
         places = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
@@ -174,12 +179,12 @@ def addresses(host: str) -> frozenset[str]:
 
 
 def local_address(host: str) -> str:
-    """The address of this computer on the route to `host`. Nothing is sent.
+    """Return the address of this computer on the route to `host`. Nothing is sent.
 
     Raises:
-        ConnectFailed: no such host, or no route to it.
+        ConnectFailed: If there is no such host, or no route to it.
     """
-    # Connecting a datagram socket only chooses the route; the port does not matter.
+    # Connecting a datagram socket only selects the route, and the port does not matter.
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, 9, type=socket.SOCK_DGRAM)[0]
         with socket.socket(family, kind, protocol) as probe:

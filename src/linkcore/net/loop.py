@@ -1,8 +1,9 @@
-"""A selector loop that serves many TCP clients from one thread, and never waits for any of them.
+"""A selector loop that serves many TCP clients in one thread, and never waits for any of them.
 
-A server of this project (the simulated controller, the RHD host) is a `SelectorLoop` with one `ListeningPort` for each
-TCP port, and a `Handler` for each connection, which is sans-IO: bytes in, `Connection.write` out. The thread that owns
-the loop calls `serve_once` between two of its own deadlines, such as the cycles of a controller::
+A server of this project (the simulated controller, the RHD host) is a `SelectorLoop`. It has a `ListeningPort` for each
+TCP port, and a `Handler` for each connection. The handler is sans-IO: it gets bytes, and answers with
+`Connection.write`. The thread that owns the loop calls `serve_once` between two of its own deadlines, such as the
+cycles of a controller::
 
     loop = SelectorLoop()
     loop.listen("127.0.0.1", 0, accept)            # accept(connection) -> Handler
@@ -11,11 +12,14 @@ the loop calls `serve_once` between two of its own deadlines, such as the cycles
         loop.serve_once(until=next_deadline)
     loop.close()
 
-Everything here belongs to that thread, except `wake`, `call`, and reading the counters.
+Only this thread may use the loop. The exceptions are `wake`, `call`, and reading the counters.
 
-What a client can do to others is bounded: each look at the sockets takes one chunk from each client; what a client does
-not read is kept up to `output_limit` bytes, then the connection is reset; a port has a limit of clients, and gives the
-slot of an idle one to a new one; a connection can have a deadline, after which it is reset.
+A client can affect other clients only within limits:
+
+- Each poll of the sockets reads one chunk from each client.
+- Output that a client does not read is buffered up to `output_limit` bytes. Then the connection is reset.
+- A port has a maximum number of clients, and gives the slot of an idle client to a new one.
+- A connection can have a deadline, after which it is reset.
 """
 
 from __future__ import annotations
@@ -41,65 +45,65 @@ from .listener import bound_socket, numeric_host
 
 _log = logging.getLogger(__name__)
 
-#: Clients of one port, by default.
+#: Default maximum number of clients of one port.
 MOST_CLIENTS = 100
-#: Seconds after which the slot of a client that neither sends nor takes a byte may go to a new client.
+#: Seconds without a sent or accepted byte after which the slot of a client may be given to a new client.
 IDLE = 60.0
-#: Bytes that may wait for one client, beside what the kernel holds for it.
+#: Maximum number of bytes that are buffered for one client, in addition to the kernel's buffer.
 OUTPUT_LIMIT = 1 << 20
-#: Bytes taken from one client at a time.
+#: Maximum number of bytes that are read from one client at a time.
 CHUNK = 1 << 16
 
-# Connections that wait in the kernel to be accepted, and those that are accepted in one look.
+# Maximum number of connections that wait in the kernel, and that are accepted in one poll.
 _BACKLOG, _ACCEPTS = 64, 16
-# Bytes that the kernel may hold for a client. Left to itself it grows to megabytes: seconds of old data.
+# Size of the kernel's buffer for a client, in bytes. By default it grows to megabytes, which are seconds of old data.
 _KERNEL_BUFFER = 1 << 18
-# Seconds for which events are served in one go, even if the owner is late already; its clients would starve otherwise.
+# Minimum time in s for serving events, even if the owner is already late. Otherwise its clients would starve.
 _LEAST_SLICE = 1e-3
-# Seconds without accepting after the process ran out of descriptors; the kernel would report the same again at once.
+# Pause in s after the process ran out of descriptors. Without it, the kernel would immediately report the same again.
 _OUT_OF_DESCRIPTORS = 0.2
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
-# `select` takes no descriptors from this one on.
+# `select` accepts only descriptors below this number.
 _SELECTABLE = 1024
-# Closing with this option set resets the connection, and discards what the kernel still holds for it.
+# Closing a socket with this option resets the connection, and discards the data in the kernel.
 _ABORT = struct.pack("ii", 1, 0)
 _NEVER = math.inf
 
 
 class Handler:
-    """What a server makes of the bytes of one connection. Its methods are called by the thread that owns the loop.
+    """Handler of the bytes of one connection. The thread that owns the loop calls its methods.
 
-    An exception in one of them is logged with its traceback and ends this connection only.
+    An exception in a method is logged with its traceback, and ends only this connection.
     """
 
     @property
     def is_busy(self) -> bool:
-        """Whether the client keeps its slot although no bytes pass, because it waits for something of this server."""
+        """Whether the client keeps its slot while no bytes pass, because it waits for this server."""
         return False
 
     def data_received(self, data: bytes) -> None:
-        """Bytes have come, as they came: a protocol finds its own frame boundaries."""
+        """Process received bytes. The handler must find the boundaries of frames itself."""
 
     def drained(self) -> None:
-        """All that was written has been taken by the kernel, after some of it had to wait."""
+        """Notice that the kernel has accepted all written data, after some of it was buffered."""
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
-        """The connection is closed; no other method is called after this one.
+        """Notice that the connection is closed. No other method is called after this one.
 
         Args:
-            reason: why, for a log.
-            by_peer: the peer closed or reset it, rather than this side.
+            reason: Reason, for a log.
+            by_peer: Whether the peer has closed or reset it, rather than this side.
         """
 
 
 class Connection:
-    """One client, as its handler sees it.
+    """Connection of one client, for its handler.
 
     Attributes:
-        port: the port that it came to.
+        port: Port to which the client has connected.
         peer: (numeric host, port) of the client.
-        handler: what its bytes go to.
-        last_activity: time on the loop's clock at which it last sent a byte, or took one.
+        handler: Handler of the received bytes.
+        last_activity: Time on the loop's clock of the last sent or received byte.
     """
 
     def __init__(self, loop: SelectorLoop, port: ListeningPort, link: socket.socket, peer: tuple[str, int]) -> None:
@@ -120,26 +124,27 @@ class Connection:
 
     @property
     def name(self) -> str:
-        """host:port of the client, for messages."""
+        """Address host:port of the client, used in messages."""
         host, port = self.peer
         return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
     @property
     def is_open(self) -> bool:
-        """It is connected, and neither `close` nor `finish` was called."""
+        """Whether it is connected, and neither `close` nor `finish` was called."""
         return self._is_open and not self._is_finishing
 
     @property
     def pending(self) -> int:
-        """Bytes written that the kernel has not taken yet."""
+        """Number of written bytes that the kernel has not accepted yet."""
         return len(self._pending)
 
     # -- output --------------------------------------------------------------------------------------
 
     def write(self, data: bytes) -> None:
-        """Send, now what the kernel takes and the rest later. Without effect once the connection is closed.
+        """Send `data`: as much as the kernel accepts now, and the rest later.
 
-        A client that does not read is reset as soon as more than the port's `output_limit` would wait for it.
+        No effect on a closed connection. The connection of a client that does not read is reset if more than
+        `output_limit` bytes of the port would be buffered.
         """
         if not self.is_open or self._is_deaf:
             return
@@ -151,7 +156,7 @@ class Connection:
         self._pending += data
         if len(self._pending) > self.port.output_limit:
             self.port.overflowed += 1
-            self._loop._drop(self, f"did not read: {len(self._pending)} bytes wait for it", reset=True)
+            self._loop._drop(self, f"did not read: {len(self._pending)} bytes are buffered for it", reset=True)
         else:
             self._watch()
 
@@ -161,8 +166,8 @@ class Connection:
         except BlockingIOError:
             return 0
         except OSError:
-            # The peer takes no more. What it sent before is still there: a command, perhaps, by a client that closes
-            # without having read. The connection ends when that has been taken.
+            # The peer accepts no more data, but its earlier data might still be unread. For example, a client might
+            # send a command and close without reading. The connection ends when this data has been read.
             self._is_deaf = True
             self._pending.clear()
             self._watch()
@@ -186,12 +191,12 @@ class Connection:
     # -- input ---------------------------------------------------------------------------------------
 
     def pause_reading(self) -> None:
-        """Take no more from the client, which then has to wait (back-pressure), until `resume_reading`."""
+        """Stop reading from the client, which then has to wait (back-pressure), until `resume_reading`."""
         self._is_reading = False
         self._watch()
 
     def resume_reading(self) -> None:
-        """Take again what the client sends."""
+        """Continue to read from the client."""
         self._is_reading = True
         self._watch()
 
@@ -213,33 +218,35 @@ class Connection:
     # -- deadline and end ------------------------------------------------------------------------------
 
     def set_deadline(self, when: float, reason: str) -> None:
-        """Reset the connection at this time on the loop's clock, unless the deadline is changed or cleared before.
+        """Reset the connection at a time on the loop's clock, unless the deadline is changed or cleared before.
 
         Args:
-            when: absolute; see `SelectorLoop.time`.
-            reason: what the client failed to do by then, for `Handler.connection_lost`.
+            when: Absolute time. See `SelectorLoop.time`.
+            reason: Reason for `Handler.connection_lost`: the action that the client failed to do in time.
         """
         self._deadline, self._deadline_reason = when, reason
         self._loop._is_due_at(when)
 
     def clear_deadline(self) -> None:
-        """The client has done what it had to."""
+        """Remove the deadline, because the client has met it."""
         self._deadline = _NEVER
 
     def close(self, *, reset: bool = False, reason: str = "closed by this side") -> None:
-        """End the connection now. What waits is discarded, but for what the kernel holds already. Idempotent.
+        """End the connection now.
+
+        Buffered data is discarded, except for the data in the kernel. Idempotent.
 
         Args:
-            reset: discard that too: the client sees a reset rather than an end.
-            reason: for `Handler.connection_lost`.
+            reset: Whether to discard the data in the kernel too. The client then sees a reset rather than an end.
+            reason: Reason for `Handler.connection_lost`.
         """
         self._loop._drop(self, reason, reset=reset)
 
     def finish(self, within: float) -> None:
-        """End the connection in order: send what waits, and wait until the client closes too; all in `within` seconds.
+        """End the connection in order: send buffered data, and wait until the client closes too.
 
-        What the client sends meanwhile is thrown away. To close at once while bytes of the client are still unread
-        would reset the connection, and the client could lose the last reply.
+        All of this takes at most `within` seconds. Data that the client sends meanwhile is discarded. Closing at once
+        while bytes of the client are unread would reset the connection, and the client could lose the last reply.
         """
         if not self.is_open:
             return
@@ -258,7 +265,7 @@ class Connection:
             self._loop._drop(self, error.strerror or str(error), by_peer=True)
 
     def _watch(self) -> None:
-        """Ask the selector for what this connection can do next."""
+        """Register at the selector for the next possible events of this connection."""
         if not self._is_open:
             return
         mask = (selectors.EVENT_READ if self._is_reading else 0) | (selectors.EVENT_WRITE if self._pending else 0)
@@ -268,18 +275,19 @@ class Connection:
 
 
 class ListeningPort:
-    """One TCP port of a server, and the clients connected to it. Made by `SelectorLoop.listen`.
+    """TCP port of a server with its connected clients, returned by `SelectorLoop.listen`.
 
     Attributes:
-        number: that it listens on.
-        is_listening: clients can connect; otherwise the number is kept and connections are refused by the kernel.
-        connections: the clients at present.
-        output_limit: bytes that may wait for one client.
-        chunk: bytes taken from one client at a time.
-        accepted: connections so far.
-        refused: connections that were closed at once: every slot was taken, or `accept` returned None.
-        evicted: idle clients whose slot was given to a new one.
-        overflowed: clients that were reset because they did not read.
+        number: Number of the port.
+        is_listening: Whether clients can connect. If not, the number is kept, and the kernel refuses connections.
+        connections: Current clients.
+        output_limit: Maximum number of bytes that are buffered for one client.
+        chunk: Maximum number of bytes that are read from one client at a time.
+        accepted: Number of accepted connections so far.
+        refused: Number of connections that were closed at once, because all slots were taken, or `accept` returned
+            None.
+        evicted: Number of idle clients whose slot was given to a new client.
+        overflowed: Number of clients that were reset because they did not read.
     """
 
     def __init__(
@@ -316,7 +324,7 @@ class ListeningPort:
         """Let clients connect.
 
         Raises:
-            BadAddress: another socket, bound to the same number before, listens already.
+            BadAddress: If another socket that was bound to the same number already listens.
         """
         if self.is_listening:
             return
@@ -329,27 +337,27 @@ class ListeningPort:
         self._watch()
 
     def refuse(self) -> None:
-        """Let the kernel refuse connections until `listen`. The clients that are connected stay."""
+        """Let the kernel refuse connections until `listen` is called. Connected clients stay."""
         if not self.is_listening:
             return
         self.is_listening = False
         self._watch()
-        # A socket that has begun to listen cannot stop on every system, so another one takes its place.
+        # On some systems a listening socket cannot stop listening, so a new socket replaces it.
         self._socket.close()
         self._socket = bound_socket(self._host, self.number, purpose=self._purpose)
 
     def pause(self) -> None:
-        """Let new clients wait in the kernel, connected and not answered, until `resume`."""
+        """Let new clients wait in the kernel, connected but not served, until `resume` is called."""
         self._is_accepting = False
         self._watch()
 
     def resume(self) -> None:
-        """Accept those who waited."""
+        """Accept the waiting clients."""
         self._is_accepting = True
         self._watch()
 
     def close(self) -> None:
-        """Listen no longer. The clients that are connected stay."""
+        """Stop listening. Connected clients stay."""
         self.is_listening = False
         self._watch()
         self._socket.close()
@@ -362,11 +370,11 @@ class ListeningPort:
             self._is_watched = wanted
 
     def _accept_one(self) -> bool:
-        """Accept a connection that waits in the kernel; False if none does."""
+        """Accept a connection that waits in the kernel; return False if there is none."""
         try:
             link, address = self._socket.accept()
         except OSError as error:
-            # A client may be gone again before it is accepted.
+            # A client might disconnect before it is accepted.
             if error.errno in _EXHAUSTED:
                 _log.warning("port %d cannot accept: %s", self.number, error.strerror)
                 self._retry_at = self._loop.time() + _OUT_OF_DESCRIPTORS
@@ -375,12 +383,12 @@ class ListeningPort:
             return not isinstance(error, BlockingIOError)
         try:
             link.setblocking(False)
-            # Small replies go out at once rather than when the one before is acknowledged.
+            # Send small replies at once, rather than when the previous reply is acknowledged.
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BUFFER)
-            # A client that lost power sends no FIN.
+            # A client that has lost power sends no FIN.
             link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        except OSError:  # some systems say here that the client is gone
+        except OSError:  # some systems report here that the client has disconnected
             link.close()
             return True
         connection = Connection(self._loop, self, link, (numeric_host(address[0]), address[1]))
@@ -400,13 +408,16 @@ class ListeningPort:
             return True
         connection.handler = handler
         self.accepted += 1
-        if connection._is_open:  # the first bytes that were written to it may have failed
+        if connection._is_open:  # writing the first bytes might have failed
             self.connections.add(connection)
             connection._watch()
         return True
 
     def _has_slot(self) -> bool:
-        """Whether there is a slot for one more client; takes that of the one idle for longest, where there is none."""
+        """Whether a slot is free for a new client.
+
+        If not, it takes the slot of the client that is idle for longest.
+        """
         if len(self.connections) < self._limit:
             return True
         candidates = [connection for connection in self.connections if not connection.handler.is_busy]
@@ -422,31 +433,31 @@ class ListeningPort:
 
 
 class SelectorLoop:
-    """Sockets, served by the one thread that calls `serve_once`.
+    """Loop that serves sockets in the thread that calls `serve_once`.
 
     Args:
-        clock: seconds, monotonic; a test may have one of its own.
+        clock: Monotonic clock, in seconds; a test may pass its own clock.
 
     Attributes:
-        ports: made by `listen`.
-        failures: exceptions that handlers raised.
+        ports: Ports that `listen` has made.
+        failures: Number of exceptions that handlers have raised.
     """
 
     def __init__(self, clock: Callable[[], float] = clock.now) -> None:
-        #: now, on the loop's clock
+        #: Function that returns the current time on the loop's clock.
         self.time = clock
         self.ports: list[ListeningPort] = []
         self.failures = 0
         self._owner: int | None = None
-        self._lock = threading.RLock()  # re-entrant, for signal handlers
+        self._lock = threading.RLock()  # re-entrant for signal handlers
         self._is_closed = False
         self._calls: deque[tuple[Callable[[], object], Future[None]]] = deque()
         self._lost: deque[tuple[Connection, str, bool]] = deque()
-        # No deadline of a connection or port is earlier than this.
+        # No deadline of a connection or port is earlier than this time.
         self._earliest = _NEVER
         self._selector = selectors.DefaultSelector()
-        # The selector of Linux waits in whole milliseconds, too coarse for a cycle of two. But it is a descriptor
-        # itself, and `select`, which can be told microseconds, waits for it.
+        # The selector of Linux waits in whole milliseconds, which is too coarse for a cycle of 2 ms. But it is itself a
+        # descriptor, so `select`, which has a resolution of microseconds, can wait for it.
         fileno = getattr(self._selector, "fileno", int)()
         self._select_from = (fileno,) if 0 < fileno < _SELECTABLE else None
         self._waker, self._woken = socket.socketpair()
@@ -468,21 +479,23 @@ class SelectorLoop:
         chunk: int = CHUNK,
         is_listening: bool = True,
     ) -> ListeningPort:
-        """One more port.
+        """Add a port.
 
         Args:
-            host: address to listen on; see `linkcore.net.listener` for `""` and `"::"`.
-            number: of the port; 0 for one that is free.
-            accept: called with each new connection; the handler of its bytes, or None to close it at once.
-            purpose: what the port is for; stands in the error's text.
-            limit: slots: clients that may be connected at once.
-            idle: seconds after which the slot of a client that neither sends nor takes a byte may go to a new client.
-            output_limit: bytes that may wait for one client before it is reset.
-            chunk: bytes taken from one client at a time.
-            is_listening: False to keep the number and refuse connections until `ListeningPort.listen`.
+            host: Address to listen on. See `linkcore.net.listener` for `""` and `"::"`.
+            number: Number of the port; 0 for a free port.
+            accept: Function that is called with each new connection. It returns the handler of the connection, or None
+                to close it at once.
+            purpose: Purpose of the port, used in the error message.
+            limit: Number of slots, which is the maximum number of connected clients.
+            idle: Seconds without a sent or accepted byte after which the slot of a client may be given to a new client.
+            output_limit: Maximum number of bytes that are buffered for one client before it is reset.
+            chunk: Maximum number of bytes that are read from one client at a time.
+            is_listening: Whether to listen now. If False, the number is kept, and connections are refused until
+                `ListeningPort.listen` is called.
 
         Raises:
-            BadAddress: that cannot be listened on.
+            BadAddress: If it cannot listen on the address.
         """
         port = ListeningPort(
             self, host, number, accept, purpose=purpose, limit=limit, idle=idle, output_limit=output_limit, chunk=chunk
@@ -495,19 +508,19 @@ class SelectorLoop:
     # -- from any thread -------------------------------------------------------------------------------
 
     def wake(self) -> None:
-        """End a `serve_once` that waits; also from a signal handler."""
-        # A full pipe wakes as well; a closed one belongs to a loop that has ended.
+        """End the wait of `serve_once`. Signal handlers may call this too."""
+        # A full pipe has the same effect; a closed pipe belongs to a loop that has ended.
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
     def call(self, change: Callable[[], object], timeout: float) -> None:
-        """Do something in the thread that owns the loop, while it is in `serve_once`, and wait until it is done.
+        """Call `change` in the thread that owns the loop, while it is in `serve_once`, and wait for the result.
 
-        In that thread itself, and once the loop is closed, it is done at once.
+        If this is called in the same thread, or after the loop was closed, `change` is called at once.
 
         Raises:
-            LinkTimeout: it was not done in time. What has not begun by then is not done any more.
-            Exception: whatever `change` raises.
+            LinkTimeout: If it is not done in time. A call that has not begun by then is not made.
+            Exception: If `change` raises it.
         """
         done: Future[None] | None = None
         if self._owner != threading.get_ident():
@@ -521,21 +534,22 @@ class SelectorLoop:
         self.wake()
         if not clock.is_done(done, timeout):
             done.cancel()
-            raise LinkTimeout(f"the server's thread did not answer within {timeout:g} s")
+            raise LinkTimeout(f"the server's thread did not respond within {timeout:g} s")
         done.result()
 
     # -- the owner's thread ----------------------------------------------------------------------------
 
     def serve_once(self, until: float | None = None) -> bool:
-        """Wait for something to happen until the time `until` on the loop's clock, and serve what has happened.
+        """Wait for events until the time `until` on the loop's clock, and serve them.
 
-        Sockets are looked at once even if `until` is over. What takes longer than `until` is left for the next time.
+        The sockets are polled once even if `until` has passed. Events that cannot be served before `until` are left for
+        the next call.
 
         Args:
-            until: absolute; None for as long as it takes.
+            until: Absolute time; None for no limit.
 
         Returns:
-            Whether anything happened before the time was up.
+            Whether there was an event before `until`.
         """
         self._owner = threading.get_ident()
         begun = self.time()
@@ -569,7 +583,7 @@ class SelectorLoop:
         """Close all ports and connections. Idempotent.
 
         Args:
-            within: seconds for which what waits is still sent, and clients are given time to take it.
+            within: Maximum time in s in which buffered data is still sent, and clients can read it.
         """
         if self._is_closed:
             return
@@ -582,7 +596,7 @@ class SelectorLoop:
             while self._connections() and self.time() < until:
                 self.serve_once(until)
         for connection in self._connections():
-            self._drop(connection, "the server ends")
+            self._drop(connection, "the server was closed")
         self._tell_losses()
         with self._lock:
             self._is_closed = True
@@ -598,7 +612,7 @@ class SelectorLoop:
             return self._selector.select(seconds)
         if self._select_from is not None:
             return self._selector.select(0) if select.select(self._select_from, (), (), seconds)[0] else []
-        # Whole milliseconds, rounded down, since the selector rounds up. The last part is slept.
+        # Wait for whole milliseconds, rounded down, because the selector rounds up. Then sleep for the rest.
         whole = int(seconds * 1e3) * 1e-3
         events = self._selector.select(whole)
         if not events and whole == 0.0:
@@ -617,7 +631,7 @@ class SelectorLoop:
         while self._calls:
             change, done = self._calls.popleft()
             if not done.set_running_or_notify_cancel():
-                continue  # its caller waits no longer
+                continue  # the caller no longer waits
             try:
                 change()
             except BaseException as error:
@@ -626,7 +640,7 @@ class SelectorLoop:
                 done.set_result(None)
 
     def _guard(self, connection: Connection, method: Callable[..., object], *args: object, **named: object) -> None:
-        """Call a handler. What it raises ends its own connection only."""
+        """Call a handler. An exception ends only its own connection."""
         try:
             method(*args, **named)
         except Exception as error:
@@ -635,7 +649,10 @@ class SelectorLoop:
             self._drop(connection, f"{type(error).__name__} in its handler", reset=True)
 
     def _drop(self, connection: Connection, reason: str, *, reset: bool = False, by_peer: bool = False) -> None:
-        """Close a connection; its handler's `connection_lost` is called when the events at hand have been served."""
+        """Close a connection.
+
+        `connection_lost` of its handler is called after the current events were served.
+        """
         if not connection._is_open:
             return
         connection._is_open = False
@@ -652,7 +669,7 @@ class SelectorLoop:
     def _tell_losses(self) -> None:
         while self._lost:
             connection, reason, by_peer = self._lost.popleft()
-            # Most refer to their connection: without this a cycle would stay.
+            # Breaks the reference cycle, because most handlers refer to their connection.
             handler, connection.handler = connection.handler, Handler()
             self._guard(connection, handler.connection_lost, reason, by_peer=by_peer)
 
@@ -677,8 +694,8 @@ class SelectorLoop:
         return [connection for port in self.ports for connection in port.connections]
 
     def _leave_to_parent(self) -> None:
-        # The selector is closed and told of nothing else: that of Linux is shared with the parent, which would lose
-        # what is taken out of it here.
+        # Only close the selector, and unregister no socket: on Linux the selector is shared with the parent, which
+        # would lose these sockets too.
         self._is_closed = True
         for connection in self._connections():
             connection._is_open = False
@@ -690,14 +707,14 @@ class SelectorLoop:
         self._woken.close()
 
 
-#: The loops of this process.
+#: All loops of this process.
 _loops: weakref.WeakSet[SelectorLoop] = weakref.WeakSet()
 
 
 def _leave_all_to_parent() -> None:
-    """Run in a forked child: close its copies of the sockets, so that nothing it calls disturbs the parent's clients.
+    """Close the copies of the sockets in a forked child, so that no call there can disturb the parent's clients.
 
-    A copy that stayed open would also keep the kernel from ending a connection that the parent closes.
+    An open copy would also prevent the kernel from ending a connection that the parent closes.
     """
     for loop in list(_loops):
         loop._leave_to_parent()

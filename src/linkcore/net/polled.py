@@ -1,6 +1,6 @@
-"""An outgoing TCP connection that never blocks: its owner polls it, such as once in every cycle.
+"""An outgoing TCP connection that never blocks, because its owner polls it, for example once per cycle.
 
-For programs whose time is counted in cycles, where a thread or a wait would make the outcome depend on the machine.
+It is for programs whose time is counted in cycles. A thread or a wait would make their result depend on the machine.
 """
 
 from __future__ import annotations
@@ -11,25 +11,25 @@ import ipaddress
 import socket
 from typing import Literal
 
-#: "closed" by either side, after it was open; "failed" before it was.
+#: "closed" by either side after it was open; "failed" if it was never open.
 State = Literal["connecting", "open", "failed", "closed"]
 
 _IN_PROGRESS = {0, errno.EINPROGRESS, errno.EWOULDBLOCK, errno.EALREADY}
 
 
 class PolledConnection:
-    """One connection, begun when it is made. None of its methods waits, and none raises an `OSError`.
+    """Connection that starts to connect when the object is made.
 
-    It holds a descriptor while it connects and while it is open.
+    Its methods never wait or raise `OSError`. It holds a descriptor while it connects and while it is open.
 
     Args:
-        host: numeric address; names are not looked up, since that can take seconds.
+        host: Numeric address. Names are not resolved, because this can take seconds.
         port: TCP port, 1 to 65535.
-        most_waiting: bytes that wait to be taken from `received`; beyond them the peer has to wait.
-        source: numeric address of this computer to connect from; None for the one that the system chooses.
+        most_waiting: Maximum number of bytes in `received`. If there are more, the peer has to wait.
+        source: Numeric address of this computer to connect from; None if the system should choose it.
 
     Attributes:
-        received: bytes that have come. Who takes some deletes them here.
+        received: Received bytes. The owner deletes the bytes that it has used.
     """
 
     def __init__(self, host: str, port: int, *, most_waiting: int = 1 << 16, source: str | None = None) -> None:
@@ -41,7 +41,7 @@ class PolledConnection:
             version = ipaddress.ip_address(host).version
             link = socket.socket(socket.AF_INET6 if version == 6 else socket.AF_INET, socket.SOCK_STREAM)
         except (OSError, ValueError):
-            return  # no descriptor is left, or no such address
+            return  # no descriptor is left, or the address is invalid
         self._socket = link
         try:
             link.setblocking(False)
@@ -50,7 +50,7 @@ class PolledConnection:
                 link.bind((source, 0))
             has_begun = link.connect_ex((host, port)) in _IN_PROGRESS
         except (OSError, OverflowError):
-            has_begun = False  # an address of a kind or zone that this computer does not have; no such port
+            has_begun = False  # this computer has no such kind or zone of addresses, or the port is invalid
         if has_begun:
             self._state = "connecting"
         else:
@@ -58,31 +58,38 @@ class PolledConnection:
 
     @property
     def state(self) -> State:
-        """How far it is now."""
+        """Current state."""
         link = self._socket
         if link is not None and self._state == "connecting":
             if link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
                 self._end("failed")
             else:
-                # `select` would tell too, but takes no descriptor from 1024 on.
+                # `select` could detect this too, but it accepts only descriptors below 1024.
                 with contextlib.suppress(OSError):
                     link.getpeername()
                     self._state = "open"
         return self._state
 
     def send(self, data: bytes) -> bool:
-        """Send all of it at once. False: it is not open, or the peer does not take all of it, and it is closed now."""
+        """Send all of `data` at once.
+
+        Return False if it is not open, or if the peer does not accept all of the data. In the second case the
+        connection is closed.
+        """
         if self.state != "open" or self._socket is None:
             return False
         with contextlib.suppress(OSError):
             if self._socket.send(data) == len(data):
                 return True
-        # Half of a message would be taken for the beginning of the next.
+        # The peer would read the next message as the rest of this one.
         self._end("closed")
         return False
 
     def receive(self) -> bytearray:
-        """Take what has come from the kernel; returns `received`. What came before the end can be read after it."""
+        """Read the available bytes from the kernel; return `received`.
+
+        Earlier bytes stay readable after the end.
+        """
         room = self._most_waiting - len(self.received)
         if room > 0 and self.state == "open" and self._socket is not None:
             try:
@@ -98,7 +105,7 @@ class PolledConnection:
         return self.received
 
     def close(self) -> None:
-        """End it, and forget what has come. Idempotent."""
+        """Close the connection, and discard the received bytes. Idempotent."""
         if self._socket is not None:
             self._end("closed")
         self.received.clear()

@@ -1,18 +1,19 @@
 """Sources of bytes: a TCP connection with deadlines.
 
-A transport is opened, asked for bytes until it raises, closed, and opened again. What it raises is always of this
-library's error tree: errors of the operating system are mapped here and nowhere else.
+A transport is opened, read until it raises, closed, and opened again. It raises only errors of this library. Errors of
+the operating system are converted here and nowhere else.
 
-What has been given up must not arrive later. TCP by itself does the opposite: what `send` handed to the kernel is
-retransmitted for minutes, also after `close` and after the end of the process (Linux: `tcp_retries2`, some 15 minutes),
-and arrives when the network is back. A robot would then carry out a motion whose call raised long ago, since it had
-failed. Three settings prevent that:
+Data of a failed call must not arrive later. But normally TCP retransmits data that `send` has passed to the kernel for
+minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15 minutes). The data
+arrives when the network is available again. A robot would then execute a motion whose call failed long ago. Three
+settings prevent this:
 
-- `SO_LINGER` of 0 s from the first moment on: whatever ends the connection, `abort`, a lost process or the garbage
-  collector, the kernel discards what it holds and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).
-- `close` is orderly: it first waits, for a bounded time, until the peer's kernel has acknowledged everything.
-- `TCP_USER_TIMEOUT` (RFC 5482; Linux): the kernel ends the connection by itself where nothing is acknowledged for as
-  long as the peer may be silent. It works while this process is suspended or held up, and no thread could call `abort`.
+- `SO_LINGER` of 0 s is set from the beginning. When the connection ends, by `abort`, a crash of the process or the
+  garbage collector, the kernel discards its data and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).
+- `close` is orderly: it first waits, for a limited time, until the peer's kernel has acknowledged everything.
+- `TCP_USER_TIMEOUT` (RFC 5482; Linux): the kernel ends the connection on its own if no data is acknowledged for as long
+  as the peer may be silent. This works even while this process is suspended or delayed, so that no thread can call
+  `abort`.
 """
 
 from __future__ import annotations
@@ -41,39 +42,44 @@ if sys.platform == "linux":
     import fcntl
     import termios
 
-#: Bytes asked for at a time: some 60 packets, when the reader has fallen behind.
+#: Bytes requested per read: about 60 packets if the reader has fallen behind.
 _CHUNK = 65536
 
-#: Seconds that `close` waits for acknowledgements: a stop may be among what the peer has not. Linux delays one by up to
-#: 40 ms; the rest is for two retransmissions, which Linux makes 200 and 600 ms after the first try at the earliest.
+#: Maximum time in s that `close` waits for acknowledgements, because the peer might not have received a stop yet. Linux
+#: delays an acknowledgement by up to 40 ms. The rest is for two retransmissions, which Linux makes 200 and 600 ms after
+#: the first try at the earliest.
 _DRAIN = 0.7
 
-#: Seconds after which a sender that waits for room looks whether it was closed here: not every system's poll can tell.
+#: Interval in s at which a sender that waits for room checks whether this program has closed the connection, because
+#: poll does not report this on every system.
 _SLICE = 0.05
 
-#: A NamedTuple made without its own `__new__`, which is a call of Python code for each packet.
+#: Makes a NamedTuple without its own `__new__`, which would be a call of Python code for each packet.
 _new_stamp = tuple.__new__
 
 
 class Finished(Exception):
-    """There are no more bytes, in good order: the end of a recording."""
+    """The regular end of the bytes, at the end of a recording."""
 
 
 class Transport(Protocol):
     """A source of bytes."""
 
-    #: what it is connected to, for messages
+    #: Name of the peer, used in messages.
     name: str
 
     @property
     def round_trip(self) -> float:
-        """Seconds that the handshake of the last connection took, there and back; `inf` where there was none."""
+        """Duration of the handshake of the last connection, there and back, in s.
+
+        It is `inf` if there was none.
+        """
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds; raises `RemoteError`."""
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
-        """Wait for bytes, at most `timeout` seconds; with the moment they came.
+        """Wait up to `timeout` seconds for bytes; return them with the time of their arrival.
 
         Raises `LinkTimeout`, `ConnectionLost` or `Finished`.
         """
@@ -82,31 +88,37 @@ class Transport(Protocol):
         """Send all of `data` within `timeout` seconds; raises `RemoteError`."""
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Hand over what is taken at once; its number of bytes. Never waits; raises `ConnectionLost`."""
+        """Send the bytes that are accepted at once; return their number.
+
+        Never waits; raises `ConnectionLost`.
+        """
 
     def wait_for_room(self, timeout: float) -> bool:
-        """Wait until `send_some` can send something; False when time is up; raises `ConnectionLost`."""
+        """Wait until `send_some` can send; return False after `timeout` seconds; raises `ConnectionLost`."""
 
     def abort(self) -> None:
-        """Disconnect at once, discard what was not delivered, wake threads that wait. Idempotent, from any thread."""
+        """Disconnect at once, discard undelivered data, and wake waiting threads.
+
+        Idempotent, in any thread.
+        """
 
     def close(self) -> None:
-        """Disconnect once what was sent is delivered, in bounded time; then as `abort`."""
+        """Disconnect after the sent data is delivered, within a limited time; then do the same as `abort`."""
 
 
 class TcpTransport:
-    """A TCP connection that this side makes by `open`, or one that a peer made to it, by `adopt`.
+    """A TCP connection, made by `open` on this side, or by a peer and passed to `adopt`.
 
     Args:
-        host: name or address.
+        host: Host name or address.
         port: TCP port.
-        silence: seconds without a byte after which `receive` raises `LinkTimeout`, and without an acknowledgement after
-            which the kernel gives the connection up.
-        refused: what to say beside the error where the connection is refused, such as which setting may be the cause;
-            "" for nothing.
+        silence: Seconds without a byte after which `receive` raises `LinkTimeout`. Also the seconds without an
+            acknowledgement after which the kernel aborts the connection.
+        refused: Function that returns a hint for the error if the connection is refused, such as the setting that might
+            be the cause; "" for no hint.
 
     Attributes:
-        round_trip: see `Transport`.
+        round_trip: See `Transport`.
     """
 
     def __init__(self, host: str, port: int, *, silence: float, refused: Callable[[], str] = str) -> None:
@@ -118,20 +130,21 @@ class TcpTransport:
         self._refused = refused
         self._home = HomeProcess(self.name)
         self._socket: socket.socket | None = None
-        self._receive_timeout = silence  # that of the socket
+        self._receive_timeout = silence  # current timeout of the socket
 
     def another(self) -> TcpTransport:
-        """A transport to the same port, which is not connected."""
+        """Return a new transport to the same port, which is not connected."""
         return TcpTransport(self.host, self.port, silence=self.silence, refused=self._refused)
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds.
 
         Raises:
-            ConnectFailed: refused, unreachable, or no such host.
-            LinkTimeout: no answer in time.
-            LocalError: in a process that was forked from the one which made the transport. So is every other use there.
-            Cancelled: as `send_some`.
+            ConnectFailed: If the connection is refused, or the host is unreachable or unknown.
+            LinkTimeout: If the host does not answer in time.
+            LocalError: If this process was forked from the process that made the transport. All other methods raise it
+                too.
+            Cancelled: If this thread makes a pending call that was abandoned. See `linkcore.pending_call`.
         """
         self._home.check()
         self.abort()
@@ -142,16 +155,16 @@ class TcpTransport:
         self.adopt(connection, ConnectFailed)
 
     def failure(self, error: OSError | ValueError, timeout: float) -> RemoteError:
-        """What to raise where a connection could not be made within `timeout` seconds."""
+        """Return the error for a connection that could not be made within `timeout` seconds."""
         failure = mapped(error, f"cannot connect to {self.name}", timeout, ConnectFailed)
         hint = self._refused() if isinstance(error, ConnectionRefusedError) else ""
         return ConnectFailed(f"{failure}; {hint}") if hint else failure
 
     def adopt(self, connection: socket.socket, otherwise: type[RemoteError] = ConnectionLost) -> None:
-        """Use a socket that is connected.
+        """Use a connected socket.
 
         Raises:
-            otherwise: it is gone already, and closed now.
+            otherwise: If the connection has already ended. The socket is closed.
         """
         try:
             _prepare(connection, self.silence)
@@ -163,15 +176,15 @@ class TcpTransport:
         _connections.add(self)
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
-        """Wait for bytes; with the moment they came.
+        """Wait for bytes; return them with the time of their arrival.
 
         Args:
-            timeout: seconds to wait for the first of them; by default `silence`.
+            timeout: Maximum wait for the first byte, in s; by default `silence`.
 
         Raises:
-            LinkTimeout: nothing came in that time, although this thread was there to receive it: the kernel waited.
-            ConnectionLost: the peer closed or reset the connection, `close` or `abort` was called, or the kernel gave
-                it up because nothing was acknowledged.
+            LinkTimeout: If nothing arrives in time. The kernel itself waits, so a delay of this thread is not counted.
+            ConnectionLost: If the peer closes or resets the connection, `close` or `abort` is called, or the kernel
+                aborts the connection because data is not acknowledged.
         """
         connection = self._socket
         if connection is None:
@@ -183,7 +196,7 @@ class TcpTransport:
                 self._set_receive_timeout(connection, max(timeout, 0.0))
             data = connection.recv(_CHUNK)
         except BlockingIOError:
-            raise LinkTimeout(f"{self.name}: nothing within {max(timeout, 0.0):g} s") from None
+            raise LinkTimeout(f"{self.name}: nothing received within {max(timeout, 0.0):g} s") from None
         except OSError as error:
             raise mapped(error, self.name, timeout, ConnectionLost) from error
         if not data:
@@ -191,15 +204,18 @@ class TcpTransport:
         return data, _new_stamp(Stamp, (clock.read(), time.time()))
 
     def fileno(self) -> int:
-        """The descriptor of the socket, for those who wait for many at once; -1 if there is none."""
+        """Return the descriptor of the socket, to wait for several sockets at once.
+
+        Return -1 if there is none.
+        """
         connection = self._socket
         return -1 if connection is None else connection.fileno()
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
-        """The bytes that have come already, or None; never waits.
+        """Return the bytes that have already arrived, or None; never waits.
 
         Raises:
-            ConnectionLost: the peer closed or reset the connection, or it was closed here.
+            ConnectionLost: If the peer has closed or reset the connection, or this program has closed it.
         """
         connection = self._socket
         if connection is None:
@@ -225,21 +241,22 @@ class TcpTransport:
         return ConnectionLost(f"{self.name} is not connected")
 
     def _set_receive_timeout(self, connection: socket.socket, timeout: float) -> None:
-        # One percent more is not worth a system call for each packet, where the timeout is what a deadline leaves.
+        # If the timeout is the rest of a deadline, it changes with each packet. A difference of one percent is not
+        # worth a system call.
         if not 0.99 * self._receive_timeout <= timeout <= self._receive_timeout:
             _set_receive_timeout(connection, timeout)
             self._receive_timeout = timeout
 
     def _ended(self, connection: socket.socket) -> ConnectionLost:
-        by = "closed the connection" if self._socket is connection else "was closed here"
+        by = "closed the connection" if self._socket is connection else "was closed by this program"
         return ConnectionLost(f"{self.name} {by}")
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Send all of `data` within `timeout` seconds: hand it to the kernel.
+        """Send all of `data` within `timeout` seconds, by passing it to the kernel.
 
         Raises:
-            LinkTimeout: the peer did not take it in time; part of it may have been sent.
-            ConnectionLost: the connection is gone.
+            LinkTimeout: If the peer does not accept it in time. Part of it may have been sent.
+            ConnectionLost: If the connection is lost.
         """
         until = clock.now() + timeout
         rest = memoryview(data)
@@ -247,20 +264,22 @@ class TcpTransport:
             sent = self.send_some(rest)
             rest = rest[sent:]
             if not sent and not self.wait_for_room(until - clock.now()):
-                raise LinkTimeout(f"sending to {self.name}: nothing within {timeout:g} s")
+                raise LinkTimeout(f"sending to {self.name}: the peer did not accept the data within {timeout:g} s")
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Hand as much of `data` to the kernel as it takes at once, and say how many bytes that is; never waits.
+        """Pass to the kernel as many bytes of `data` as it accepts at once; return their number.
+
+        Never waits.
 
         Raises:
-            ConnectionLost: the connection is gone.
-            Cancelled: this thread makes a call that was given up; see `linkcore.pending_call`.
+            ConnectionLost: If the connection is lost.
+            Cancelled: If this thread makes a pending call that was abandoned. See `linkcore.pending_call`.
         """
         connection = self._socket
         if connection is None:
             raise self._unconnected()
         check_wanted()
-        # The socket blocks, for the sake of `receive`: where a send has no flag for not waiting, ask for room first.
+        # The socket blocks, because `receive` needs this. If `send` has no flag against waiting, check for room first.
         flags = getattr(socket, "MSG_DONTWAIT", 0)
         try:
             if not flags and not _has_room(connection, 0.0):
@@ -272,11 +291,11 @@ class TcpTransport:
             raise mapped(error, f"sending to {self.name}", 0.0, ConnectionLost) from error
 
     def wait_for_room(self, timeout: float) -> bool:
-        """Wait until `send_some` can send something; False when time is up.
+        """Wait until `send_some` can send; return False after `timeout` seconds.
 
         Raises:
-            ConnectionLost: the connection is gone.
-            Cancelled: as `send_some`.
+            ConnectionLost: If the connection is lost.
+            Cancelled: See `send_some`.
         """
         until = clock.now() + timeout
         while (connection := self._socket) is not None:
@@ -290,38 +309,45 @@ class TcpTransport:
                 return False
             check_wanted()
         self._home.check()
-        raise ConnectionLost(f"sending to {self.name}: closed here")
+        raise ConnectionLost(f"sending to {self.name}: closed by this program")
 
     def abort(self) -> None:
-        """Disconnect at once: the kernel discards what the peer has not acknowledged. Wakes who receives or sends."""
+        """Disconnect at once, so that the kernel discards unacknowledged data.
+
+        Wakes threads that receive or send.
+        """
         connection, self._socket = self._socket, None
         if connection is None:
             return
-        # Not SHUT_RDWR: that would put the end of the stream behind the bytes to be discarded, and have both delivered.
-        with contextlib.suppress(OSError):  # already disconnected: no thread waits on it then
+        # Not SHUT_RDWR, which would append the end of the stream to the bytes to be discarded, and deliver both.
+        with contextlib.suppress(OSError):  # already disconnected, so no thread waits on it
             connection.shutdown(socket.SHUT_RD)
         connection.close()
 
     def close(self, timeout: float = _DRAIN) -> None:
-        """Disconnect when the peer's kernel has acknowledged all that was sent; after `timeout` seconds as `abort`.
+        """Disconnect when the peer's kernel has acknowledged all sent data; after `timeout` seconds do as `abort`.
 
-        `receive` goes on meanwhile. Where the operating system does not say what is acknowledged (Linux and macOS do,
-        Windows does not), it closes at once and the kernel goes on delivering: `abort` what must not arrive any more.
+        `receive` continues meanwhile. Linux and macOS report unacknowledged data, but Windows does not. There, the
+        connection is closed at once, and the kernel continues to deliver the data. Call `abort` if data must not arrive
+        any more.
         """
         for pause in self.closing(timeout):
             clock.sleep(pause)
 
     def closing(self, timeout: float = _DRAIN) -> Iterator[float]:
-        """What `close` does, step by step: seconds to wait before the next one. To be used up, or `abort`."""
+        """Close step by step, as `close` does; yield the seconds to wait before the next step.
+
+        The caller must exhaust the iterator, or call `abort`.
+        """
         connection = self._socket
         if connection is None:
             return
         with contextlib.suppress(OSError, ValueError):  # ended by the peer, or by `abort` in another thread
-            connection.shutdown(socket.SHUT_WR)  # another thread that sends gets an error from now on
+            connection.shutdown(socket.SHUT_WR)  # from now on, another thread that sends gets an error
             until = clock.now() + timeout
-            # An acknowledgement takes some 50 us on a local network, and up to 40 ms where it is delayed.
+            # An acknowledgement takes about 50 us on a local network, and up to 40 ms if it is delayed.
             pause = 0.0002
-            # Nothing is added meanwhile. The FIN, which need not be waited for, counts as one byte.
+            # No data is added meanwhile. The FIN counts as one byte, and does not have to be acknowledged.
             while (is_under_way := _unacknowledged(connection) > 1) and clock.now() < until:
                 yield pause
                 pause = min(2 * pause, 0.01)
@@ -330,17 +356,17 @@ class TcpTransport:
         self.abort()
 
 
-#: Gets each socket that is connected, and returns what is used in its place.
+#: Function that gets each connected socket, and returns the object to use instead.
 _witness: Callable[[TcpTransport, Any], Any] | None = None
 
 
 @contextlib.contextmanager
 def witnessed(witness: Callable[[TcpTransport, Any], Any]) -> Iterator[None]:
-    """Let a witness see every connection of this process that is made within the block.
+    """Call a witness for every connection that this process makes within the block.
 
     Args:
-        witness: gets the transport and its socket, in the thread that has connected; returns what the transport is to
-            use, such as an object that notes what passes and hands it on.
+        witness: Function that gets the transport and its socket, in the thread that has connected. It returns the
+            object that the transport uses instead of the socket, such as an object that records the traffic.
     """
     global _witness
     before, _witness = _witness, witness
@@ -350,14 +376,14 @@ def witnessed(witness: Callable[[TcpTransport, Any], Any]) -> Iterator[None]:
         _witness = before
 
 
-#: The transports that are connected.
+#: All connected transports.
 _connections: weakref.WeakSet[TcpTransport] = weakref.WeakSet()
 
 
 def _leave_to_parent() -> None:
-    """Run in a forked child: close its copies of the sockets, so that nothing it calls ends the parent's connections.
+    """Close the copies of the sockets in a forked child, so that no call there can end the parent's connections.
 
-    A copy that stayed open would also keep the kernel from ending a connection that the parent closes.
+    An open copy would also prevent the kernel from ending a connection that the parent closes.
     """
     for transport in list(_connections):
         connection, transport._socket = transport._socket, None
@@ -370,9 +396,9 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
 
 
 def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, float]:
-    """A connection to the first address of `host` that answers, and the s of its handshake.
+    """Return a connection to the first address of `host` that answers, and the duration of its handshake in s.
 
-    `timeout` is for all of them together.
+    `timeout` is the maximum time for all addresses together.
     """
     until = clock.now() + timeout
     places = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
@@ -400,44 +426,49 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
     try:
         raise failure or OSError(f"{host} has no address")
     finally:
-        failure = None  # the error refers to this frame
+        failure = None  # breaks the reference cycle between the error and this frame
 
 
 def _interrupt(connection: socket.socket) -> None:
-    """End the wait of another thread that connects this socket; outside Linux the wait may last until its timeout."""
+    """End the wait of another thread that connects this socket.
+
+    Except on Linux, it may last until its timeout.
+    """
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)
 
 
-#: struct linger: is it on, seconds. Two ints, but two shorts on Windows (winsock2.h).
+#: struct linger: whether it is on, and the seconds. It has two ints, but two shorts on Windows (winsock2.h).
 _LINGER = struct.Struct("hh" if sys.platform == "win32" else "ii")
 
 
 def _prepare(connection: socket.socket, silence: float) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(1, 0))
-    # A controller that lost power sends no FIN; `silence` notices sooner, keepalive frees the socket.
+    # A controller that has lost power sends no FIN. `silence` detects this sooner; keepalive frees the socket.
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     if hasattr(socket, "TCP_USER_TIMEOUT"):
-        # In ms, and 0 is the system's default. `silence`, since after that this side calls the connection lost too.
+        # In ms; 0 would be the system's default. It equals `silence`, because after that time the connection is
+        # considered lost on this side too.
         milliseconds = min(max(round(silence * 1e3), 1), 2**31 - 1)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
     _set_receive_timeout(connection, silence)
 
 
 def _has_room(connection: socket.socket, seconds: float) -> bool:
-    """Wait until something can be sent; False when time is up.
+    """Wait until data can be sent; return False after `seconds`.
 
     Raises:
-        OSError: the connection ended, or was ended here.
+        OSError: If the connection has ended, or this program has ended it.
     """
     number = connection.fileno()
     if number < 0:
         raise OSError(errno.EBADF, "closed")
     if sys.platform == "win32":
         return bool(select.select([], [connection], [], seconds)[1])
-    # Not select: it takes no descriptors beyond 1023, and a program with many robots has those. While poll waits, the
-    # kernel keeps the socket open, so `abort` takes effect when poll returns: POLLRDHUP makes SHUT_RD wake it (Linux).
+    # Not `select`, which accepts no descriptors above 1023; a program with many robots has such descriptors. While poll
+    # waits, the kernel keeps the socket open, so `abort` takes effect when poll returns. With POLLRDHUP, SHUT_RD wakes
+    # poll (Linux).
     ended = getattr(select, "POLLRDHUP", 0)
     poll = select.poll()
     poll.register(number, select.POLLOUT | ended)
@@ -448,34 +479,37 @@ def _has_room(connection: socket.socket, seconds: float) -> bool:
 
 
 def _unacknowledged(connection: socket.socket) -> int:
-    """Bytes that were sent and not acknowledged, and one for the FIN; 0 where the system does not tell."""
+    """Return the number of unacknowledged bytes, the FIN included as one.
+
+    Return 0 if the system does not report it.
+    """
     if sys.platform == "linux":
         # SIOCOUTQ has the number of TIOCOUTQ (linux/sockios.h).
         (count,) = struct.unpack("i", fcntl.ioctl(connection, termios.TIOCOUTQ, bytes(4)))
     elif sys.platform == "darwin":
-        count = connection.getsockopt(socket.SOL_SOCKET, 0x1024)  # SO_NWRITE of sys/socket.h; not tried on a Mac
+        count = connection.getsockopt(socket.SOL_SOCKET, 0x1024)  # SO_NWRITE of sys/socket.h; not verified on a Mac
     else:
         count = 0
     return int(count)
 
 
 def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
-    """Let `recv` wait so long, and no longer.
+    """Set the timeout of `recv`.
 
-    Python's own timeout asks the kernel twice for each packet, poll and recv; the kernel's asks once.
+    Python's own timeout needs two system calls for each packet, poll and recv; the kernel's timeout needs one.
     """
     if sys.platform == "win32":
         connection.settimeout(seconds)
         return
     connection.settimeout(None)
-    # struct timeval is two words of 4 or 8 bytes, and the option itself tells which. `long` would be wrong on a 32-bit
-    # system whose time_t has 64 bits (Debian 13, and Raspberry Pi OS made from it): it takes two words of 8.
+    # struct timeval is two words of 4 or 8 bytes, and the size of the option shows which. `long` would be wrong on a
+    # 32-bit system whose time_t has 64 bits (Debian 13, and Raspberry Pi OS based on it), which has two words of 8.
     size = len(connection.getsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, 32))
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds, size))
 
 
 def _timeval(seconds: float, size: int) -> bytes:
-    """A struct timeval of `size` bytes. Never 0, which means for ever."""
+    """Return a struct timeval of `size` bytes. It is never 0, which would mean no timeout."""
     whole = int(seconds)
     return struct.pack("qq" if size == 16 else "ii", whole, max(int((seconds - whole) * 1e6), 1))
 
@@ -486,18 +520,21 @@ def is_unknown_host(error: RemoteError) -> bool:
 
 
 def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
-    """The one place where operating-system errors become the library's own."""
-    if isinstance(error, ValueError):  # a part of the name is too long, or holds what no name may
+    """Convert an error of the operating system to an error of this library.
+
+    No other code does this.
+    """
+    if isinstance(error, ValueError):  # a part of the name is too long, or contains an invalid character
         return otherwise(f"{doing}: no such host ({error})")
     if error.errno == errno.ETIMEDOUT and otherwise is ConnectionLost:
-        # Not that nothing came: TCP_USER_TIMEOUT or keepalive has ended the connection.
-        return otherwise(f"{doing}: the peer no longer acknowledges what is sent, so the connection was given up")
+        # This is not a timeout of `recv`: TCP_USER_TIMEOUT or keepalive has ended the connection.
+        return otherwise(f"{doing}: the peer no longer acknowledges sent data, so the connection was aborted")
     if isinstance(error, TimeoutError):
-        return LinkTimeout(f"{doing}: nothing within {timeout:g} s")
+        return LinkTimeout(f"{doing}: no answer within {timeout:g} s")
     if isinstance(error, socket.gaierror):
         return otherwise(f"{doing}: no such host ({error.strerror})")
     if isinstance(error, ConnectionRefusedError):
-        return otherwise(f"{doing}: connection refused; is the controller on, and is this its port?")
+        return otherwise(f"{doing}: connection refused; is the controller on, and is the port right?")
     if error.errno == errno.EBADF:
-        return otherwise(f"{doing}: closed here")
+        return otherwise(f"{doing}: closed by this program")
     return otherwise(f"{doing}: {error.strerror or error}")

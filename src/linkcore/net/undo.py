@@ -1,12 +1,13 @@
-"""Undoing commands that were abandoned before they were answered, and might still be executed.
+"""Undo for commands that were abandoned before the peer answered, and that might still be executed.
 
-A peer that hangs has the bytes of a command already, and carries it out when it goes on, long after the call has
-failed. What has an opposite, as `play` has `stop`, can be undone then: at the first contact, and before a newer
-command is sent. A thread tries that for as long as something is pending, always on a connection of its own. It sends
-the opposite only after the peer has answered a question, so that nothing of this waits at a peer that hangs.
+A hung peer has already received the bytes of a command. It executes the command when it resumes, long after the call
+has failed. If the command has an opposite, as `play` has `stop`, it can then be undone at the first contact, before a
+newer command is sent. A thread tries this for as long as an undo is pending, and uses a new connection for each try. It
+sends the opposite only after the peer has answered a question, so that no bytes of the undo wait at a hung peer.
 
-What is pending belongs to the peer, and not to the object that gave it up: it is kept for the life of the process. No
-thread is left once the last who uses the peer has closed. Who uses it next begins with undoing it.
+Pending undos belong to the peer rather than to the object that abandoned the command. They are kept for the life of the
+process. When the last user of the peer has closed, its thread ends. The next user starts by undoing the pending
+commands.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from ..errors import Closed, LinkError, LinkTimeout, LocalError
 from ..pending_call import on_give_up
 from ..threads import ReentrantEvent, started
 
-#: How the error of a command ends that was sent and not answered.
-MAY_STILL = "it may still be carried out"
-#: Seconds between two attempts: at first, and at most. It grows where they fail at once. One that lasts longer has met
-#: a peer that hangs; when that goes on, the next attempt is to be under way.
+#: End of the error of a command that was sent and not answered.
+MAY_STILL = "it might still be executed"
+#: Initial and longest time between two attempts, in s. The time grows if attempts fail at once. An attempt that lasts
+#: longer has met a hung peer; the next attempt should already be running when the peer resumes.
 _PAUSE, _LONGEST = 0.1, 2.0
-#: Seconds between two looks whether it has been undone.
+#: Interval in s at which to check whether the commands were undone.
 _POLL = 0.02
 
 _log = logging.getLogger(__name__)
@@ -46,12 +47,15 @@ C = TypeVar("C", bound=_Closeable)
 
 @dataclass(frozen=True, eq=False)
 class Undo(Generic[C]):
-    """How a command is undone. It outlives who gave the command, and should refer to nothing of theirs.
+    """Functions that undo a command.
+
+    They outlive the object that gave the command, and should not refer to it.
 
     Attributes:
-        client: makes what talks to the peer, which connects when it is used; closed after each attempt.
-        execute: makes contact by it, and undoes the command if the second argument, called then, is still True.
-            Raises `LinkError` if that cannot be done now.
+        client: Function that returns a new client of the peer. The client connects when it is used, and is closed after
+            each attempt.
+        execute: Function that contacts the peer through the client, and undoes the command if its second argument,
+            called after the contact, still returns True. Raises `LinkError` if the command cannot be undone now.
     """
 
     client: Callable[[], C]
@@ -59,33 +63,33 @@ class Undo(Generic[C]):
 
 
 class PendingUndos:
-    """The commands to one peer that were given up and are to be undone.
+    """Abandoned commands to one peer that must be undone.
 
     Args:
-        name: of the peer, for messages.
+        name: Name of the peer, used in messages.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._pending: dict[str, Undo[Any]] = {}
-        #: the last command of each name that was answered and can be undone
+        #: Name -> the last command of this name that was answered and can be undone.
         self._answered: weakref.WeakValueDictionary[str, Undo[Any]] = weakref.WeakValueDictionary()
         self._thread: threading.Thread | None = None
         self._client: _Closeable | None = None
-        self._lock = threading.RLock()  # a signal handler may give up another one
+        self._lock = threading.RLock()  # re-entrant, because a signal handler may abandon another command
         self._closed = ReentrantEvent()
-        #: who uses it; None for one that belongs to whoever made it, and is forgotten when it is closed
+        #: Users of the peer; None if it was not made by `of`, so that its undos are forgotten when it is closed.
         self._users: weakref.WeakSet[object] | None = None
 
     @classmethod
     def of(cls, peer: Hashable, name: str, user: object, *parts: Hashable) -> PendingUndos:
-        """That of a peer, the same one for as long as this process lives; what is pending is undone from now on.
+        """Return the object of a peer, which is the same for the life of this process, and start to undo.
 
         Args:
-            peer: what identifies it.
-            name: of the peer, for messages.
-            user: who uses it, and closes it.
-            parts: what identifies each of its services. Who uses one alone gives that as the peer.
+            peer: Key of the peer.
+            name: Name of the peer, used in messages.
+            user: Object that uses the peer, and that calls `close` later.
+            parts: Keys of the services of the peer. A user of a single service passes its key as `peer`.
         """
         keys = [(os.getpid(), each) for each in (peer, *parts)]
         with _registry:
@@ -98,7 +102,8 @@ class PendingUndos:
         for other in known[1:]:
             if other is not undos:
                 undos._take_over(other)
-        # Without the lock of the module, which is a real one in simulated time too: others must not wait for it.
+        # The lock of the module is released first. It is a real lock even in simulated time, so no simulated thread may
+        # wait for it.
         with undos._lock:
             assert undos._users is not None
             undos._users.add(user)
@@ -108,45 +113,45 @@ class PendingUndos:
 
     @staticmethod
     def is_owed(*peers: Hashable) -> bool:
-        """Whether something is to be undone at one of the peers."""
+        """Whether a command to one of the peers must be undone."""
         known = (_known.get((os.getpid(), peer)) for peer in peers)
         return any(undos is not None and bool(undos._pending) for undos in known)
 
     @property
     def pending(self) -> tuple[str, ...]:
-        """The names of the commands that may still be carried out, and have not been undone."""
+        """Names of the commands that might still be executed, and have not been undone."""
         return tuple(self._pending)
 
     @contextlib.contextmanager
     def command(self, name: str, timeout: float, undo: Undo[Any] | None = None) -> Iterator[Callable[[], None]]:
-        """Around a command: those of this peer that were given up are undone before it is sent.
+        """Surround a command by a block, and first undo the abandoned commands to this peer.
 
         Args:
-            name: of the command; one that is answered supersedes an earlier one of its name.
-            timeout: seconds for that.
-            undo: undoes it if it is given up; None where it cannot be undone.
+            name: Name of the command. An answered command replaces earlier ones of the same name.
+            timeout: Maximum time for undoing the earlier commands, in s.
+            undo: Undo of the command if it is abandoned; None if it cannot be undone.
 
         Yields:
-            what to call if it was sent, and given up.
+            Function to call if the command was sent, and then abandoned.
 
         Raises:
-            LinkTimeout: an earlier command could not be undone; nothing was sent.
+            LinkTimeout: If an earlier command cannot be undone. Nothing is sent.
         """
         if not self.settle(timeout):
             before = ", ".join(map(repr, self.pending))
             raise LinkTimeout(
-                f"{self._name}: {name!r} was not sent: {before} was given up before, {MAY_STILL}, and could not be "
-                f"undone within {timeout:g} s"
+                f"{self._name}: {name!r} was not sent, because the abandoned command {before} might still be executed "
+                f"and could not be undone within {timeout:g} s"
             )
         yield lambda: None if undo is None else self._add(name, undo)
         self._remove(name)
         if undo is not None:
-            # The task that awaits this call might have been cancelled in the moment in which the answer came.
+            # The task that awaits this call might have been cancelled at the moment when the answer arrived.
             self._answered[name] = undo
             on_give_up(partial(self._add_answered, name, undo))
 
     def settle(self, timeout: float) -> bool:
-        """Wait until nothing is pending; False if that takes longer."""
+        """Wait until no undo is pending; return False if this takes longer than `timeout` seconds."""
         until = clock.now() + timeout
         while self._pending and not self._closed.is_set():
             thread = self._thread
@@ -156,15 +161,16 @@ class PendingUndos:
         return True
 
     def drop(self) -> None:
-        """Something newer has been sent that supersedes all of it."""
+        """Forget all pending undos, because a newer command has replaced the abandoned ones."""
         self._answered.clear()
         self._remove(*self._pending)
 
     def close(self, user: object = None) -> None:
-        """Undo nothing more; an attempt under way is broken off. Idempotent.
+        """Stop undoing, and abort a running attempt. Idempotent.
 
         Args:
-            user: who closes it. What is pending is kept for the next user, and the others go on.
+            user: Object that closes it. The attempts continue if there are other users, and pending undos are kept for
+                the next user.
         """
         with self._lock:
             if self._users is None:
@@ -179,7 +185,7 @@ class PendingUndos:
             client.close()
 
     def _take_over(self, other: PendingUndos) -> None:
-        """Have what is pending there, unless somebody uses it, who goes on with it."""
+        """Take the pending undos of another object, unless it still has users, which undo them themselves."""
         with other._lock:
             if other._users:
                 return
@@ -197,14 +203,15 @@ class PendingUndos:
             self._pending[name] = undo
             if self._users is not None:
                 _owed.add(self)
-            _log.warning("%s: %r was given up; %s, and is undone at the next contact", self._name, name, MAY_STILL)
+            message = "%s: %r was abandoned; %s, and will be undone at the next contact"
+            _log.warning(message, self._name, name, MAY_STILL)
             self._start()
 
     def _add_answered(self, name: str, undo: Undo[Any]) -> None:
-        """Add a command that was answered, unless a newer one has superseded it."""
+        """Add a command that was answered, unless a newer one has replaced it."""
         if self._answered.get(name) is undo:
             self._add(name, undo)
-            if self._thread is None and name in self._pending:  # no thread could be started, and this one may wait
+            if self._thread is None and name in self._pending:  # no thread could be started; the current one may wait
                 self._try(name, undo)
 
     def _remove(self, *names: str) -> None:
@@ -215,7 +222,7 @@ class PendingUndos:
                 _owed.discard(self)
 
     def _start(self) -> None:
-        """Start the thread if there is something for it. With the lock."""
+        """Start the thread if an undo is pending. The caller holds the lock."""
         if self._thread is not None or not self._pending or self._closed.is_set():
             return
         self._thread = threading.Thread(target=self._run, name=f"{self._name} undo", daemon=True)
@@ -223,7 +230,7 @@ class PendingUndos:
             started(self._thread)
         except LocalError:
             self._thread = None
-            _log.exception("%s: %s is not undone", self._name, ", ".join(map(repr, self._pending)))
+            _log.exception("%s: cannot undo %s", self._name, ", ".join(map(repr, self._pending)))
 
     def _run(self) -> None:
         pause = _PAUSE
@@ -262,11 +269,12 @@ class PendingUndos:
             client.close()
         if is_wanted():
             self._remove(name)
-            _log.warning("%s: %r, which was given up, was undone", self._name, name)
+            _log.warning("%s: the abandoned command %r was undone", self._name, name)
 
 
-#: Held while `PendingUndos.of` looks a peer up.
+#: Lock that is held while `PendingUndos.of` searches for a peer.
 _registry = threading.RLock()
-#: The peers that are used or owe something, by the process, since a forked one owes nothing; those that owe something.
+#: (process, peer) -> its object, for peers with users or pending undos. A forked process has no pending undos.
 _known: weakref.WeakValueDictionary[tuple[int, Hashable], PendingUndos] = weakref.WeakValueDictionary()
+#: Objects with pending undos, which must not be garbage-collected.
 _owed: set[PendingUndos] = set()

@@ -15,13 +15,13 @@ from ..wire.layout import NATIVE_DOUBLE, WIRE_DOUBLE, Layout, Place
 from ..wire.packet import State
 from .packets import Part
 
-#: Packets whose columns are made together: few enough that their bytes stay in the cache of a processor.
+#: Number of packets whose columns are made together. Their bytes must stay in the cache of a processor.
 _BLOCK = 512
-#: Bytes of a cache line; every column begins at one.
+#: Size of a cache line in bytes; every column begins at a cache line.
 _LINE = 64
 
 
-#: Makes the values of some fields in packets `start` to `stop`, one array for each field.
+#: Function that returns the values of some fields in the packets `start` to `stop`, as one array for each field.
 _Raw = Callable[[int, int], list[NDArray[Any]]]
 
 
@@ -29,12 +29,12 @@ class Column(NamedTuple):
     """Description of a column.
 
     Attributes:
-        name: of the field.
-        unit: of its values; "" for none.
-        doc: what it means.
-        width: elements in each row; None for a single value.
-        dtype: of its values.
-        meaning: the enumeration of the values; None for plain numbers.
+        name: Name of the field.
+        unit: Unit of the values; "" for none.
+        doc: Meaning of the field.
+        width: Number of elements in each row; None for a single value.
+        dtype: Type of the values.
+        meaning: Enumeration of the values; None for plain numbers.
     """
 
     name: str
@@ -46,28 +46,34 @@ class Column(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of each row."""
+        """Shape of each row."""
         return () if self.width is None else (self.width,)
 
 
 def is_continuous(column: Column) -> bool:
-    """Whether values between two rows can be interpolated: not those of codes, masks, counters and text."""
+    """Whether values between two rows can be interpolated.
+
+    Codes, masks, counters and text cannot.
+    """
     return column.dtype.kind == "f"
 
 
 class Columns(Protocol):
-    """The source of a table's columns."""
+    """Source of the columns of a table."""
 
     @property
     def known(self) -> Mapping[str, Column]:
-        """Every column by name."""
+        """All columns by name."""
 
     def read(self, names: Sequence[str], begin: int, end: int) -> dict[str, NDArray[Any]]:
-        """The rows `begin` to `end` of some columns: each array has `end - begin` rows of the column's shape."""
+        """Return the rows `begin` to `end` of some columns.
+
+        Each array has `end - begin` rows of the column's shape.
+        """
 
 
 class ArrayColumns:
-    """Columns that are arrays already."""
+    """Columns that already are arrays."""
 
     def __init__(self, known: Mapping[str, Column], arrays: Mapping[str, NDArray[Any]]) -> None:
         self.known = known
@@ -79,7 +85,7 @@ class ArrayColumns:
 
 
 def columns_of(states: Sequence[State]) -> ArrayColumns:
-    """The columns of decoded packets: for packets with text, whose sizes vary."""
+    """Return the columns of decoded packets. It is for packets with text, whose sizes vary."""
     known = _common([state._layout for state in states])
     arrays = {}
     for name, column in known.items():
@@ -91,7 +97,7 @@ def columns_of(states: Sequence[State]) -> ArrayColumns:
 
 
 class JoinedColumns:
-    """The columns of several sources with equally many rows, each named after its source: ``joint_data.q_actual``."""
+    """Columns of several sources with the same number of rows, named after their source: ``joint_data.q_actual``."""
 
     def __init__(self, sources: Mapping[str, Columns]) -> None:
         self._sources = sources
@@ -111,16 +117,16 @@ class JoinedColumns:
 
 
 class PacketColumns:
-    """Columns read from the bytes of packets without text, of one layout or several.
+    """Columns read from the bytes of packets without text, which may have several layouts.
 
-    There is a column for each field that every layout has. If the types of a field differ, as those of robot modes of
-    two generations do, its values are plain numbers.
+    There is a column for each field that all layouts have. If the types of a field differ, as for the robot modes of
+    two generations, its values are plain numbers.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self._parts = list(parts)
         self.known = _common([part.layout for part in self._parts])
-        #: fields that only some of the layouts have
+        #: Fields that only some of the layouts have.
         self.partial = sorted({name for part in self._parts for name in part.layout.places} - self.known.keys())
         self._ends = np.cumsum([len(part) for part in self._parts]).tolist()
 
@@ -141,14 +147,14 @@ class PacketColumns:
         return made
 
     def by_layout(self, begin: int, end: int) -> list[tuple[PacketColumns, int, int]]:
-        """The rows of each layout by themselves: the columns, the first row, and the row after the last."""
+        """Return for each layout its columns, its first row, and the row after its last row."""
         return [
             (PacketColumns([part.sliced(first, last)]), begin + at, begin + at + last - first)
             for part, first, last, at in self._pieces(begin, end)
         ]
 
     def _pieces(self, begin: int, end: int) -> Iterator[tuple[Part, int, int, int]]:
-        """For each part with some of the rows: the part, the first and the last packet, and the row of the first."""
+        """Yield each part with some of the rows, its first packet, the packet after its last one, and its first row."""
         for part, stop in zip(self._parts, self._ends, strict=True):
             start = stop - len(part)
             first, last = max(begin, start), min(end, stop)
@@ -157,10 +163,10 @@ class PacketColumns:
 
 
 def _allocated(columns: Mapping[str, Column], rows: int) -> dict[str, NDArray[Any]]:
-    """Memory for columns, in one piece.
+    """Allocate the memory for columns in one piece.
 
-    The system gives large pieces in pages of 2 MB. Single columns are too small for that; getting them as many small
-    pages takes half as long as filling them.
+    The system provides large pieces in pages of 2 MB. Single columns are too small for this, and allocating them in
+    many small pages takes half as long as filling them.
     """
     sizes = [math.prod((rows, *column.shape)) * column.dtype.itemsize for column in columns.values()]
     starts = [0, *itertools.accumulate(size + -size % _LINE for size in sizes)]
@@ -172,10 +178,10 @@ def _allocated(columns: Mapping[str, Column], rows: int) -> dict[str, NDArray[An
 
 
 def _cells(part: Part, places: Sequence[Place]) -> _Raw:
-    """For packets that consist of 8-byte numbers only: the values in the byte order of this machine.
+    """Return the reader for packets that consist only of 8-byte numbers, in the byte order of this machine.
 
-    All numbers from the first to the last wanted one are swapped at once. Numpy takes longer to swap the fields one by
-    one, six numbers of each packet at a time.
+    All numbers from the first to the last requested one are swapped at once. Numpy would take longer to swap each field
+    separately, for example six numbers of each packet.
     """
     begin = min(place.offset for place in places)
     end = max(place.offset + place.stride * ((place.count or 1) - 1) + place.width for place in places)
@@ -195,7 +201,7 @@ def _cells(part: Part, places: Sequence[Place]) -> _Raw:
 
 
 def _mixed(part: Part, places: Sequence[Place]) -> _Raw:
-    """For packets with numbers of several sizes: the values as they are on the wire."""
+    """Return the reader for packets with numbers of several sizes, in the byte order of the wire."""
 
     def raw(start: int, stop: int) -> list[NDArray[Any]]:
         packets = part.view(start, stop, 0, part.layout.dtype)
@@ -206,20 +212,20 @@ def _mixed(part: Part, places: Sequence[Place]) -> _Raw:
 
 
 def _as_stored(place: Place, column: NDArray[Any]) -> NDArray[Any]:
-    """The column, viewed as the type of the numbers on the wire."""
+    """Return a view of the column with the type of the numbers on the wire."""
     return column.view(NATIVE_DOUBLE) if _is_code_in_float(place, column) else column
 
 
 def _read_in_place(place: Place, column: NDArray[Any]) -> None:
     """Convert a column of numbers from the wire, in place, to the values that users get."""
     if place.shape is Mask64:
-        # A mask may be held as an IEEE double of the same value; see `Mask64`.
+        # A mask may be coded as an IEEE double of the same value; see `Mask64`.
         if column.max() >> np.uint64(48):
             odd = np.flatnonzero(column >> np.uint64(48))
             column[odd] = [Mask64.read(each) for each in column[odd].tolist()]
     elif _is_code_in_float(place, column):
         numbers = column.view(NATIVE_DOUBLE)
-        # A double that is not a whole number of 32 bits becomes some other number here.
+        # A double that is not a whole number of 32 bits becomes a different number here.
         with np.errstate(invalid="ignore"):
             codes = numbers.astype(np.int32)
         is_none = codes != numbers
@@ -246,14 +252,14 @@ def _column(place: Place) -> Column:
         dtype = np.dtype("i8")
     else:
         assert place.number is not None, "everything else is a number"
-        # Floats of four bytes are given as float64 too, which is exact.
+        # Floats of four bytes are also converted to float64, which is exact.
         dtype = np.dtype("f8" if place.number.kind[0] == "f" else place.number.kind)
     is_enumeration = isinstance(meaning, type) and issubclass(meaning, OpenInt)
     return Column(field.name, field.unit, field.doc, place.count, dtype, meaning if is_enumeration else None)
 
 
 def _common(layouts: Sequence[Layout]) -> dict[str, Column]:
-    """The columns that all layouts have."""
+    """Return the columns that all layouts have."""
     every = [{name: _column(place) for name, place in layout.places.items()} for layout in dict.fromkeys(layouts)]
     if not every:
         return {}

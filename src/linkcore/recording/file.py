@@ -1,19 +1,19 @@
-"""The file format of recordings, and their records: raw bytes with their stamps, in a file that survives a crash.
+"""The file format of recordings: records of raw bytes with their stamps, in a file that survives a crash.
 
 The file is append-only, big-endian::
 
     8 bytes   magic "LINKREC1"
-    records   u32 length of what follows the checksum | u32 CRC-32 of it
+    records   u32 length of the part after the checksum | u32 CRC-32 of this part
               u8 kind | u8 channel | i64 monotonic ns | i64 wall ns | payload
 
-    kind 0    channel: JSON object {"name": ..., and what the recorder knows of the source}
-    kind 1    bytes as they came
+    kind 0    channel: JSON object {"name": ..., and the recorder's description of the source}
+    kind 1    received bytes
     kind 2    connection event: JSON object {"state": ..., "error": ...}
     kind 3    end: the recording was closed properly
 
-Each record is written by one system call, so a crash of the program loses nothing that was recorded, and
-a crash of the machine at most the end of the file. Reading stops before the first record that is
-incomplete or damaged, and counts the bytes that are left out.
+Each record is written by one system call. So a crash of the program loses no recorded data, and a crash of the machine
+loses at most the end of the file. Reading stops before the first incomplete or damaged record, and counts the bytes
+that are left out.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from ..names import StrictAttributes
 from ..streaming.connection_life import Chunk, ConnectionEvent
 
 MAGIC = b"LINKREC1"
-#: Length of what follows the checksum; checksum.
+#: Length of the part after the checksum; checksum.
 FRAME = struct.Struct(">II")
 #: Kind, channel, monotonic and wall time in ns.
 HEAD = struct.Struct(">BBqq")
-#: No record is larger: a longer length is damage.
+#: Maximum length in a record. A larger length is considered damage.
 LARGEST = 1 << 26
 
 
 class Kind(enum.IntEnum):
-    """What a record holds."""
+    """Kind of a record."""
 
     CHANNEL = 0
     BYTES = 1
@@ -61,16 +61,16 @@ class Record(NamedTuple):
 
 
 def pack(kind: Kind, channel: int, stamp: Stamp, payload: bytes) -> bytes:
-    """The bytes of one record."""
+    """Return the bytes of one record."""
     body = HEAD.pack(kind, channel, round(stamp.monotonic * 1e9), round(stamp.wall * 1e9)) + payload
     return FRAME.pack(len(body), zlib.crc32(body)) + body
 
 
 def described(path: str | os.PathLike[str], channel: int, payload: bytes, key: str) -> dict[str, Any]:
-    """The JSON object in the payload of a channel (key "name") or of an event (key "state").
+    """Return the JSON object in the payload of a channel (key "name") or of an event (key "state").
 
     Raises:
-        BadRecording: it is not a JSON object, or holds no text under `key`.
+        BadRecording: If the payload is not a JSON object, or has no text under `key`.
     """
     try:
         info = json.loads(payload)
@@ -81,43 +81,43 @@ def described(path: str | os.PathLike[str], channel: int, payload: bytes, key: s
     return info
 
 
-#: Called with the part of the work that is done, 0 to 1.
+#: Function that is called with the completed part of the work, 0 to 1.
 Progress = Callable[[float], object]
 
 
 def unseen(part: float) -> None:
-    """Where nobody wants to know."""
+    """Ignore the progress."""
 
 
 def new_file(path: Path, *, buffering: int = -1) -> IO[bytes]:
-    """A file that did not exist, opened to write; `buffering` as for `open`.
+    """Create a file and open it for writing; `buffering` as for `open`.
 
     Raises:
-        BadRecording: the file exists, or cannot be made.
+        BadRecording: If the file exists, or cannot be created.
     """
     try:
         return path.open("xb", buffering=buffering)
     except FileExistsError:
-        raise BadRecording(f"{path} exists; a recording never overwrites one") from None
-    except (OSError, ValueError) as error:  # ValueError: no operating system has such names
+        raise BadRecording(f"{path} exists; a recording never overwrites a file") from None
+    except (OSError, ValueError) as error:  # ValueError if the name is invalid on every operating system
         raise BadRecording(f"cannot write {path}: {_reason(error)}") from error
 
 
 class RecordingWriter(StrictAttributes):
-    """Appends records to a new file; may be called from several threads.
+    """Writer that appends records to a new file; several threads may call it.
 
     Raises:
-        BadRecording: the file exists, or cannot be made.
+        BadRecording: If the file exists, or cannot be created.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        # Unbuffered: bytes that write() has taken are kept by the operating system, also when this process dies.
+        # Unbuffered, so that the operating system keeps all written bytes even if this process dies.
         self._file = new_file(self.path, buffering=0)
-        self._lock = threading.RLock()  # re-entrant: a signal handler may close the robot
+        self._lock = threading.RLock()  # re-entrant, because a signal handler may close the robot
         self._is_closing = False
         self._channels = 0
-        #: The first error of the file, in words; nothing is written after it.
+        #: Message of the first error of the file, after which nothing is written; None if there was no error.
         self.failure: str | None = None
         try:
             self._append(MAGIC)
@@ -126,22 +126,26 @@ class RecordingWriter(StrictAttributes):
             raise
 
     def add_channel(self, info: Mapping[str, Any]) -> int:
-        """Declare a channel; `info` can be written as JSON and has at least "name". Returns its number.
+        """Declare a channel, and return its number.
+
+        Args:
+            info: Description of the channel. It must be representable in JSON, and have at least "name".
 
         Raises:
-            BadValue: `info` has no name, or a value that JSON cannot hold; or there are 256 channels already.
-            BadRecording, Closed: as for `write`.
+            BadValue: If `info` has no name, or has a value that JSON cannot represent, or if there are already 256
+                channels.
+            BadRecording, Closed: See `write`.
         """
         if not isinstance(info.get("name"), str):
             raise BadValue(f'info={info!r}; expected a mapping with a text under "name"')
         try:
             payload = json.dumps(dict(info)).encode()
         except (TypeError, ValueError, RecursionError) as error:
-            raise BadValue(f"info={info!r}; expected what JSON can hold: {error}") from None
+            raise BadValue(f"info={info!r}; expected values that JSON can represent: {error}") from None
         with self._lock:
             number = self._channels
             if number > 255:
-                raise BadValue("a recording holds at most 256 channels")
+                raise BadValue("a recording can have at most 256 channels")
             self._channels += 1
         self.write(Kind.CHANNEL, number, Stamp.now(), payload)
         return number
@@ -150,8 +154,8 @@ class RecordingWriter(StrictAttributes):
         """Append one record.
 
         Raises:
-            BadRecording: this record, or an earlier one, could not be written.
-            Closed: after `close`.
+            BadRecording: If this record or an earlier one could not be written.
+            Closed: If the writer was closed.
         """
         data = pack(kind, channel, stamp, payload)
         with self._lock:
@@ -160,10 +164,10 @@ class RecordingWriter(StrictAttributes):
             self._append(data)
 
     def add(self, channel: int, item: Chunk | ConnectionEvent) -> None:
-        """Append bytes as they were received, or an event of the connection.
+        """Append received bytes, or an event of the connection.
 
         Raises:
-            BadRecording, Closed: as for `write`.
+            BadRecording, Closed: See `write`.
         """
         if isinstance(item, Chunk):
             self.write(Kind.BYTES, channel, item.received, item.data)
@@ -173,13 +177,15 @@ class RecordingWriter(StrictAttributes):
             self.write(Kind.EVENT, channel, item.received, event)
 
     def close(self, *, complete: bool = True) -> None:
-        """Close; idempotent. If `complete`, an end record is written, which says that nothing is missing.
+        """Close the file; idempotent.
+
+        If `complete`, write an end record, which shows that nothing is missing.
 
         Raises:
-            BadRecording: the end record could not be written.
+            BadRecording: If the end record cannot be written.
         """
         with self._lock:
-            if self._is_closing:  # also by the call that a signal handler has interrupted
+            if self._is_closing:  # possibly by the call that a signal handler has interrupted
                 return
             self._is_closing = True
             try:
@@ -193,9 +199,9 @@ class RecordingWriter(StrictAttributes):
             try:
                 written = self._file.write(data)
                 if written != len(data):
-                    # A full disk may take half a record. Readers stop before it, so nothing may be written after it.
-                    self.failure = f"{self.path}: only {written} of {len(data)} bytes were taken; is the disk full?"
-            except ValueError:  # closed by a signal handler just now
+                    # A full disk might accept half a record. Readers stop before it, so nothing may follow it.
+                    self.failure = f"{self.path}: only {written} of {len(data)} bytes were written; is the disk full?"
+            except ValueError:  # a signal handler has just closed it
                 raise Closed(f"{self.path} is closed") from None
             except OSError as error:
                 self.failure = f"cannot write {self.path}: {_reason(error)}"
@@ -208,20 +214,20 @@ def _reason(error: Exception) -> str:
 
 
 class RecordingFile:
-    """A recording to read. To find its channels the file is read once from beginning to end.
+    """A recording for reading. The whole file is read once to find its channels.
 
     Args:
-        path: of the file.
-        progress: called with the fraction that has been read, 0 to 1.
+        path: Path of the file.
+        progress: Function that is called with the fraction that has been read, 0 to 1.
 
     Attributes:
-        path: the file.
-        channels: number of each channel -> what the recorder wrote about it.
-        is_complete: whether the recording was closed properly.
-        left_out: bytes at its end that are unfinished or damaged.
+        path: Path of the file.
+        channels: Number of each channel -> its description by the recorder.
+        is_complete: Whether the recording was closed properly.
+        left_out: Number of unfinished or damaged bytes at its end.
 
     Raises:
-        BadRecording: no such file, or not a recording.
+        BadRecording: If there is no such file, or it is not a recording.
     """
 
     def __init__(self, path: str | os.PathLike[str], progress: Progress | None = None) -> None:
@@ -233,25 +239,25 @@ class RecordingFile:
             if record.kind is Kind.CHANNEL:
                 self.channels[record.channel] = described(self.path, record.channel, record.payload, "name")
             elif record.kind is Kind.EVENT:
-                # Checked here, so that a replay does not fail half-way.
+                # Checked here, so that a replay does not fail halfway.
                 described(self.path, record.channel, record.payload, "state")
             elif record.kind is Kind.END:
                 self.is_complete = True
 
     def __iter__(self) -> Iterator[Record]:
-        """As `records`."""
+        """Iterate over the records; see `records`."""
         return self.records()
 
     def records(self, progress: Progress | None = None) -> Iterator[Record]:
-        """The records up to the end, or to the first that is incomplete or damaged.
+        """Yield the records up to the end, or up to the first incomplete or damaged record.
 
-        `left_out` then says how many bytes follow.
+        Afterwards, `left_out` is the number of the remaining bytes.
 
         Args:
-            progress: called with the fraction that has been read, 0 to 1.
+            progress: Function that is called with the fraction that has been read, 0 to 1.
 
         Raises:
-            BadRecording: no such file, or not a recording.
+            BadRecording: If there is no such file, or it is not a recording.
         """
         try:
             file = open(self.path, "rb")  # noqa: SIM115
@@ -278,19 +284,19 @@ class RecordingFile:
                     progress(at / max(size, at))
                 kind, channel, monotonic, wall = HEAD.unpack_from(body)
                 if kind > Kind.END:
-                    continue  # of a later version of the format
+                    continue  # a record of a later version of the format
                 yield Record(Kind(kind), channel, Stamp(monotonic / 1e9, wall / 1e9), body[HEAD.size :])
-            # The file may have grown meanwhile: it can be read while it is being recorded.
+            # The file might have grown meanwhile, because it can be read during the recording.
             self.left_out = max(size - at, 0)
 
     def channel(self, name: str) -> int:
-        """Number of the channel called `name`.
+        """Return the number of the channel `name`.
 
         Raises:
-            BadRecording: there is no such channel; the message lists those that there are.
+            BadRecording: If there is no such channel. The message lists the channels.
         """
         for number, info in self.channels.items():
             if info["name"] == name:
                 return number
         there = ", ".join(info["name"] for info in self.channels.values()) or "nothing"
-        raise BadRecording(f"{self.path} holds no {name}; it holds {there}")
+        raise BadRecording(f"{self.path} contains no {name}; it contains {there}")

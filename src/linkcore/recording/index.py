@@ -1,13 +1,13 @@
 """The offsets of the records of a recording, found without a Python object for each record.
 
-Recordings contain long runs of records of one size. Where the next records declare the size of this one, they are
-checked together. Damage is skipped, and reading goes on with the next record whose checksum is right.
+Recordings contain long runs of records of one size. If the next records declare the same size as the current one, they
+are checked together. Damage is skipped, and reading continues with the next record that has a correct checksum.
 
-Checksums of many records of one size are checked at once, on several processors. One call of `zlib.crc32` per record
-costs as much as the checksum itself. CRC-32 is linear, so the checksum of many consecutive records follows from the
-checksums that are written in them, and one call over all their bytes checks all of them. crc(A + B) is crc(A), advanced
-by the length of B, xor crc(B). To advance a CRC by some zero bytes is to multiply it by a matrix over GF(2). See zlib's
-`crc32_combine`. What this gains is measured by `benchmarks/loading.py`.
+The checksums of many records of one size are checked at once, on several processors. A call of `zlib.crc32` for each
+record would take as long as the checksum itself. CRC-32 is linear, so the checksum of many consecutive records can be
+computed from the checksums that are written in them. One call over all their bytes then checks all of them. crc(A + B)
+is crc(A), advanced by the length of B, xor crc(B). Advancing a CRC by zero bytes is a multiplication by a matrix over
+GF(2). See zlib's `crc32_combine`. `benchmarks/loading.py` measures the gain.
 """
 
 from __future__ import annotations
@@ -27,20 +27,22 @@ from ..errors import BadRecording
 from .file import FRAME, HEAD, LARGEST, MAGIC, Kind, Progress, unseen
 
 _ALL = 0xFFFFFFFF
-#: Records that one checksum covers: some hundred kB, which fit into the cache of a processor.
+#: Number of records that one checksum covers: some hundred kB, which fit into the cache of a processor.
 _BATCH = 256
-#: Batches that are worth a thread: some MB.
+#: Number of batches for which a thread is worth its time: some MB.
 _SHARE = 16
 
 Crcs = NDArray[np.uint32]
 
 
 def intact(data: Any, start: int, stride: int, count: int) -> NDArray[np.bool_]:
-    """Which of `count` records of `stride` bytes each, checksum included, have the checksum that is written in them.
+    """Return for each of several records of the same size whether its checksum is correct.
 
     Args:
-        data: a buffer of bytes that holds them.
-        start: offset of the first.
+        data: Buffer with the bytes of the records.
+        start: Offset of the first record.
+        stride: Size of each record in bytes, checksum included.
+        count: Number of records.
     """
     good = np.zeros(count, np.bool_)
     if not count:
@@ -67,11 +69,11 @@ def intact(data: Any, start: int, stride: int, count: int) -> NDArray[np.bool_]:
 
 
 def _joined(written: Crcs, stride: int) -> Crcs:
-    """The checksum of each `_BATCH` whole records, computed from the checksums that are written in them."""
+    """Compute the checksum of each batch of `_BATCH` records from the checksums that are written in them."""
     rest = stride - FRAME.size
-    # A record is its length, its checksum, and the rest. The length is the same in all records. The four bytes of the
-    # checksum are xored into the CRC before them and advanced with it; CRC-32 takes the least byte of a word first, and
-    # they are stored in the other order.
+    # A record consists of its length, its checksum, and the rest. The length is the same in all records. The four bytes
+    # of the checksum are xored into the CRC before them, and advanced with it. CRC-32 processes the lowest byte of a
+    # word first, but the bytes are stored in the opposite order.
     state = written.byteswap() ^ np.uint32(zlib.crc32(rest.to_bytes(4, "big")) ^ _ALL)
     moved = _moved(state, _filled(_columns(4 + rest)))
     crcs = (moved ^ written ^ np.uint32(zlib.crc32(bytes(rest)) ^ _ALL)).reshape(-1, _BATCH)
@@ -85,14 +87,14 @@ def _joined(written: Crcs, stride: int) -> Crcs:
 
 
 def _columns(size: int) -> Crcs:
-    """What each bit of a CRC becomes when it is advanced by `size` zero bytes, (32,)."""
+    """Return the value of each bit of a CRC after it is advanced by `size` zero bytes, shape (32,)."""
     zeros = bytes(size)
     none = zlib.crc32(zeros)
     return np.array([zlib.crc32(zeros, 1 << bit) ^ none for bit in range(32)], np.uint32)
 
 
 def _filled(columns: Crcs) -> Crcs:
-    """The same for each value of each byte of a CRC, (4, 256), least byte first."""
+    """Return the same for each value of each byte of a CRC, shape (4, 256), lowest byte first."""
     tables = np.zeros((4, 256), np.uint32)
     for bit in range(8):
         tables[:, 1 << bit : 2 << bit] = tables[:, : 1 << bit] ^ columns[bit::8, None]
@@ -100,7 +102,7 @@ def _filled(columns: Crcs) -> Crcs:
 
 
 def _moved(crcs: Crcs, tables: Crcs) -> Crcs:
-    """CRCs advanced by the number of zero bytes that the tables are for."""
+    """Return the CRCs advanced by the number of zero bytes of the tables."""
     moved: Crcs = tables[0][crcs & 0xFF]
     for number in (1, 2, 3):
         moved ^= tables[number][(crcs >> np.uint32(8 * number)) & 0xFF]
@@ -109,20 +111,22 @@ def _moved(crcs: Crcs, tables: Crcs) -> Crcs:
 
 T = TypeVar("T")
 
-#: Most threads: with more, the memory is the limit.
+#: Maximum number of threads. With more threads, the memory is the bottleneck.
 _THREADS = 4
 
 
 def side_by_side(part: Callable[[int, int], T], begin: int, end: int, share: int) -> list[T]:
-    """The results of `part` for each share of a range, in order.
+    """Return the results of `part` for each share of a range, in order.
 
     Args:
-        part: called with the begin and the end of a share; in several threads if there are several processors.
-        begin, end: the range.
-        share: length of a share that is worth a thread.
+        part: Function that is called with the begin and the end of a share, in several threads if there are several
+            processors.
+        begin: Begin of the range.
+        end: End of the range.
+        share: Length of a share.
 
     Raises:
-        Exception: the error of `part`, for the first share that has one.
+        Exception: If `part` raises it. The error of the first failed share is raised.
     """
     shares = [(at, min(at + share, end)) for at in range(begin, end, share)]
     threads = min(os.cpu_count() or 1, _THREADS, len(shares))
@@ -132,16 +136,17 @@ def side_by_side(part: Callable[[int, int], T], begin: int, end: int, share: int
         return list(pool.map(part, *zip(*shares, strict=True)))
 
 
-#: After so many records of one size, those that follow are checked together.
+#: Number of records of one size after which the next records are checked together.
 _FEW = 16
-#: Records that are checked together at first; each time four times as many.
+#: Number of records that are checked together at first; each further group is four times as large.
 _FIRST_RUN = 64
-#: Records that are checked together at most.
+#: Maximum number of records that are checked together.
 _MOST = 1 << 16
-#: Bytes that are searched at a time for a record after damage.
+#: Number of bytes that are searched at a time for a record after damage.
 _SEARCHED = 1 << 20
-#: Bytes that are summed up for records which turn out to be none: so many, and so many for each byte of the file before
-#: them. What begins like a longer one is passed over, or a file of lengths would take time by the square of its size.
+#: Budget of bytes for the checksums of supposed records that are not records: a constant, plus a number for each byte
+#: of the file before them. A supposed record that exceeds the budget is skipped. Otherwise the time for a file that
+#: consists of lengths would grow with the square of its size.
 _TRIED, _TRIED_EACH = 1 << 20, 16
 
 Numbers = NDArray[np.int64]
@@ -151,9 +156,9 @@ class Damage(NamedTuple):
     """Bytes of a file that belong to no record.
 
     Attributes:
-        record: number of the next record.
-        offset: in the file, bytes.
-        size: in bytes.
+        record: Number of the next record.
+        offset: Offset in the file, in bytes.
+        size: Size in bytes.
     """
 
     record: int
@@ -162,21 +167,24 @@ class Damage(NamedTuple):
 
 
 class RecordIndex:
-    """The intact records of a recording.
+    """Index of the intact records of a recording.
 
     Args:
-        path: of the file.
-        progress: called with the fraction that has been read, 0 to 1.
+        path: Path of the file.
+        progress: Function that is called with the fraction that has been read, 0 to 1.
 
     Raises:
-        BadRecording: no such file, or not a recording.
+        BadRecording: If there is no such file, or it is not a recording.
 
     Attributes:
-        data: the bytes of the file, (n,) uint8, mapped into memory, so that they are read from the disk when used.
-        kind, channel: of each record, (n,).
-        offset, size: of its payload in `data`, (n,), bytes.
-        monotonic, wall: its stamps, (n,), ns.
-        gaps: bytes between or after the records that belong to none.
+        data: Bytes of the file, shape (n,), uint8. They are mapped into memory, and read from the disk when used.
+        kind: Kind of each record, shape (n,).
+        channel: Channel of each record, shape (n,).
+        offset: Offset of the payload of each record in `data`, shape (n,), in bytes.
+        size: Size of the payload of each record, shape (n,), in bytes.
+        monotonic: Monotonic time of each record, shape (n,), in ns.
+        wall: Wall time of each record, shape (n,), in ns.
+        gaps: Bytes between or after the records that belong to no record.
     """
 
     def __init__(self, path: str | os.PathLike[str], progress: Progress = unseen) -> None:
@@ -202,7 +210,7 @@ class RecordIndex:
 
     @property
     def left_out(self) -> int:
-        """Bytes that are unfinished or damaged."""
+        """Number of unfinished or damaged bytes."""
         return sum(gap.size for gap in self.gaps)
 
     @property
@@ -211,12 +219,12 @@ class RecordIndex:
         return bool((self.kind == Kind.END).any())
 
     def payload(self, record: int) -> bytes:
-        """The payload of a record."""
+        """Return the payload of a record."""
         offset = int(self.offset[record])
         return self.data[offset : offset + int(self.size[record])].tobytes()
 
     def of(self, channel: int) -> Numbers:
-        """The numbers of the records of a channel, in order."""
+        """Return the numbers of the records of a channel, in order."""
         return np.flatnonzero(self.channel == channel)
 
     def _heads(self, start: Numbers) -> NDArray[np.void]:
@@ -229,11 +237,11 @@ class RecordIndex:
         return found
 
     def _runs(self) -> list[tuple[int, int, int]]:
-        """Runs of records of one size: offset of the first, bytes from one record to the next, number of records."""
+        """Return runs of records of one size, as offset of the first record, size, and number of records."""
         runs: list[tuple[int, int, int]] = []
         view = memoryview(self.data.data)
         end, at, records = len(view), len(MAGIC), 0
-        start = stride = count = 0  # of the run that is being found
+        start = stride = count = 0  # the current run
         while at < end:
             after = self._end_of_record(view, at)
             if not after:
@@ -246,14 +254,14 @@ class RecordIndex:
             if after - at != stride or at != start + count * stride:
                 runs.append((start, stride, count))
                 start, stride, count = at, after - at, 0
-            # One by one at first, which is quicker in a short run.
+            # The first records are checked one by one, which is faster for a short run.
             more = self._same(after, stride) if count == _FEW else 0
             count, records, at = count + 1 + more, records + 1 + more, after + more * stride
             self._progress(at / end)
         return [*runs[1:], (start, stride, count)] if count else []
 
     def _same(self, at: int, stride: int) -> int:
-        """How many intact records of `stride` bytes begin at `at`."""
+        """Return the number of intact records of `stride` bytes that follow each other from `at`."""
         most = (len(self.data) - at) // stride
         if not most:
             return 0
@@ -273,9 +281,9 @@ class RecordIndex:
         return done
 
     def _next(self, view: memoryview, at: int, after: int) -> int:
-        """The offset of the next intact record after damage at `at`; the end of the file if there is none."""
-        # Any record has a valid length and kind. Usually the next one begins at `after`, where the damaged one ends;
-        # but the damaged bytes may be its length.
+        """Return the offset of the next intact record after damage at `at`; the end of the file if there is none."""
+        # Every record has a valid length and kind. Usually the next record begins at `after`, where the damaged one
+        # ends. But the length of the damaged record might itself be wrong.
         last = len(view) - FRAME.size - HEAD.size + 1
         begin, stop = at + 1, after + 1
         while begin < last:
@@ -290,7 +298,7 @@ class RecordIndex:
         return len(view)
 
     def _end_of_record(self, view: memoryview, at: int) -> int:
-        """The offset behind the intact record at `at`; 0 if there is none."""
+        """Return the offset after the intact record at `at`; 0 if there is none."""
         if len(view) - at < FRAME.size + HEAD.size:
             return 0
         length, crc = FRAME.unpack_from(view, at)
@@ -312,4 +320,4 @@ def _mapped(path: Path) -> NDArray[np.uint8]:
         mapped: Any = np.memmap(path, np.uint8, "r")
     except (OSError, ValueError) as error:
         raise BadRecording(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
-    return mapped.view(np.ndarray)  # type: ignore[no-any-return]  # slices of a memmap are slow to make
+    return mapped.view(np.ndarray)  # type: ignore[no-any-return]  # slicing a memmap is slow

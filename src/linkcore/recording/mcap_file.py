@@ -1,12 +1,15 @@
-"""MCAP files, which Foxglove, `ros2 bag` and PlotJuggler open: messages of ROS 2 by topic.
+"""MCAP files with ROS 2 messages by topic, which Foxglove, `ros2 bag` and PlotJuggler can open.
 
-A topic has the definition of its messages, one for each row of a table, and their bytes in CDR. Most messages differ
-only in a few numbers; the names of joints and frames, and the lengths, are always the same. Such messages have one size
-and each number has a fixed offset, so many of them are one array.
+A topic has the definition of its messages, and a message in CDR for each row of a table. Most messages differ only in a
+few numbers. The names of joints and frames, and the lengths, are always the same. Such messages have the same size, and
+each number has a fixed offset, so many messages are made as one array.
 
-CDR (OMG, Common Data Representation, version 1, little-endian): 4 bytes of encapsulation ``00 01 00 00``; numbers at
-multiples of their size, counted from the end of the encapsulation; text as a uint32 with its length, the final NUL
-included, then the bytes and the NUL; sequences as a uint32 with their length, then the elements.
+The coding is CDR (OMG, Common Data Representation, version 1, little-endian):
+
+- The encapsulation is 4 bytes ``00 01 00 00``.
+- Numbers are at multiples of their size, counted from the end of the encapsulation.
+- A text is a uint32 with its length, the final NUL included, followed by the bytes and the NUL.
+- A sequence is a uint32 with its length, followed by the elements.
 """
 
 from __future__ import annotations
@@ -27,7 +30,10 @@ _ENCAPSULATION = b"\x00\x01\x00\x00"
 
 
 class Message:
-    """Builds `count` messages of one type, part by part, in the order of its definition."""
+    """Builder of `count` messages of one type.
+
+    The parts are added in the order of the definition.
+    """
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -39,14 +45,14 @@ class Message:
         self._size += -(self._size - len(_ENCAPSULATION)) % size
 
     def length(self, length: int) -> Message:
-        """The length of a sequence."""
+        """Add the length of a sequence."""
         self._align(4)
         self._constants.append((self._size, length.to_bytes(4, "little")))
         self._size += 4
         return self
 
     def text(self, text: str) -> Message:
-        """A text that is the same in all messages."""
+        """Add a text that is the same in all messages."""
         data = text.encode() + b"\0"
         self.length(len(data))
         self._constants.append((self._size, data))
@@ -54,14 +60,14 @@ class Message:
         return self
 
     def texts(self, texts: Sequence[str]) -> Message:
-        """A sequence of texts."""
+        """Add a sequence of texts."""
         self.length(len(texts))
         for text in texts:
             self.text(text)
         return self
 
     def numbers(self, values: NDArray[Any]) -> Message:
-        """One number, (n,), or several, (n, k), for each message; coded in the type of the array."""
+        """Add a number, shape (n,), or several numbers, shape (n, k), to each message, in the type of the array."""
         values = np.asarray(values)
         self._align(values.dtype.itemsize)
         self._columns.append((self._size, values))
@@ -69,22 +75,22 @@ class Message:
         return self
 
     def sequence(self, values: NDArray[Any]) -> Message:
-        """A sequence of numbers (n, k) for each message."""
+        """Add a sequence of numbers, shape (n, k), to each message."""
         self.length(values.shape[1])
         return self.numbers(values) if values.shape[1] else self
 
     def stamp(self, wall: NDArray[np.datetime64]) -> Message:
-        """A time: seconds and nanoseconds since 1970."""
+        """Add a time, as seconds and nanoseconds since 1970."""
         nanoseconds = wall.astype("M8[ns]").astype(np.int64)
         self.numbers((nanoseconds // 10**9).astype("<i4"))
         return self.numbers((nanoseconds % 10**9).astype("<u4"))
 
     def header(self, wall: NDArray[np.datetime64], frame: str) -> Message:
-        """A `std_msgs/Header`: stamp and frame."""
+        """Add a `std_msgs/Header`, which has a stamp and a frame."""
         return self.stamp(wall).text(frame)
 
     def encoded(self) -> list[bytes]:
-        """The messages."""
+        """Return the messages."""
         every = np.zeros((self._count, self._size), np.uint8)
         for offset, data in self._constants:
             every[:, offset : offset + len(data)] = np.frombuffer(data, np.uint8)
@@ -104,7 +110,7 @@ _NAMES |= {"f4": "float32", "i1": "int8", "u1": "uint8", "b1": "bool"}
 
 
 def definition(text: str, *others: tuple[str, str]) -> str:
-    """A definition followed by those of the types in it, in the format of ROS."""
+    """Return a definition and the definitions of its types, in the format of ROS."""
     return "\n".join([text, *(f"{'=' * 80}\nMSG: {name}\n{each}" for name, each in others)])
 
 
@@ -112,11 +118,11 @@ class Topic(NamedTuple):
     """Messages of one topic.
 
     Attributes:
-        name: of the topic.
-        type: of the messages.
-        definition: of that type.
-        wall: the stamp of each message, (n,) datetime64[ns].
-        messages: in CDR.
+        name: Name of the topic.
+        type: Type of the messages.
+        definition: Definition of the type.
+        wall: Stamp of each message, shape (n,), datetime64[ns].
+        messages: Messages in CDR.
     """
 
     name: str
@@ -127,11 +133,14 @@ class Topic(NamedTuple):
 
 
 def table_topic(name: str, table: Table, package: str) -> Topic:
-    """A message for each row with all fields but text. Names are in lower case, as ROS demands.
+    """Return a topic with a message for each row, which has all fields except text.
+
+    Names are in lower case, as ROS requires.
 
     Args:
-        name: of the topic; with a capital, of the type.
-        package: that the type belongs to.
+        name: Name of the topic; with a capital letter, it is the name of the type.
+        table: Table.
+        package: Package of the type.
     """
     message = Message(len(table)).header(table.wall, "")
     lines = ["std_msgs/Header header"]
@@ -145,19 +154,21 @@ def table_topic(name: str, table: Table, package: str) -> Topic:
     return Topic(f"/{name}", f"{package}/msg/{name.capitalize()}", text, table.wall, message.encoded())
 
 
-#: Seconds of a recording whose messages are made together: all of them might not fit into memory.
+#: Length in s of the sections of a recording whose messages are made together, because all might not fit into memory.
 _STRETCH = 10.0
 
 
 class McapFile:
-    """Writes messages into an open file. A file that was not finished can be read up to its last complete chunk.
+    """Writer of messages into an open file.
+
+    An unfinished file can be read up to its last complete chunk.
 
     Args:
-        file: open for writing bytes.
-        chunk: bytes of messages that are compressed together, and that a killed program can lose.
+        file: File that is open for writing bytes.
+        chunk: Number of bytes of messages that are compressed together. A killed program can lose them.
 
     Raises:
-        LocalError: the extra ``mcap`` is not installed.
+        LocalError: If the extra ``mcap`` is not installed.
     """
 
     def __init__(self, file: IO[bytes], chunk: int = 1 << 20) -> None:
@@ -169,7 +180,7 @@ class McapFile:
         self._channels: dict[tuple[str, int], int] = {}
 
     def describe(self, about: Mapping[str, str]) -> None:
-        """Write what the file says of itself, as the metadata record `recording`."""
+        """Write the description of the file, as the metadata record `recording`."""
         self._writer.add_metadata("recording", dict(about))
 
     def write(self, topics: Iterable[Topic]) -> None:
@@ -192,18 +203,21 @@ class McapFile:
             self._schemas[definition] = self._writer.register_schema(topic.type, "ros2msg", topic.definition.encode())
         key = (topic.name, self._schemas[definition])
         if key not in self._channels:
-            # rosbag2 reads the quality of service from here; an empty text is the default.
+            # rosbag2 reads the quality of service from this entry; an empty text is the default.
             about = {"offered_qos_profiles": ""}
             self._channels[key] = self._writer.register_channel(topic.name, "cdr", key[1], about)
         return self._channels[key]
 
     def finish(self) -> None:
-        """Write the index; nothing can be added after it."""
+        """Write the index. Nothing can be added afterwards."""
         self._writer.finish()
 
 
 def write_mcap(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """A topic for each table, with a message for each row, of a type made of the fields of the table."""
+    """Write a topic for each table, with a message for each row.
+
+    Its type has the fields of the table.
+    """
 
     def topics(start: float, stop: float) -> list[Topic]:
         return [table_topic(name, table.between(start, stop), "recorded_msgs") for name, table in tables.items()]
@@ -219,12 +233,15 @@ def write_stretches(
     progress: Progress,
     begin: Iterable[Topic] = (),
 ) -> None:
-    """Write a file of the messages of tables, one stretch of time after the other.
+    """Write the messages of tables to a file, one section of time after the other.
 
     Args:
-        topics: makes the messages from one time to another, s since the recording began.
-        about: the metadata record `recording`.
-        begin: messages that are written once, before all others.
+        path: Path of the file.
+        tables: Tables by name.
+        topics: Function that returns the messages between two times, in s since the start of the recording.
+        about: Content of the metadata record `recording`.
+        progress: Function that is called with the completed fraction, 0 to 1.
+        begin: Messages that are written once, before all others.
     """
     filled = [table for table in tables.values() if len(table)]
     first = min((table.time[0] for table in filled), default=0.0)

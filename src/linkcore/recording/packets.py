@@ -1,9 +1,9 @@
 """The packets of a recorded connection, found without a Python object for each packet.
 
-A controller sends packets of one size, and most are recorded one by one. If a piece of bytes is as long as the packet
-before it, or several times as long, and has the same header in the right places, it holds that many packets of the same
-layout, and only their offsets in the file are kept. All other bytes go through the framer and the decoder of a stream,
-so the result does not depend on how the bytes were cut; a property test holds the two equal.
+A controller sends packets of one size, and most of them are recorded one by one. A record might be as long as the
+previous packet, or several times as long, and have the same header in the right places. Then it contains this number of
+packets of the same layout, and only their offsets in the file are kept. All other bytes go through the framer and the
+decoder of a stream. So the result does not depend on the division into records; a property test checks this.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from .index import Numbers, RecordIndex
 
 
 class Part:
-    """Packets of one layout, by the offsets of their bytes.
+    """Packets of one layout, represented by the offsets of their bytes.
 
     Attributes:
-        layout: of all of them.
-        place: of each packet, (n,): its offset in the file; a negative one is the offset ``~place`` in `extra`.
-        record: the number of the record that completed each packet, (n,).
+        layout: Layout of all packets.
+        place: Offset of each packet in the file, shape (n,). A negative place is the offset ``~place`` in `extra`.
+        record: Number of the record that completed each packet, shape (n,).
     """
 
     def __init__(
@@ -43,15 +43,15 @@ class Part:
         self._data = data
         self._extra = extra
         steps = np.diff(place)
-        #: bytes from one packet to the next if they are the same for all packets, which need not be gathered then; else
-        #: 0
+        #: Distance in bytes between packets if it is the same for all packets, so that they need not be copied
+        #: together; otherwise 0.
         self._stride = int(steps[0]) if len(steps) and place[0] >= 0 and (steps == steps[0]).all() else 0
 
     def __len__(self) -> int:
         return len(self.place)
 
     def view(self, begin: int, end: int, offset: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-        """The bytes from `offset` on in each of the packets `begin` to `end`, as one `dtype` each: (end - begin,)."""
+        """Return the bytes at `offset` of each of the packets `begin` to `end`, as `dtype`, shape (end - begin,)."""
         count = end - begin
         if self._stride and count:
             return np.ndarray((count,), dtype, self._data, int(self.place[begin]) + offset, (self._stride,))
@@ -68,19 +68,19 @@ class Part:
         return found.view(dtype)
 
     def sliced(self, begin: int, end: int) -> Part:
-        """The packets `begin` to `end`."""
+        """Return the packets `begin` to `end`."""
         return Part(self.layout, self._data, self._extra, self.place[begin:end], self.record[begin:end])
 
 
 class Channel(NamedTuple):
-    """What was recorded of one stream.
+    """Recorded packets of one stream.
 
     Attributes:
-        parts: the packets of its main class, in order; a new part begins where the layout changes.
-        others: everything else that was decoded, each with the number of its record.
-        begins: numbers of the records with which a connection begins, except the first one.
-        skipped: number of bytes that belong to no packet.
-        failed: the error of each packet that could not be decoded.
+        parts: Packets of the main class, in order. A new part begins when the layout changes.
+        others: All other decoded packets, each with the number of its record.
+        begins: Number of the first record of each connection, except of the first connection.
+        skipped: Number of bytes that belong to no packet.
+        failed: Error of each packet that could not be decoded.
     """
 
     parts: list[Part]
@@ -99,13 +99,15 @@ def read_channel(
     is_uniform: bool,
     progress: Progress,
 ) -> Channel:
-    """The packets of a channel.
+    """Read the packets of a channel.
 
     Args:
-        protocol: makes a protocol; called for each connection.
-        kind: class of the packets that become rows.
-        is_uniform: whether packets of this class with the same header and size have the same layout.
-        progress: called with the fraction that is done, 0 to 1.
+        index: Index of the recording.
+        number: Number of the channel.
+        protocol: Function that returns a new protocol for each connection.
+        kind: Class of the packets that become rows.
+        is_uniform: Whether packets of this class with the same header and size have the same layout.
+        progress: Function that is called with the completed fraction, 0 to 1.
     """
     reader = _Reader(index, kind, is_uniform, progress)
     begins: list[int] = []
@@ -117,7 +119,7 @@ def read_channel(
 
 
 def states_of(states: Sequence[tuple[int, State]]) -> list[Part]:
-    """Decoded packets, each with the number of its record, grouped by layout."""
+    """Group decoded packets, each with the number of its record, by layout."""
     places = _Places()
     for record, state in states:
         places.add(state._layout, places.keep(bytes(state)), record)
@@ -125,7 +127,7 @@ def states_of(states: Sequence[tuple[int, State]]) -> list[Part]:
 
 
 def _connections(index: RecordIndex, number: int) -> Iterator[Numbers]:
-    """The records with the bytes of each connection; damage ends a connection too."""
+    """Yield the records with the bytes of each connection; damage ends a connection too."""
     mine = index.of(number)
     kinds = index.kind[mine]
     events = mine[kinds == Kind.EVENT].tolist()
@@ -138,7 +140,7 @@ def _connections(index: RecordIndex, number: int) -> Iterator[Numbers]:
 
 
 class _Places:
-    """Gathers the offsets of packets, run by run."""
+    """Collector of the offsets of packets, run by run."""
 
     def __init__(self) -> None:
         self._runs: list[tuple[Layout, Numbers, Numbers]] = []
@@ -146,13 +148,13 @@ class _Places:
         self._extra = bytearray()
 
     def keep(self, data: bytes) -> int:
-        """Keep the bytes of a packet that is not in one piece in the file; returns its place."""
+        """Keep the bytes of a packet that is not contiguous in the file; return its place."""
         place = ~len(self._extra)
         self._extra += data
         return place
 
     def add(self, layout: Layout, place: int, record: int) -> None:
-        """One packet."""
+        """Add one packet."""
         if self._single is None or self._single[0] is not layout:
             self._finish()
             self._single = (layout, [], [])
@@ -184,7 +186,7 @@ class _Places:
 
 
 class _Reader:
-    """Reads connection after connection of one channel."""
+    """Reader of one channel, connection by connection."""
 
     def __init__(self, index: RecordIndex, kind: type[State], is_uniform: bool, progress: Progress) -> None:
         self.others: list[tuple[int, State]] = []
@@ -201,11 +203,12 @@ class _Reader:
         return self._places.parts(self._index.data)
 
     def read(self, records: Numbers, protocol: PacketProtocol) -> None:
-        """The packets of one connection."""
+        """Read the packets of one connection."""
         self.has_read = True
         framer = protocol.framer
         last: State | None = None  # the last packet of the main class
-        header, odd = b"", np.empty(0, np.int64)  # the header that records were compared with; records that differ
+        # The header with which records were compared, and the records that differ from it.
+        header, odd = b"", np.empty(0, np.int64)
         at = 0
         try:
             while at < len(records):
@@ -230,18 +233,18 @@ class _Reader:
         self.skipped += framer.skipped + len(framer.rest)
 
     def _are_packets(self, records: Numbers, header: bytes, size: int) -> NDArray[np.bool_]:
-        """Which of the records consist of packets of this size and header."""
+        """Return for each record whether it consists of packets of this size and header."""
         sizes = self._index.size[records]
         good: NDArray[np.bool_] = (sizes % size == 0) & (sizes > 0)
         places, owners = self._packets(records[good], size)
-        # Compared as text of a fixed width, which numpy does for all at once.
+        # They are compared as text of a fixed width, because numpy can do this for all packets at once.
         width = len(header)
         every = np.ndarray((len(self._index.data) - width + 1,), f"S{width}", self._index.data, 0, (1,))
         good[np.searchsorted(records, owners[every[places] != header])] = False
         return good
 
     def _packets(self, records: Numbers, size: int) -> tuple[Numbers, Numbers]:
-        """The offset and the record of each packet, for records that consist of packets."""
+        """Return the offset and the record of each packet, for records that consist of packets."""
         offsets, counts = self._index.offset[records], self._index.size[records] // size
         if (counts == 1).all():
             return offsets, records
@@ -249,7 +252,7 @@ class _Reader:
         return np.repeat(offsets, counts) + size * within, np.repeat(records, counts)
 
     def _take(self, records: Numbers, like: State) -> bytes:
-        """Keep the offsets of the packets in these records; returns the bytes of the last one."""
+        """Keep the offsets of the packets in these records; return the bytes of the last packet."""
         size = len(bytes(like))
         places, owners = self._packets(records, size)
         self._places.extend(like._layout, places, owners)
@@ -257,7 +260,10 @@ class _Reader:
         return self._index.data[last : last + size].tobytes()
 
     def _decode(self, record: int, protocol: PacketProtocol, last: State | None) -> State | None:
-        """Decode what a record completes; returns the packet that the next records can be compared with, if any."""
+        """Decode the packets that a record completes.
+
+        Return the packet with which the next records can be compared, or None.
+        """
         index = self._index
         stamp = Stamp(index.monotonic[record].item() / 1e9, index.wall[record].item() / 1e9)
         payload = index.payload(record)
@@ -272,7 +278,7 @@ class _Reader:
                 self._places.add(state._layout, place, record)
                 last = state
             else:
-                # It may be a version message, which decides how those that follow are decoded.
+                # It might be a version message, which determines how the next packets are decoded.
                 self.others.append((record, state))
                 last = None
         return last

@@ -1,4 +1,4 @@
-"""Replay: a recording as a transport. Each chunk is due at an absolute time, so delays do not add up."""
+"""Replay of a recording as a transport. Each chunk has an absolute time, so delays do not accumulate."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ from .file import Kind, Record, RecordingFile
 
 
 class ReplayTimeline:
-    """The time line that the channels of one replay share; it starts when the first one opens.
+    """Time line that all channels of a replay share; it starts when the first channel opens.
 
     Args:
-        recording: the recording that is replayed.
-        rate: 1 is the speed of the recording, 2 twice that; 0 as fast as possible.
+        recording: Recording to replay.
+        rate: Speed relative to the recording; 2 is twice as fast, and 0 as fast as possible.
+
+    Raises:
+        BadValue: If `rate` is negative or not finite.
     """
 
     def __init__(self, recording: RecordingFile, rate: float = 1.0) -> None:
@@ -33,13 +36,13 @@ class ReplayTimeline:
         self._first = 0.0 if first is None else first.stamp.monotonic
 
     def start(self) -> None:
-        """Start the time line, unless it has started."""
+        """Start the time line if it has not started yet."""
         with self._lock:
             if self._started is None:
                 self._started = clock.now()
 
     def delay(self, stamp: Stamp) -> float:
-        """Seconds until bytes with this stamp are due; negative if they are late."""
+        """Return the seconds until bytes with this stamp are due; negative if they are late."""
         if self.rate == 0 or self._started is None:
             return 0.0
         return self._started + (stamp.monotonic - self._first) / self.rate - clock.now()
@@ -48,8 +51,8 @@ class ReplayTimeline:
 class ReplayTransport:
     """One channel of a recording as a source of bytes.
 
-    Chunks have their recorded sizes and come at their recorded times. Their stamps have the recorded wall
-    time, and the present monotonic time. Connections are lost and made again when the recorded ones were.
+    Chunks have their recorded sizes, and arrive at their recorded times. Their stamps have the recorded wall time, and
+    the current monotonic time. Connections are lost and made again at the recorded times.
     """
 
     def __init__(self, recording: RecordingFile, channel: str, timeline: ReplayTimeline) -> None:
@@ -63,36 +66,36 @@ class ReplayTransport:
         self._closed = ReentrantEvent()
 
     def open(self, timeout: float) -> None:
-        """Start; after a lost connection, wait until the recorded one was made again.
+        """Start the replay; after a lost connection, wait for the recorded reconnection.
 
         Raises:
-            Finished: the recorded connection was not made again.
-            ConnectFailed: the recorded attempt failed.
-            LinkTimeout: the recorded connection was not made again within `timeout` seconds.
+            Finished: If the recording has no reconnection.
+            ConnectFailed: If the recorded attempt failed.
+            LinkTimeout: If the recorded reconnection is not due within `timeout` seconds.
         """
         self._closed.clear()
         self._timeline.start()
-        # The first connection is made at once, also if the recording of this channel began later than that of others.
+        # The first connection is made at once, even if the recording of this channel began later than other channels.
         again, self._was_open = self._was_open, True
         while (record := self._peek()) is not None and record.kind is not Kind.BYTES:
             state, error = self._event(record)
             if state in ("connected", "lost"):
                 if again and not self._wait(record.stamp, timeout):
-                    raise LinkTimeout(f"{self.name}: not connected again within {timeout:g} s, as recorded")
+                    raise LinkTimeout(f"{self.name}: no reconnection within {timeout:g} s in the recording")
                 self._next = None
                 if state == "lost":
-                    raise ConnectFailed(f"{self.name}: as recorded: {error}")
+                    raise ConnectFailed(f"{self.name}: connecting failed, as recorded: {error}")
                 return
             self._next = None
         if record is None and again:
             raise Finished
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
-        """Wait until the next chunk is due, however long; `timeout` is ignored.
+        """Wait until the next chunk is due, and return it; `timeout` is ignored.
 
         Raises:
-            Finished: the recording has ended.
-            ConnectionLost: the recorded connection was lost, or this transport was closed.
+            Finished: If the recording has ended.
+            ConnectionLost: If the recorded connection was lost, or this transport was closed.
         """
         while (record := self._peek()) is not None:
             state, error = self._event(record)
@@ -102,7 +105,7 @@ class ReplayTransport:
                     raise ConnectionLost(f"{self.name}: closed")
             self._next = None
             if state == "lost":
-                raise ConnectionLost(f"{self.name}: as recorded: {error}")
+                raise ConnectionLost(f"{self.name}: connection lost, as recorded: {error}")
             if record.kind is Kind.BYTES:
                 return record.payload, Stamp(clock.now(), record.stamp.wall)
         raise Finished
@@ -120,26 +123,29 @@ class ReplayTransport:
         return event["state"], event.get("error")
 
     def _wait(self, stamp: Stamp, most: float = float("inf")) -> bool:
-        """Wait until bytes with this stamp are due, at most `most` seconds; False if they are not due by then."""
+        """Wait until bytes with this stamp are due.
+
+        Return False if they are not due within `most` seconds.
+        """
         delay = self._timeline.delay(stamp)
         if delay > 0:
             clock.wait(self._closed.wait, min(delay, most))
         return delay <= most
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Refuse: a recording has no peer.
+        """Raise, because a recording has no peer.
 
         Raises:
-            BadValue: always.
+            BadValue: If called.
         """
         raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """As `send`."""
+        """Raise; see `send`."""
         raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
 
     def wait_for_room(self, timeout: float) -> bool:
-        """False at once: nothing can be sent to a recording."""
+        """Return False, because nothing can be sent to a recording."""
         return False
 
     def abort(self) -> None:
@@ -147,5 +153,5 @@ class ReplayTransport:
         self._closed.set()
 
     def close(self) -> None:
-        """As `abort`: there are no bytes left to send."""
+        """Do the same as `abort`, because there are no bytes left to send."""
         self.abort()

@@ -1,4 +1,4 @@
-"""The recorder: a subscriber that writes bytes and connection events to a file."""
+"""The recorder, a subscriber that writes received bytes and connection events to a file."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from ..streaming.subscription import Subscription
 from ..threads import Closing
 from .file import RecordingWriter
 
-#: Seconds for which bytes are gathered before they are written: the most that a killed program loses.
+#: Time in s for which bytes are collected before they are written. A killed program loses at most these bytes.
 _GATHER = 0.02
 
 
 class Recorder(StrictAttributes, Closing):
-    """Records streams into one file, from now until closed; a context manager.
+    """Recorder of streams into one file, from now until it is closed; a context manager.
 
-    The reader only puts bytes into a queue; the recorder writes the file in its own threads. Nothing is
-    dropped: if the disk is 1024 chunks behind, the stream waits for it. If the disk fails, the streams go
-    on, and `close` raises.
+    The reader of a stream only puts bytes into a queue, and the recorder writes the file in its own threads. Nothing is
+    dropped: if the disk is 1024 chunks behind, the stream waits for it. If the disk fails, the streams continue, and
+    `close` raises an error.
 
     Args:
-        path: a file that does not exist yet.
+        path: Path of a file that does not exist yet.
 
     Raises:
-        BadRecording: the file exists, or cannot be made.
+        BadRecording: If the file exists, or cannot be created.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -41,45 +41,49 @@ class Recorder(StrictAttributes, Closing):
         self._subscriptions: list[Subscription] = []
 
     def _open(self, path: str | os.PathLike[str]) -> RecordingWriter:
-        """The writer of the file; recorders of other formats return another."""
+        """Return the writer of the file. Recorders of other formats override this."""
         return RecordingWriter(path)
 
     def add(self, stream: Stream[Any], info: Mapping[str, Any]) -> Subscription:
-        """Record `stream` too; `info` describes it for readers: it can be written as JSON and has at least "name".
+        """Start to record a stream.
+
+        Args:
+            stream: Stream.
+            info: Description of the stream for readers. It must be representable in JSON, and have at least "name".
 
         Raises:
-            BadValue: `info` has no name, or a value that JSON cannot hold.
-            BadRecording: the file could not be written.
-            Closed: the recorder, or the stream, was closed.
-            RemoteError: the stream could not be opened.
+            BadValue: If `info` has no name, or has a value that JSON cannot represent.
+            BadRecording: If the file cannot be written.
+            Closed: If the recorder or the stream was closed.
+            RemoteError: If the stream cannot connect.
         """
         writer = self._writer
         channel = writer.add_channel(info)
         return self._subscribe(stream, Traffic, functools.partial(writer.add, channel), _GATHER)
 
     def _kind_of(self, stream: Stream[Any]) -> type:
-        """The class of the states of a stream, for recorders that write states."""
+        """Return the class of the states of a stream, for recorders that write states."""
         return stream._kind
 
     def _subscribe(
         self, stream: Stream[Any], kind: type, write: Callable[[Any], object], gather: float
     ) -> Subscription:
-        """Have `write` called with every packet of a class; recorders of other formats want another class."""
+        """Subscribe `write` to all packets of a class; recorders of other formats use other classes."""
         subscription = stream._connection.subscribe(kind, write, policy=block, gather=gather, owner=stream)
         self._subscriptions.append(subscription)
         return subscription
 
     @property
     def failure(self) -> str | None:
-        """Why the file could not be written; None if it could."""
+        """Reason why the file could not be written; None if there was no error."""
         return self._writer.failure
 
     def close(self, timeout: float = 5.0) -> None:
-        """Write what is still queued, and close the file, within `timeout` seconds; idempotent.
+        """Write all queued bytes, and close the file, within `timeout` seconds; idempotent.
 
         Raises:
-            LinkTimeout: the disk was too slow; the file is as after a crash.
-            BadRecording: the file could not be written; it holds the records before that.
+            LinkTimeout: If the disk is too slow. The file is then like a file after a crash.
+            BadRecording: If the file could not be written. It contains the records before the error.
         """
         until = clock.now() + timeout
         subscriptions, self._subscriptions = self._subscriptions, []
@@ -88,7 +92,7 @@ class Recorder(StrictAttributes, Closing):
         if subscriptions and self._writer.failure is not None:
             raise BadRecording(self._writer.failure)
         if not all(done):
-            raise LinkTimeout(f"{self.path}: not everything was written within {timeout:g} s")
+            raise LinkTimeout(f"{self.path}: could not write all data within {timeout:g} s; the end is missing")
 
     def __repr__(self) -> str:
         state = self.failure or f"{len(self._subscriptions)} streams"

@@ -1,4 +1,4 @@
-"""`Table`: recorded packets as columns, with the times at which they arrived."""
+"""`Table`: recorded packets as columns, with their arrival times."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from .columns import ArrayColumns, Column, Columns, PacketColumns, is_continuous
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-#: Gaps whose times are listed.
+#: Maximum number of gaps whose times are listed.
 _LISTED = 5
 
 
 class ClockColumn(NamedTuple):
-    """The column that is the clock of the peer, and how often it sends.
+    """Column with the clock of the peer, and the period of its packets.
 
     Attributes:
-        field: name of the column.
-        unit: seconds in each of its units.
-        periods: seconds from one row to the next; several where it is not known which.
+        field: Name of the column.
+        unit: Seconds per unit of the column.
+        periods: Possible times in s from one row to the next; several if the period is unknown.
     """
 
     field: str
@@ -40,20 +40,19 @@ class ClockColumn(NamedTuple):
 
 
 class Table(StrictAttributes):
-    """Columns of one kind of packet: ``table["q_actual"]`` is an (n, 6) array of float64 in the byte order of this
-    machine.
+    """Columns of one kind of packet: ``table["q_actual"]`` is an array of shape (n, 6).
 
-    A column is made when it is first used, and kept. Arrays are read-only. Codes are given as numbers; `fields` names
-    their enumeration.
+    Numbers are in the byte order of this machine, and floats are float64. A column is made when it is first used, and
+    kept. Arrays are read-only. Codes are numbers; `fields` has their enumeration.
 
     Args:
-        name: used in messages.
-        columns: the source of the columns.
-        time: arrival of each row, s since the recording began, (n,).
-        wall: arrival of each row, UTC, (n,) datetime64[ns].
-        begins: rows with which a connection begins, except the first one.
-        missing: descriptions of what was recorded and could not be read.
-        clock: the column by which missing rows are found; None where there is none.
+        name: Name, used in messages.
+        columns: Source of the columns.
+        time: Arrival of each row in s since the start of the recording, shape (n,).
+        wall: Arrival of each row in UTC, shape (n,), datetime64[ns].
+        begins: First row of each connection, except of the first connection.
+        missing: Descriptions of recorded data that could not be read.
+        clock: Column that shows missing rows; None if there is no such column.
     """
 
     def __init__(
@@ -86,29 +85,32 @@ class Table(StrictAttributes):
         part._made = {name: column[begin:end] for name, column in self._made.items()}
         return part
 
-    # -- what is in it -----------------------------------------------------------------------------
+    # -- contents ----------------------------------------------------------------------------------
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """Arrival of each row, s since the recording began, (n,)."""
+        """Arrival of each row in s since the start of the recording, shape (n,)."""
         return self._time
 
     @property
     def wall(self) -> NDArray[np.datetime64]:
-        """Arrival of each row, UTC, (n,) datetime64[ns]."""
+        """Arrival of each row in UTC, shape (n,), datetime64[ns]."""
         return self._wall
 
     @property
     def begins(self) -> list[int]:
-        """Rows with which a connection begins, except the first one: something is missing before them."""
+        """First row of each connection, except of the first connection.
+
+        Packets are missing before these rows.
+        """
         return list(self._begins)
 
     @cached_property
     def gaps(self) -> Sequence[Gap]:
-        """Where rows are missing by the clock of the controller itself, which goes on while packets are lost.
+        """Gaps of missing rows by the controller's own clock, which continues while packets are lost.
 
-        What is missing between two connections is in `begins`. Empty where no column is such a clock: RTDE without
-        ``timestamp``, robot states of CB2, and tables that were resampled.
+        Gaps between two connections are not included; see `begins`. It is empty if no column is such a clock: for RTDE
+        without ``timestamp``, for robot states of CB2, and for resampled tables.
         """
         if self._clock is None or len(self) < 2:
             return ()
@@ -117,7 +119,7 @@ class Table(StrictAttributes):
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What was recorded and could not be read, and what is missing by the controller's clock, one text each."""
+        """Texts about recorded data that could not be read, and about missing packets."""
         gaps = self.gaps
         if not gaps:
             return self._missing
@@ -128,7 +130,7 @@ class Table(StrictAttributes):
 
     @property
     def fields(self) -> Mapping[str, Column]:
-        """name -> unit, meaning and shape of each column."""
+        """Name -> unit, meaning and shape of each column."""
         return MappingProxyType(dict(self._columns.known))
 
     def __len__(self) -> int:
@@ -138,7 +140,10 @@ class Table(StrictAttributes):
         return isinstance(name, str) and self._found(name) is not None
 
     def _found(self, name: str) -> tuple[str, int | None] | None:
-        """The field of a name, and the index if it names one element of it; None if there is no such field."""
+        """Return the field of a name, and the index if it names one element.
+
+        Return None if there is no such field.
+        """
         if name in self._columns.known:
             return name, None
         element = element_of(name) if isinstance(name, str) else None
@@ -146,7 +151,7 @@ class Table(StrictAttributes):
         return element if element and column and element[1] < (column.width or 0) else None
 
     def _fields_of(self, names: Iterable[str]) -> list[str]:
-        """The fields that these names are of, each once.
+        """Return the fields of these names, each once.
 
         Raises:
             BadValue: If there is no such field.
@@ -160,18 +165,18 @@ class Table(StrictAttributes):
         return list(dict.fromkeys(fields))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """One column, with a row for each packet; ``table["q_actual_3"]`` is one element of ``table["q_actual"]``.
+        """Return one column, or one element of it, such as ``table["q_actual_3"]``.
 
         Raises:
-            BadValue: no such field; the message suggests similar names.
+            BadValue: If there is no such field; the message suggests similar names.
         """
         return self.arrays(name)[name]
 
     def arrays(self, *names: str) -> dict[str, NDArray[Any]]:
-        """Several columns, or all of them: quicker than one after the other.
+        """Return several columns, or all of them; this is faster than one column after the other.
 
         Raises:
-            BadValue: no such field; the message suggests similar names.
+            BadValue: If there is no such field; the message suggests similar names.
         """
         wanted = list(names or self._columns.known)
         lacking = [field for field in self._fields_of(wanted) if field not in self._made]
@@ -187,34 +192,38 @@ class Table(StrictAttributes):
         return self._made[field][:, int(index)]
 
     def _hint(self, name: str) -> str | None:
-        return f"; it is a column, write table[{name!r}]" if name in self else None
+        return f"; it is a column; write table[{name!r}]" if name in self else None
 
     def _complaint(self, name: str) -> str:
         known = self._columns.known
         if isinstance(self._columns, PacketColumns) and name in self._columns.partial:
-            return f"{self.name} has {name!r} in some of its parts only, since the firmware changed; see its parts"
+            return f"{self.name} has {name!r} only in some of its parts, because the firmware changed; use table.parts"
         near = difflib.get_close_matches(str(name), known, n=3)
         hint = f"; did you mean {' or '.join(near)}?" if near else ""
         return f"{self.name} has no field {name!r}{hint}; it has {', '.join(known) or 'none'}"
 
-    # -- parts of it -------------------------------------------------------------------------------
+    # -- parts -------------------------------------------------------------------------------------
 
     def between(self, t0: float, t1: float) -> Self:
-        """The rows that came at `t0` or later and before `t1`, in s since the recording began, as in `time`.
+        """Return the rows that arrived at `t0` or later, and before `t1`.
+
+        Args:
+            t0: Start, in s since the start of the recording, as in `time`.
+            t1: End, in s since the start of the recording.
 
         Raises:
-            BadValue: `t1` is before `t0`.
+            BadValue: If `t1` is before `t0`.
         """
         if not t0 <= t1:
-            raise BadValue(f"t0={t0!r}, t1={t1!r}; expected two times, the earlier one first")
+            raise BadValue(f"t0={t0!r}, t1={t1!r}; expected two times with t0 <= t1")
         begin, end = np.searchsorted(self._time, [t0, t1]).tolist()
         return self._with_rows(begin, end)
 
     def with_fields(self, *names: str) -> Table:
-        """The same rows with some of the columns.
+        """Return the same rows with some of the columns.
 
         Raises:
-            BadValue: no such field; the message suggests similar names.
+            BadValue: If there is no such field; the message suggests similar names.
         """
         arrays = self.arrays(*names)
         known = {}
@@ -228,9 +237,10 @@ class Table(StrictAttributes):
 
     @property
     def parts(self) -> list[Table]:
-        """The rows of each layout as a table of its own, if the firmware or the recipe changed during the recording.
+        """Separate tables for the rows of each layout.
 
-        Each part has all fields of its layout; this table has only the fields that all layouts have.
+        There are several if the firmware or the recipe changed during the recording. Each part has all fields of its
+        layout. This table has only the fields that all layouts have.
         """
         if not isinstance(self._columns, PacketColumns):
             return [self]
@@ -242,17 +252,17 @@ class Table(StrictAttributes):
         return found
 
     def resampled(self, rate: float) -> Table:
-        """The same data at `rate` rows per second, from the first row to the last.
+        """Return the same data at `rate` rows per second, from the first row to the last.
 
-        Numbers are interpolated linearly, and the rotation vector of a pose along the shorter way; codes, masks,
-        counters and text are those of the row before. Between the last row of a lost connection and the first row of
-        the next one, numbers are NaN.
+        Numbers are interpolated linearly, and the rotation vector of a pose along the shorter rotation. Codes, masks,
+        counters and text are taken from the previous row. Between the last row of a lost connection and the first row
+        of the next connection, numbers are NaN.
 
         Raises:
-            BadValue: `rate` is not a positive number, or there are no rows.
+            BadValue: If `rate` is not a positive number, or there are no rows.
         """
         if not 0 < rate < float("inf"):
-            raise BadValue(f"rate={rate!r}; expected a positive number of rows a second")
+            raise BadValue(f"rate={rate!r}; expected a positive number of rows per second")
         if not len(self):
             raise BadValue(f"{self.name} has no rows to resample")
         old = self._time
@@ -277,19 +287,21 @@ class Table(StrictAttributes):
         return Table(f"{self.name} at {rate:g} Hz", ArrayColumns(self.fields, arrays), time, wall)
 
     def to_frame(self, *names: str, library: str | None = None) -> Any:
-        """A data frame of all columns, or of some. A field of several numbers is split: ``q_actual_0`` to ``_5``.
+        """Return a data frame of all columns, or of some.
+
+        A vector is split into ``q_actual_0`` to ``q_actual_5``.
 
         Args:
-            names: of fields; none for all.
+            names: Names of fields; without names, all fields.
             library: "pandas" or "polars"; None for the first one that is installed.
 
         Returns:
-            A `pandas.DataFrame` with `time` as its index ``t``, or a `polars.DataFrame` with a column ``t``. Either has
+            A `pandas.DataFrame` with `time` as its index ``t``, or a `polars.DataFrame` with a column ``t``. Both have
             a column ``wall``.
 
         Raises:
-            BadValue: no such field or library.
-            LocalError: the library is not installed; the message says how to install it.
+            BadValue: If there is no such field or library.
+            LocalError: If the library is not installed; the message has the command that installs it.
         """
         if library is not None:
             check_choice(library, "library", ("pandas", "polars"))
@@ -312,7 +324,7 @@ class Table(StrictAttributes):
         return f"<Table {self.name}: {len(self)} rows, {self._time[0]:.3f} to {self._time[-1]:.3f} s>"
 
     def _repr_html_(self) -> str:
-        from ..text import html_table  # imported here: importing the library stays cheap
+        from ..text import html_table  # imported here: importing the library stays fast
 
         columns = self._columns.known.values()
         rows = [(column.name, (len(self), *column.shape), column.unit, column.doc) for column in columns]
@@ -323,13 +335,14 @@ class Table(StrictAttributes):
 
 
 def flat_columns(table: Table, *names: str) -> dict[str, NDArray[Any]]:
-    """A column for each number of a row, as files of tables need them.
+    """Return a column for each number of a row, in the form for files of tables.
 
     Args:
-        names: of fields; none for all.
+        table: Table.
+        names: Names of fields; without names, all fields.
 
     Returns:
-        ``t`` and ``wall``, then the fields; a field of several numbers is split: ``q_actual_0`` to ``q_actual_5``.
+        The columns ``t`` and ``wall``, followed by the fields. A vector is split into ``q_actual_0`` to ``q_actual_5``.
     """
     columns: dict[str, NDArray[Any]] = {"t": table.time, "wall": table.wall}
     for name, array in table.arrays(*names).items():
@@ -350,7 +363,7 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
 def _interpolated(
     time: NDArray[np.float64], old: NDArray[np.float64], values: NDArray[Any], before: NDArray[np.intp], is_pose: bool
 ) -> NDArray[np.float64]:
-    """Values at `time`, interpolated between the rows; `before` is the last row before each time."""
+    """Return the values at `time`, interpolated between the rows; `before` is the last row before each time."""
     after = np.minimum(before + 1, len(old) - 1)
     first, last = values[before], values[after]
     if is_pose:
@@ -362,7 +375,10 @@ def _interpolated(
 
 
 def _closer(first: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotation vectors of the same rotations as `last`, (n, 3), that are closest to `first`: of two each."""
+    """Return the rotation vectors of the rotations `last`, shape (n, 3), that are closest to `first`.
+
+    Each rotation has two such vectors, `last` and one in the opposite direction.
+    """
     angle = np.linalg.norm(last, axis=1, keepdims=True)
     other = last - 2 * np.pi * np.divide(last, angle, out=np.zeros_like(last), where=angle > 0)
     is_closer = np.linalg.norm(other - first, axis=1) < np.linalg.norm(last - first, axis=1)

@@ -1,6 +1,6 @@
-"""Tables as CSV, Parquet, MATLAB, HDF5 and MCAP files.
+"""Export of tables to CSV, Parquet, MATLAB, HDF5 and MCAP files.
 
-The suffix says the format, and a file appears complete or not at all.
+The suffix of the file determines the format. A file appears either complete or not at all.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .file import Progress, unseen
 from .mcap_file import write_mcap
 from .table import Table, flat_columns
 
-#: Writes tables, by name, to a path, with a description of where they come from.
+#: Function that writes tables, by name, to a path, with a description of their origin.
 FileWriter = Callable[[Path, Mapping[str, Table], Mapping[str, str], Progress], None]
 
 
@@ -31,18 +31,22 @@ def export(
     about: Mapping[str, str] | None = None,
     writers: Mapping[str, FileWriter] | None = None,
 ) -> Path:
-    """Write tables to a file, which replaces one of the same name once it is complete.
+    """Write tables to a file.
 
-    It is written under another name in the same directory, then renamed.
+    When it is complete, it replaces an existing file of the same name. The file is first written under another name in
+    the same directory, and then renamed.
 
     Args:
-        about: what the file says of itself where its format has a place for that: robot, beginning, clocks.
-        writers: suffix -> function that writes such a file instead of `TableFormat.write`.
+        path: Path of the file.
+        tables: Tables by name.
+        progress: Function that is called with the completed fraction, 0 to 1.
+        about: Description for the metadata of the file, if its format has metadata: robot, start, clocks.
+        writers: Suffix -> function that writes such a file instead of `TableFormat.write`.
 
     Raises:
-        BadValue: unknown suffix, or the format cannot hold these tables.
-        BadRecording: the file cannot be written.
-        LocalError: the package that writes the format is not installed.
+        BadValue: If the suffix is unknown, or the format cannot hold these tables.
+        BadRecording: If the file cannot be written.
+        LocalError: If the package that writes the format is not installed.
     """
     path = Path(path)
     kind = format_of(path)
@@ -63,17 +67,17 @@ def export(
 def chosen(
     tables: Mapping[str, Table], fields: Sequence[str] | None = None, rate: float | None = None
 ) -> dict[str, Table]:
-    """The tables that have the fields, with no other columns.
+    """Return the tables that have the given fields, without other columns.
 
     Args:
-        tables: by name.
-        fields: Names, or one name as a string; ``q_actual_3`` is one element of a field. A field that several tables
-            have is taken from the first; ``rtde.actual_q`` is taken from the table ``rtde``. None for all fields of all
-            tables.
-        rate: rows per second to resample to; None for the rows as they came.
+        tables: Tables by name.
+        fields: Names, or one name as a string; ``q_actual_3`` is one element of a field. If several tables have a
+            field, it is taken from the first table; ``rtde.actual_q`` is taken from the table ``rtde``. None for all
+            fields of all tables.
+        rate: Number of rows per second after resampling; None for the recorded rows.
 
     Raises:
-        BadValue: no table has such a field, or `rate` is not a positive number.
+        BadValue: If no table has such a field, or `rate` is not a positive number.
     """
     names = [fields] if isinstance(fields, str) else list(fields or ())
     check_fields(names)
@@ -93,7 +97,7 @@ def chosen(
             found.setdefault(table, []).append(field)
     kept = {name: tables[name] for name in tables if name in found} if names else dict(tables)
     if rate is not None:
-        # Whole fields are resampled: one element of a rotation vector cannot be interpolated alone.
+        # Whole fields are resampled, because a single element of a rotation vector cannot be interpolated.
         whole = {
             name: table.with_fields(*table._fields_of(found[name])) if names else table for name, table in kept.items()
         }
@@ -101,22 +105,26 @@ def chosen(
     return {name: table.with_fields(*found[name]) if names else table for name, table in kept.items()}
 
 
-#: Rows that are written at once.
+#: Number of rows that are written at once.
 _ROWS = 10_000
 
 
 def _only(path: Path, tables: Mapping[str, Table], suffix: str) -> Table:
-    """The table, for a format that holds one."""
+    """Return the single table, for a format that can hold only one."""
     if len(tables) != 1:
         there = ", ".join(tables) or "none"
         raise BadValue(
-            f"a {suffix} file holds one table, and these are {there}; name fields of one, or use .h5 or .mat"
+            f"a {suffix} file can hold only one table, and these are {there}; select fields of one table, or use .h5 "
+            "or .mat"
         )
     return next(iter(tables.values()))
 
 
 def write_csv(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """A line for each row; numbers with all their digits, `wall` as in ISO 8601. It has no place for `about`."""
+    """Write a line for each row.
+
+    Numbers have all digits, `wall` is in ISO 8601, and `about` is omitted.
+    """
     table = _only(path, tables, ".csv")
     columns = flat_columns(table)
     with path.open("x", newline="", encoding="utf-8") as file:
@@ -132,7 +140,10 @@ def write_csv(path: Path, tables: Mapping[str, Table], about: Mapping[str, str],
 
 
 def write_parquet(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """A column for each number of a row; units and meanings are metadata of the columns, `about` of the file."""
+    """Write a column for each number of a row.
+
+    Units and meanings are column metadata, `about` is file metadata.
+    """
     table = _only(path, tables, ".parquet")
     with needs("parquet", "a .parquet file"):
         import pyarrow
@@ -162,9 +173,9 @@ def write_parquet(path: Path, tables: Mapping[str, Table], about: Mapping[str, s
 
 
 def write_mat(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """A structure for each table: ``realtime.q_actual`` is n by 6. `wall` is seconds since 1970, UTC.
+    """Write a structure for each table: ``realtime.q_actual`` is n by 6.
 
-    `about` is a structure too.
+    `wall` is in seconds since 1970, UTC. `about` becomes a structure too.
     """
     with needs("mat", "a .mat file"):
         import scipy.io
@@ -179,9 +190,9 @@ def write_mat(path: Path, tables: Mapping[str, Table], about: Mapping[str, str],
 
 
 def write_h5(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """A group for each table, a data set for each field with its unit and meaning. `wall` is ns since 1970, UTC.
+    """Write a group for each table, and in it a data set for each field with its unit and meaning.
 
-    `about` are attributes of the file.
+    `wall` is in ns since 1970, UTC. The entries of `about` become attributes of the file.
     """
     with needs("h5", "an .h5 file"):
         import h5py
@@ -202,12 +213,12 @@ def write_h5(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], 
 
 
 class TableFormat(NamedTuple):
-    """A format of files that tables can be written to.
+    """Format of files for tables.
 
     Attributes:
-        write: Writes such a file.
+        write: Function that writes such a file.
         programs: Programs that read it, for help texts.
-        holds_one: Whether a file holds one table only.
+        holds_one: Whether a file can hold only one table.
         is_live: Whether a file can also be written while the packets arrive.
     """
 
@@ -218,7 +229,7 @@ class TableFormat(NamedTuple):
 
 
 _HDF5 = TableFormat(write_h5, "HDF5")
-#: suffix -> format
+#: Suffix -> format.
 TABLE_FORMATS: Mapping[str, TableFormat] = {
     ".csv": TableFormat(write_csv, "spreadsheets", holds_one=True),
     ".parquet": TableFormat(write_parquet, "pandas, Polars, DuckDB", holds_one=True),
@@ -230,12 +241,15 @@ TABLE_FORMATS: Mapping[str, TableFormat] = {
 
 
 def format_of(path: str | os.PathLike[str]) -> TableFormat | None:
-    """The format that the suffix of a path names; None for any other suffix, such as that of a recording."""
+    """Return the format for the suffix of a path.
+
+    Return None for any other suffix, such as the suffix of a recording.
+    """
     return TABLE_FORMATS.get(Path(path).suffix.lower())
 
 
 def format_list() -> str:
-    """The formats for a help text, one on a line."""
+    """Return the formats for a help text, one per line."""
     return "\n".join(
         f"  {suffix:9} {each.programs}{', one table' if each.holds_one else ''}"
         for suffix, each in TABLE_FORMATS.items()

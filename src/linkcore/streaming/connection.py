@@ -1,11 +1,11 @@
-"""One connection of one peer, kept up: its life, its subscribers, sending, and the thread that reads it.
+"""A connection to one peer that reconnects: its life, its subscribers, sending, and the thread that reads it.
 
     transport -> receiver -> fan-out -> queues -> callbacks
     [------ reader thread --------]   [own threads]
 
-The library holds connections; users hold a `Stream` or a `Feed`, which refer to one. What reads refers to its
-connection too, which therefore exists until it is closed. `linkcore.aio.loop_connection` has the same for an event
-loop: it replaces what is below "what reads it", and nothing else.
+The library holds connections. Users hold a `Stream` or a `Feed`, which refers to a connection. The reader thread refers
+to its connection too, so the connection exists until it is closed. `linkcore.aio.loop_connection` has the variant that
+an event loop reads. It replaces only the methods of the section "the reader".
 """
 
 from __future__ import annotations
@@ -45,19 +45,21 @@ _log = logging.getLogger(__name__)
 
 
 class Connection:
-    """A connection and its subscribers, read by a thread of its own. Connects when first used.
+    """A connection and its subscribers, read by a dedicated thread.
+
+    It connects when it is first used.
 
     Args:
-        name: for messages and threads.
-        transport: where bytes come from.
-        protocol: makes the protocol of one connection.
-        fan_out: hands the packets to the subscribers.
-        backoff: how to connect again.
-        timeout: seconds for a connection to be made.
-        silence: seconds without a packet after which a connection counts as lost; None for ever.
+        name: Name, used for messages and threads.
+        transport: Transport that provides the bytes.
+        protocol: Function that returns a new protocol for each connection.
+        fan_out: Fan-out that distributes the packets to the subscribers.
+        backoff: Waits between the attempts to reconnect.
+        timeout: Maximum time for connecting, in s.
+        silence: Seconds without a packet after which the connection is considered lost; None for no limit.
 
     Attributes:
-        silence: tells how long the peer has been silent.
+        silence: Monitor of the silence of the peer.
     """
 
     def __init__(
@@ -79,8 +81,8 @@ class Connection:
         self._protocol = protocol
         self._timeout = timeout
         self._home = HomeProcess(name)
-        # What follows changes under this condition. Its lock is re-entrant: a signal handler, or the collection of a
-        # stream that nobody holds any more, can come between any two instructions of the thread that has it.
+        # The following attributes change under this condition. Its lock is re-entrant, because a signal handler, or the
+        # garbage collection of a stream, can run between any two instructions of the thread that holds the lock.
         self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
         self._life = ConnectionLife(name, backoff or Backoff())
@@ -89,18 +91,21 @@ class Connection:
 
     @property
     def state(self) -> ConnectionState:
-        """What the connection is doing."""
+        """Current state of the connection."""
         return STATES[self._life.phase]
 
     @property
     def failure(self) -> Exception | None:
-        """What ended it, where it was not closed on purpose: a copy, which may be raised."""
+        """Error that ended it for good, as a copy that may be raised.
+
+        It is None if it was closed on purpose.
+        """
         failure = self._life.failure
         return None if failure is None else unraised(failure)
 
     @property
     def error(self) -> Exception | None:
-        """What ended the last connection, or kept the next one from being made: a copy, which may be raised."""
+        """Error that ended the last connection or attempt to connect, as a copy that may be raised."""
         error = self._life.error
         return None if error is None else unraised(error)
 
@@ -108,31 +113,31 @@ class Connection:
 
     @property
     def is_over(self) -> bool:
-        """No packet will ever come again."""
+        """Whether no packet will ever arrive again."""
         return self._life.is_over
 
     def start(self, add: Callable[[], object] | None = None) -> None:
-        """Connect, if nothing has yet, and wait until it is done.
+        """Connect if it has not connected yet, and wait until it is connected.
 
         Args:
-            add: is called before anything can come.
+            add: Function that is called before any packet can arrive.
 
         Raises:
-            RemoteError: the connection could not be made; the next use tries again.
-            LocalError: the system has no thread left, or this is the reader itself, which is not connected, or a
-                process that was forked from the one which made the connection.
-            Closed: it was closed.
+            RemoteError: If connecting fails; the next use tries again.
+            LocalError: If the system has no thread left, if the reader calls this while it is not connected, or if this
+                process was forked from the process that made the connection.
+            Closed: If it was closed.
         """
-        self._home.check()  # without the lock, which a thread of the parent may have held as it forked
+        self._home.check()  # before the lock is acquired, because a thread of the parent may have held it at the fork
         is_again = is_mine(self._lock)
         with self._changed:
             if self._life.is_ending or not self._is_settled:
                 self.refuse_to_wait("connecting")
-                if is_again:  # the interrupted thread has to go on first
+                if is_again:  # the interrupted call cannot continue while this signal handler waits
                     raise LinkTimeout(
                         f"{self.name} is being connected by the call that this signal handler interrupted"
                     )
-            # A reader that ends closes its subscriptions: one that begins now belongs to the next reader.
+            # A reader that ends closes its subscriptions. A new subscription belongs to the next reader.
             clock.wait(partial(self._changed.wait_for, lambda: not self._life.is_ending), self._timeout)
             if self._life.is_closed:
                 raise Closed(f"{self.name} was closed")
@@ -146,18 +151,21 @@ class Connection:
             raise unraised(attempt.failure)
 
     def start_quietly(self) -> None:
-        """Begin to connect, if nothing has yet, without waiting; failures are retried by the back-off."""
+        """Start to connect if it has not connected yet, without waiting.
+
+        Failures are retried with the back-off.
+        """
         if self._life.phase is ConnectionPhase.IDLE:
             with self._changed:
                 self._begin(is_patient=True)
 
     @property
     def _is_settled(self) -> bool:
-        """Nothing is to be waited for: it has been connected once, or is closed."""
+        """Whether `start` does not have to wait, because it has connected once, or was closed."""
         return self._life.phase is not ConnectionPhase.IDLE and self._life.attempt.is_settled
 
     def _begin(self, is_patient: bool) -> None:
-        """Read, if nothing does yet. With the lock."""
+        """Start the reader if none runs. The caller holds the lock."""
         if self._life.phase is not ConnectionPhase.IDLE:
             return
         self._life.use(is_patient, self.counters.received)
@@ -168,16 +176,20 @@ class Connection:
             raise
 
     def join(self, timeout: float) -> bool:
-        """Wait until no packet will come any more and all are delivered; False when time is up."""
+        """Wait until no more packets will arrive and all are delivered.
+
+        Return False after `timeout` seconds.
+        """
         until = clock.now() + timeout
         if not self._join_reader(timeout):
             return False
         return all(delivery.join(clock.left(until)) for delivery in self.fan_out.deliveries)
 
     def close(self, timeout: float) -> None:
-        """Disconnect and end every queue and callback; within `timeout` seconds. Idempotent, from any thread.
+        """Disconnect and end every queue and callback, within `timeout` seconds.
 
-        In a forked process this does nothing: the connection is its parent's, and its threads do not exist here.
+        Idempotent, and safe in any thread. In a forked process this does nothing, because the connection belongs to the
+        parent, and its threads do not exist in the child.
         """
         if not self._home.is_here:
             return
@@ -188,13 +200,13 @@ class Connection:
         has_ended = self._join_reader(timeout)
         for delivery in self.fan_out.deliveries:
             delivery.join(clock.left(until))
-            if isinstance(delivery, InlineDelivery):  # which holds this connection
+            if isinstance(delivery, InlineDelivery):  # it refers to this connection
                 self.fan_out.remove_delivery(delivery)
         if not has_ended:
             self.fan_out.close(all=True)
 
     def abandon(self) -> None:
-        """End everything without waiting for anything; nothing in a forked process."""
+        """End everything without waiting. In a forked process this does nothing."""
         if not self._home.is_here:
             return
         self._stop()
@@ -209,20 +221,21 @@ class Connection:
     # -- sending ---------------------------------------------------------------------------------
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Send on the present connection, whole or not at all as far as the peer can tell; connects if nothing has yet.
+        """Send `data` on the current connection, completely or not at all from the view of the peer.
 
-        Nothing is kept for later: what cannot be sent now is not sent. Where the peer takes only a part of it in time,
-        the connection is given up, since whatever followed would be read as its rest.
+        Connects first if it has not connected yet. Data is never kept for later: if it cannot be sent now, it is
+        discarded. If the peer does not accept all of it in time, the connection is aborted, because the peer would read
+        anything sent later as the missing part.
 
         Raises:
-            LinkTimeout: the peer did not take it within `timeout` seconds. Or this is a signal handler that has
-                interrupted another call of `send`, whose bytes may have been sent in part.
-            RemoteError, LocalError, Closed: as `start` and `send_some`.
+            LinkTimeout: If the peer does not accept the data within `timeout` seconds, or if this is called in a signal
+                handler that has interrupted another call of `send`, whose bytes may have been sent in part.
+            RemoteError, LocalError, Closed: See `start` and `send_some`.
         """
         self.start()
         until = clock.now() + timeout
         rest = memoryview(data)
-        otherwise = f"{self.name}: other bytes were not sent within {timeout:g} s"
+        otherwise = f"{self.name}: another call did not finish sending within {timeout:g} s"
         with alone(self._sending, timeout, otherwise):
             while rest:
                 try:
@@ -234,48 +247,52 @@ class Connection:
                 rest = rest[sent:]
                 if not sent and not self.wait_for_room(clock.left(until)):
                     self.abort()
-                    raise LinkTimeout(f"{self.name} did not take what was sent within {timeout:g} s")
+                    raise LinkTimeout(f"{self.name} did not accept the sent data within {timeout:g} s")
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Hand to the kernel what it takes at once; its number of bytes. Neither waits nor takes a lock.
+        """Pass to the kernel as many bytes as it accepts at once; return their number.
+
+        Uses no wait and no lock.
 
         Raises:
-            ConnectionLost: there is no connection at present.
-            Closed: it was closed, or is over.
+            ConnectionLost: If it is not connected.
+            Closed: If it was closed, or has ended.
         """
         if self.state is not ConnectionState.CONNECTED:
             if self.is_over:
-                raise Closed(f"{self.name} was closed, or is over")
+                raise Closed(f"{self.name} was closed, or has ended")
             because = f": {self.error}" if self.error is not None else ""
             raise ConnectionLost(f"{self.name} is not connected{because}")
         return self._transport.send_some(data)
 
     def wait_for_room(self, timeout: float) -> bool:
-        """Wait until something can be sent; False when time is up.
+        """Wait until data can be sent; return False after `timeout` seconds.
 
         Raises:
-            ConnectionLost: the connection is gone.
+            ConnectionLost: If the connection is lost.
         """
         return self._transport.wait_for_room(timeout)
 
     def abort(self) -> None:
-        """Give up what was sent: discard what the peer has not acknowledged, and connect again."""
+        """Abort the connection, discard the data that the peer has not acknowledged, and reconnect."""
         self._transport.abort()
 
     # -- subscribers -----------------------------------------------------------------------------
 
     def open_queue(self, kind: type, policy: Policy, lifespan: float | None = None) -> PacketQueue:
-        """A queue of packets that are or hold a `kind`; connects if nothing has yet. See `close_queue`.
+        """Return a new queue of packets that are or contain a `kind`.
+
+        Connect if it has not connected yet. The caller must close the queue with `close_queue`.
 
         Raises:
-            RemoteError, LocalError, Closed: as `start`.
+            RemoteError, LocalError, Closed: See `start`.
         """
         queue = PacketQueue(policy, lifespan)
         self._join(queue, kind)
         return queue
 
     def _join(self, sink: Sink, kind: type) -> None:
-        """Offer packets to `sink` from now on; connects if nothing has yet."""
+        """Start offering packets to `sink`; connect if it has not connected yet."""
         try:
             self.start(lambda: self.fan_out.add(sink, kind))
         except BaseException:
@@ -286,7 +303,7 @@ class Connection:
             sink.end()
 
     def close_queue(self, queue: PacketQueue) -> None:
-        """Take a queue away; what waits in it is dropped and counted."""
+        """Remove a queue; its packets are dropped and counted."""
         self.fan_out.remove(queue)
         queue.close()
 
@@ -302,10 +319,11 @@ class Connection:
         gather: float = 0.0,
         owner: object = None,
     ) -> Subscription:
-        """A callback in a thread of its own, on a queue of its own.
+        """Subscribe a callback with a dedicated thread and a dedicated queue.
 
         Raises:
-            RemoteError, LocalError, Closed: as `start`; LocalError also where there is no thread for the callback.
+            RemoteError, Closed: See `start`.
+            LocalError: See `start`. Also if the system has no thread left for the callback.
         """
         queue = self.open_queue(kind, policy, lifespan)
         options = self._options(kind, deadline, on_deadline)
@@ -326,10 +344,10 @@ class Connection:
         on_deadline: Callable[[float], object] | None = None,
         owner: object = None,
     ) -> Subscription:
-        """A callback that the reader calls.
+        """Subscribe a callback that the reader calls.
 
         Raises:
-            RemoteError, LocalError, Closed: as `start`.
+            RemoteError, LocalError, Closed: See `start`.
         """
         delivery = InlineDelivery(
             callback, self.counters, self.reads_here, **self._options(kind, deadline, on_deadline)
@@ -351,16 +369,16 @@ class Connection:
         expand = self.fan_out.expander(kind)
         return {"name": name, "expand": expand, "deadline": deadline, "on_deadline": on_deadline}
 
-    # -- what becomes of it, whatever reads it ---------------------------------------------------
+    # -- events, for every kind of reader --------------------------------------------------------
 
     def _connecting(self) -> None:
-        """It is about to be made."""
+        """Publish that the reader is about to connect."""
         with self._changed:
             news = self._life.fire(LifeEvent.CONNECT)
         self._tell(news)
 
     def _opened(self) -> Receiver:
-        """The transport is open: publish the event, and receive until the connection is lost."""
+        """Publish that the transport is open; return the receiver of the new connection."""
         protocol = self._protocol()
         self.counters.connected(protocol, self._transport.round_trip)
         with self._changed:
@@ -376,10 +394,15 @@ class Connection:
             self._changed.notify_all()
 
     def _next_try(self, error: Exception | None) -> float | None:
-        """A connection has ended, or could not be made: seconds until the next try, or None if it is all over.
+        """Handle the end of a connection, or a failure to connect.
+
+        Return the seconds until the next try.
 
         Args:
-            error: what ended it; None where it was closed while it was made.
+            error: Error that ended the connection; None if it was closed while it was connecting.
+
+        Returns:
+            Seconds to wait before the next try; None if the reader must end.
         """
         if isinstance(error, Finished):
             self._finish(None)
@@ -398,11 +421,11 @@ class Connection:
         return wait
 
     def _take(self, receiver: Receiver, data: bytes, stamp: Stamp) -> None:
-        """Hand out what bytes that have come complete.
+        """Decode received bytes, and publish the packets that they complete.
 
         Raises:
-            WrongPeer: they are of no such stream.
-            LinkTimeout: the peer has been silent for too long, but for bytes that complete nothing.
+            WrongPeer: If the bytes do not belong to such a stream.
+            LinkTimeout: If the peer has sent no complete packet for too long.
         """
         fan_out, silence = self.fan_out, self.silence
         if fan_out.taps:
@@ -427,16 +450,17 @@ class Connection:
         self._tell(news, self._life.error)
 
     def _finish(self, failure: Exception | None) -> None:
-        """Nothing is read any more: end every subscription, and let the next use begin anew."""
+        """End every subscription, because the reader has ended; the next use starts a new reader."""
         with self._changed:
             news = self._life.end(failure)
         self._transport.abort()
         self.counters.disconnected()
         if failure is not None or self._life.is_closed:
-            self.fan_out.forget()  # the last of a recording stays: it is no older than the others
+            # The last packet of a finished recording stays: it is as current as every other packet of the recording.
+            self.fan_out.forget()
         if failure is not None and self._life.attempt.has_opened:
-            # For a callback without an error handler, the log is the only report.
-            _log.warning("%s: given up: %s", self.name, printable(failure))
+            # If a program has only callbacks, the log is the only report of this failure.
+            _log.warning("%s: the connection has ended and is not retried: %s", self.name, printable(failure))
         self._tell(news, failure)
         self.fan_out.end()
         with self._changed:
@@ -447,43 +471,44 @@ class Connection:
         if state is not None:
             self.fan_out.tell(ConnectionEvent(state, self.name, error, Stamp.now()))
 
-    # -- what reads it ---------------------------------------------------------------------------
+    # -- the reader ------------------------------------------------------------------------------
 
     @property
     def is_running(self) -> bool:
-        """A reader has been started, and has not ended."""
+        """Whether a reader was started, and has not ended."""
         reader = self._reader
         return reader is not None and reader.is_alive()
 
     def reads_here(self) -> bool:
-        """The current thread is the one that reads."""
+        """Whether the current thread is the reader."""
         return threading.current_thread() is self._reader
 
     def refuse_to_wait(self, what: str) -> None:
-        """Raise where the current thread would wait for itself.
+        """Raise if the current thread would wait for itself.
 
         Raises:
-            LocalError: it is the one that reads.
+            LocalError: If the current thread is the reader.
         """
         if self.reads_here():
             raise LocalError(
-                f"{what} would wait for ever: it was called in an inline callback, so by the thread that reads "
-                f"{self.name}, which reads nothing meanwhile; subscribe without inline=True, or wait in another thread"
+                f"{what} would wait forever: an inline callback runs in the thread that reads {self.name}, so nothing "
+                "is read meanwhile; subscribe without inline=True, or wait in another thread"
             )
 
     def look(self) -> None:
-        """Hand out what has come already, before anybody concludes that nothing has; where the current thread reads.
+        """Publish bytes that have already arrived, before a caller concludes that nothing has arrived.
 
-        Nothing to do here: the thread only reads, and waits for nothing else.
+        This does nothing here, because the reader thread publishes all bytes at once. A connection whose reader is the
+        current thread overrides it.
         """
 
     def _launch(self) -> None:
-        """Start to read.
+        """Start the reader.
 
         Raises:
-            LocalError: the system has no thread left.
+            LocalError: If the system has no thread left.
         """
-        # Known before it starts, so that it finds itself there.
+        # Set before the thread starts, because the thread compares itself with it.
         self._reader = threading.Thread(target=self._read, name=f"{self.name} reader", daemon=True)
         try:
             started(self._reader)
@@ -492,14 +517,14 @@ class Connection:
             raise
 
     def _join_reader(self, timeout: float) -> bool:
-        """Wait until nothing is read any more; False when time is up."""
+        """Wait until the reader has ended; return False after `timeout` seconds."""
         reader = self._reader
         if reader is None or self.reads_here():
             return True
         return clock.join(reader, timeout)
 
     def _hang_up(self) -> None:
-        """Disconnect once what was sent is delivered, and wake what reads. After `_stop`."""
+        """Disconnect after the sent data is delivered, and wake the reader. Call it after `_stop`."""
         self._transport.close()
 
     @urgent()
@@ -519,14 +544,14 @@ class Connection:
         self._finish(None)
 
     def _connect_and_receive(self) -> None:
-        """One connection, until the transport or the protocol raises, or it is closed."""
+        """Connect, and receive until the transport or the protocol raises, or until it is closed."""
         self._connecting()
         self._transport.open(self._timeout)
-        if not self._life.is_closed:  # closed while connecting: that could not see this socket
+        if not self._life.is_closed:  # a call of `close` while it was connecting could not close this socket
             self._receive(self._opened())
 
     def _receive(self, receiver: Receiver) -> None:
-        """Hand out what comes, until the transport raises or the peer has been silent for too long."""
+        """Publish received packets until the transport raises, or the peer has been silent for too long."""
         receive, take, silence = self._transport.receive, self._take, self.silence
         silence.end(clock.now())
         while True:

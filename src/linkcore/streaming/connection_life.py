@@ -1,11 +1,11 @@
-"""The life of a connection: what it is doing, what can happen next, and which state its subscribers get. Sans-IO.
+"""The state machine of a connection: its phase, the possible events, and the state that subscribers get. Sans-IO.
 
-`TRANSITIONS` is the whole of it; docs/architecture.md shows the table. What is not in the table cannot happen: it
-raises, so that a mistake in what reads the connection is seen where it is made. `ConnectionLife` adds what decides
-between the events: whether to try again, and after how long.
+`TRANSITIONS` has all transitions; docs/architecture.md shows the table. An event that is not in the table raises an
+error, so that a defect in a reader is found where it happens. `ConnectionLife` also decides whether to reconnect, and
+after how many seconds.
 
-Subscribers get `ConnectionEvent`, and recorders the bytes as they were received too. `Backoff` says how long to wait
-before trying again.
+Subscribers get a `ConnectionEvent` for each change. Recorders also get the received bytes. `Backoff` defines the waits
+before the next tries.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..names import StrictAttributes
 
 
 class ConnectionState(enum.Enum):
-    """What a stream's connection is doing."""
+    """State of the connection of a stream."""
 
     IDLE = "idle"
     CONNECTING = "connecting"
@@ -33,7 +33,7 @@ class ConnectionState(enum.Enum):
 
 
 class ConnectionEvent(NamedTuple):
-    """A change of a stream's connection; subscribe to it as to a packet.
+    """Change of the connection of a stream; you can subscribe to it like to a packet.
 
     Attributes:
         state: New state.
@@ -49,13 +49,13 @@ class ConnectionEvent(NamedTuple):
 
 
 class Traffic(StrictAttributes):
-    """Base class of `Chunk` and `ConnectionEvent`: a subscription to it gets both, in order."""
+    """Class to subscribe to for every `Chunk` and every `ConnectionEvent`, in order."""
 
     IS_EVENT = True
 
 
 class Chunk(NamedTuple):
-    """Bytes as they came, and when."""
+    """Received bytes, and the time of their arrival."""
 
     data: bytes
     received: Stamp
@@ -63,7 +63,9 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Backoff:
-    """Exponential, bounded, with jitter so that many clients do not come back in step.
+    """Exponential and bounded waits before reconnecting.
+
+    The jitter prevents many clients from reconnecting at the same time.
 
     Attributes:
         first: Wait before the first try, in seconds.
@@ -73,8 +75,8 @@ class Backoff:
         tries: Maximum number of tries; None for no limit, 0 for no try.
 
     Raises:
-        BadValue: a time that is not a number of seconds, a factor below 1, a jitter outside 0 to 1, or tries that are
-            not a number.
+        BadValue: If a time is not a number of seconds, `factor` is below 1, `jitter` is outside 0 to 1, or `tries` is
+            negative.
     """
 
     first: float = 0.1
@@ -87,15 +89,15 @@ class Backoff:
         check_seconds(self.first, "first")
         check_seconds(self.most, "most")
         if not (self.factor >= 1 and 0 <= self.jitter <= 1 and (self.tries is None or self.tries >= 0)):
-            raise BadValue(f"{self}; expected a factor of at least 1, a jitter from 0 to 1, and no tries below 0")
+            raise BadValue(f"{self}; expected a factor of at least 1, a jitter from 0 to 1, and 0 or more tries")
 
     def waits(self) -> Iterator[float]:
-        """Seconds to wait before each try; ends when it is time to give up.
+        """Yield the seconds to wait before each try; end after the last try.
 
         >>> list(Backoff(first=0.1, most=0.3, jitter=0, tries=4).waits())
         [0.1, 0.2, 0.3, 0.3]
         """
-        # Imported here: it brings hashlib with it, and importing the library stays cheap.
+        # Imported here, because it also imports hashlib, and importing the library must stay fast.
         import random
 
         wait, done = self.first, 0
@@ -106,34 +108,34 @@ class Backoff:
 
 
 class ConnectionPhase(enum.Enum):
-    """What a connection is doing."""
+    """Phase of a connection; `STATES` has the state that users see in each phase."""
 
-    IDLE = "idle"  # nothing has used it, or it was given up: the next use begins anew
-    STARTING = "starting"  # its reader has been asked for
+    IDLE = "idle"  # it was never used, or the last reader gave up; the next use starts a new reader
+    STARTING = "starting"  # its reader is being started
     CONNECTING = "connecting"
     CONNECTED = "connected"
-    WAITING = "waiting"  # until the next try
-    GIVING_UP = "giving up"  # its subscriptions end with an error
-    FINISHING = "finishing"  # its subscriptions end: the last packet of a recording has been read
-    OVER = "over"  # it has been
-    CLOSING = "closing"  # closed here; the reader has not ended yet
+    WAITING = "waiting"  # it waits until the next try
+    GIVING_UP = "giving up"  # its subscriptions are ending with an error
+    FINISHING = "finishing"  # the last packet of a recording has been read, and its subscriptions are ending
+    OVER = "over"  # the last packet of a recording has been read, and its subscriptions have ended
+    CLOSING = "closing"  # it was closed, but the reader has not ended yet
     CLOSED = "closed"
 
 
 class LifeEvent(enum.Enum):
-    """What can happen to it."""
+    """Event in the life of a connection."""
 
-    USE = "use"  # somebody wants packets, or to send
-    CONNECT = "connect"
-    OPEN = "open"
-    LOSE = "lose"  # it is lost, or could not be made
-    GIVE_UP = "give up"
-    FINISH = "finish"
-    CLOSE = "close"
+    USE = "use"  # a caller wants to receive packets, or to send
+    CONNECT = "connect"  # the reader starts to connect
+    OPEN = "open"  # it is connected
+    LOSE = "lose"  # it was lost, or connecting failed
+    GIVE_UP = "give up"  # the reader does not try again
+    FINISH = "finish"  # the peer has no more packets, or it was closed
+    CLOSE = "close"  # the program closes it
     REST = "rest"  # the reader has ended, or could not be started
 
 
-#: What users see of each phase.
+#: Phase -> the state that users see.
 STATES: Mapping[ConnectionPhase, ConnectionState] = MappingProxyType(
     {
         ConnectionPhase.IDLE: ConnectionState.IDLE,
@@ -155,7 +157,7 @@ _ENDING = (*_READING, ConnectionPhase.GIVING_UP, ConnectionPhase.FINISHING)
 _Cause = tuple[ConnectionPhase, LifeEvent]
 _Effect = tuple[ConnectionPhase, ConnectionState | None]
 
-#: (phase, event) -> the phase after it, and the state that subscribers get.
+#: (phase, event) -> the next phase, and the state that subscribers get, or None.
 TRANSITIONS: Mapping[_Cause, _Effect] = MappingProxyType(
     {
         (ConnectionPhase.IDLE, LifeEvent.USE): (ConnectionPhase.STARTING, None),
@@ -169,7 +171,7 @@ TRANSITIONS: Mapping[_Cause, _Effect] = MappingProxyType(
         **{(phase, LifeEvent.FINISH): (ConnectionPhase.FINISHING, ConnectionState.CLOSED) for phase in _READING},
         (ConnectionPhase.GIVING_UP, LifeEvent.REST): (ConnectionPhase.IDLE, None),
         (ConnectionPhase.FINISHING, LifeEvent.REST): (ConnectionPhase.OVER, None),
-        # Closed here, at any time. The reader goes on until it notices.
+        # The program may close it in any phase. The reader continues until it notices this.
         (ConnectionPhase.IDLE, LifeEvent.CLOSE): (ConnectionPhase.CLOSED, None),
         (ConnectionPhase.OVER, LifeEvent.CLOSE): (ConnectionPhase.CLOSED, None),
         **{(phase, LifeEvent.CLOSE): (ConnectionPhase.CLOSING, None) for phase in _ENDING},
@@ -186,13 +188,15 @@ TRANSITIONS: Mapping[_Cause, _Effect] = MappingProxyType(
 
 
 class Attempt:
-    """How the first connection of a reader goes. Each has its own: as soon as one has failed, another may begin.
+    """Result of the first connection of a reader.
+
+    Each reader has its own attempt, because the next one may start immediately after a failure.
 
     Attributes:
-        is_patient: nobody waits for it, so a failure is retried.
-        is_settled: it was made and subscribers were notified, or it cannot be made.
-        has_opened: it was made.
-        failure: why it could not be made.
+        is_patient: Whether no caller waits for the connection, so that a failure is retried.
+        is_settled: Whether it was made and subscribers were notified, or whether it cannot be made.
+        has_opened: Whether it was made.
+        failure: Error because of which it could not be made, or None.
     """
 
     def __init__(self, is_patient: bool) -> None:
@@ -202,17 +206,17 @@ class Attempt:
 
 
 class ConnectionLife:
-    """What one connection is doing, and when it is tried again.
+    """Life of one connection, with the times of its reconnections.
 
     Args:
-        name: for messages.
-        backoff: how to connect again.
+        name: Name, used in messages.
+        backoff: Waits between the attempts to reconnect.
 
     Attributes:
-        phase: what it is doing.
-        attempt: the first connection of the present reader, or of the last one.
-        failure: what ended it, where it was not closed on purpose.
-        error: what ended the last connection, or kept the next one from being made.
+        phase: Current phase.
+        attempt: First connection of the current reader, or of the last one.
+        failure: Error that ended it; None if it was closed on purpose.
+        error: Error that ended the last connection, or the last attempt to connect.
     """
 
     def __init__(self, name: str, backoff: Backoff) -> None:
@@ -223,28 +227,28 @@ class ConnectionLife:
         self._name = name
         self._backoff = backoff
         self._waits = backoff.waits()
-        self._received = 0  # packets, at the try before this one
+        self._received = 0  # number of packets before the current try
 
     @property
     def is_ending(self) -> bool:
-        """Its subscriptions are being ended: one that begins now belongs to the next reader."""
+        """Whether its subscriptions are ending, so that a new subscription belongs to the next reader."""
         return self.phase in (ConnectionPhase.GIVING_UP, ConnectionPhase.FINISHING)
 
     @property
     def is_closed(self) -> bool:
-        """It was closed here."""
+        """Whether the program has closed it."""
         return self.phase in (ConnectionPhase.CLOSING, ConnectionPhase.CLOSED)
 
     @property
     def is_over(self) -> bool:
-        """No packet will ever come again."""
+        """Whether no packet will ever arrive again."""
         return self.is_closed or self.phase in (ConnectionPhase.FINISHING, ConnectionPhase.OVER)
 
     def fire(self, event: LifeEvent) -> ConnectionState | None:
-        """Something has happened: the state that subscribers are to get, if any.
+        """Record an event; return the state that subscribers must get, or None.
 
         Raises:
-            RuntimeError: it cannot happen now.
+            RuntimeError: If the event cannot happen in this phase.
         """
         after = TRANSITIONS.get((self.phase, event))
         if after is None:
@@ -253,11 +257,11 @@ class ConnectionLife:
         return news
 
     def use(self, is_patient: bool, received: int) -> None:
-        """Begin with a new reader; with `is_patient` nobody waits for its first connection.
+        """Start the life of a new reader.
 
         Args:
-            is_patient: as of `Attempt`.
-            received: packets until now.
+            is_patient: Whether no caller waits for its first connection. See `Attempt`.
+            received: Number of packets received so far.
         """
         self.fire(LifeEvent.USE)
         self.failure = self.error = None
@@ -266,10 +270,10 @@ class ConnectionLife:
         self._received = received
 
     def end(self, failure: Exception | None) -> ConnectionState | None:
-        """The reader ends: the state that subscribers are to get.
+        """Record that the reader ends; return the state that subscribers must get, or None.
 
         Args:
-            failure: why; None where the peer has no more, or the connection was closed here.
+            failure: Error that ended it; None if the peer has no more packets, or if the connection was closed here.
         """
         self.failure = failure
         if not self.attempt.has_opened:
@@ -277,20 +281,23 @@ class ConnectionLife:
         return self.fire(LifeEvent.FINISH if failure is None else LifeEvent.GIVE_UP)
 
     def lose(self, error: Exception | None) -> ConnectionState | None:
-        """A connection has ended, or could not be made: the state that subscribers are to get."""
+        """Record that a connection has ended, or could not be made.
+
+        Return the state that subscribers must get.
+        """
         self.error = None if error is None else unraised(error)
         return self.fire(LifeEvent.LOSE)
 
     def retry_after(self, received: int) -> float | None:
-        """Seconds until the next try; None where there is none.
+        """Return the seconds until the next try; None if there is no next try.
 
         Args:
-            received: packets until now.
+            received: Number of packets received so far.
         """
         never_was_the_right_one = isinstance(self.error, WrongPeer) and not received
         if never_was_the_right_one or not (self.attempt.has_opened or self.attempt.is_patient):
             return None
         if received > self._received:
             self._received = received
-            self._waits = self._backoff.waits()  # reset by success: by packets, not by a mere connection
+            self._waits = self._backoff.waits()  # received packets reset the waits, but a connection alone does not
         return next(self._waits, None)

@@ -1,6 +1,6 @@
-"""Distributes every packet of a stream to each queue and each inline callback that subscribed to its class.
+"""Distribution of the packets of a stream to each queue and each inline callback that subscribed to their class.
 
-Called by the thread that reads, which meets no lock here: tuples are replaced and never changed.
+The thread that reads the stream calls this, and needs no lock here, because tuples are replaced and never changed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ..clock import Stamp
 from .connection_life import Chunk, ConnectionEvent, Traffic
 from .subscription import Delivery
 
-#: A NamedTuple made without its own `__new__`, which is a call of Python code for each packet.
+#: Makes a NamedTuple without its own `__new__`, which would be a call of Python code for each packet.
 _new = tuple.__new__
 
 K = TypeVar("K")
@@ -21,25 +21,25 @@ _Offer = Callable[[Sequence[Any]], None]
 
 
 class Sink(Protocol):
-    """What packets are offered to."""
+    """Receiver of offered packets: a queue, or an inline callback."""
 
-    #: is served after the others, since it calls back at once
+    #: Whether it calls its callback at once. Such sinks get their packets after the other sinks.
     is_inline: bool
-    #: the reader waits for it, so that every packet is delivered
+    #: Whether the reader waits for it, so that every packet is delivered.
     makes_reader_wait: bool
 
     @property
     def offered(self) -> int:
-        """Packets that came here."""
+        """Number of packets that were offered."""
 
     def offer(self, packets: Sequence[Any]) -> None:
-        """Take packets."""
+        """Accept packets."""
 
     def end(self) -> None:
-        """No more will come; what waits is still delivered."""
+        """Accept no more packets; queued packets are still delivered."""
 
     def close(self) -> None:
-        """No more will come, and what waits is dropped."""
+        """Accept no more packets, and drop queued packets."""
 
 
 class _Route(NamedTuple):
@@ -52,15 +52,15 @@ class FanOut:
     """The subscribers of one stream, and the newest packet of each class.
 
     Args:
-        kind: the main class of packet.
-        parts: the packets inside a packet; None if there are none.
-        others: base classes of what else comes, parts included.
-        ahead: returns the newest packet where it is known before it is published (`linkcore.net.isolated_transport`);
-            None if there is none. For a stream without parts.
+        kind: Main class of packets.
+        parts: Function that returns the packets inside a packet; None if packets have no parts.
+        others: Base classes of all other packets that can arrive, parts included.
+        ahead: Function that returns the newest packet even before it is published (`linkcore.net.isolated_transport`).
+            None if there is no such function. Only for a stream without parts.
 
     Attributes:
-        kinds: classes of packet and of part that can come, the main one first.
-        taps: subscribers to the bytes as they were received.
+        kinds: Classes of packets and parts that can arrive, with the main class first.
+        taps: Subscribers to the received bytes.
     """
 
     def __init__(
@@ -75,33 +75,34 @@ class FanOut:
         self._kind = kind
         self._parts = parts
         self._ahead = ahead
-        # Re-entrant: a stream that is collected in the middle of a change ends its fan-out from here.
+        # Re-entrant: if a stream is garbage-collected in the middle of a change, it ends its fan-out in this thread.
         self._lock = threading.RLock()
-        # Dictionaries, of which one step adds or removes an entry: a signal handler that subscribes or closes in the
-        # middle of a change of its own thread is neither undone by it nor lost. In the order of subscribing.
+        # A dictionary adds or removes an entry in one step. So if a signal handler subscribes or closes in the middle
+        # of a change, the interrupted code does not undo or lose its change. Entries are in the order of subscribing.
         self._routes: dict[_Route, None] = {}
         self._deliveries: dict[Delivery, None] = {}
-        # What the reader looks at, made from the routes: all, those of the queues, and those of the inline callbacks.
+        # The reader uses these tuples, which are made from the routes: all sinks, the queues, the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
         self.taps: tuple[Sink, ...] = ()
-        self._last: Any = None  # where no packet has parts, which is the quick case
+        self._last: Any = None  # the newest packet if packets have no parts, which is the fast case
         self._newest: dict[type, tuple[int, Any]] = {}
         self._number = 0
 
-    # -- what the reader hands out -------------------------------------------------------------
+    # -- called by the reader ------------------------------------------------------------------
 
     def tap(self, data: bytes, rest: bytes, stamp: Stamp) -> None:
-        """Bytes as they came; `rest` is the head of the packet they came into."""
+        """Publish received bytes; `rest` holds the earlier bytes of the packet that they continue."""
         for sink in self.taps:
             if rest and not sink.offered:
                 sink.offer((Chunk(rest, stamp),))
             sink.offer((_new(Chunk, (data, stamp)),))
 
     def publish(self, packets: Sequence[Any]) -> None:
-        """Packets, in order, at least one.
+        """Publish one or more packets, in order.
 
-        Each goes to all inline callbacks before the next one does: one of them may decide by what another one has
-        learnt, such as whether a program may go on that has begun after a stop, all in the same bytes.
+        Each packet goes to all inline callbacks before the next packet does, because one callback may depend on the
+        result of another one. For example, a stop and the start of a program may arrive in the same bytes, and a
+        callback then decides whether this program may continue.
         """
         if self._parts is None:
             self._last = packets[-1]
@@ -122,18 +123,18 @@ class FanOut:
                 offer((packet,))
 
     def tell(self, event: ConnectionEvent) -> None:
-        """A change of the connection."""
+        """Publish a change of the connection."""
         for route in self._now():
             if route.group is not object:
                 route.offer((event,))
 
     def forget(self) -> None:
-        """What was newest is so no longer."""
+        """Forget the newest packets."""
         self._newest = {}
         self._last = None
 
     def end(self) -> None:
-        """No more will come; what waits is still delivered."""
+        """End all sinks: no more packets will arrive, but queued packets are still delivered."""
         with self._lock:
             routes = self._now()
             for route in routes:
@@ -146,14 +147,14 @@ class FanOut:
         self._number += 1
         self._newest[type(packet)] = (self._number, packet)
 
-    # -- what feeds ask for --------------------------------------------------------------------
+    # -- called by feeds -----------------------------------------------------------------------
 
     def carries(self, kind: type) -> bool:
-        """Whether a `kind` can ever come: it is a class of packet or part, a subclass or a base class of one."""
+        """Whether a `kind` can arrive: it is a class of packets or parts, or a subclass or base class of one."""
         return any(issubclass(kind, each) or issubclass(each, kind) for each in self.kinds)
 
     def newest(self, kind: type[K]) -> K | None:
-        """The newest packet of class `kind`."""
+        """Return the newest packet of class `kind`, or None."""
         if self._parts is None:
             last = self._last if self._ahead is None else self._ahead()
             return last if isinstance(last, kind) else None
@@ -165,19 +166,19 @@ class FanOut:
         return max(candidates, key=lambda each: each[0])[1] if candidates else None
 
     def expand(self, kind: type[K], packet: Any) -> Iterable[K]:
-        """What of class `kind` a packet is or holds."""
+        """Return the packet itself if it is a `kind`, or else its parts that are a `kind`."""
         if isinstance(packet, kind):
             return (packet,)
         return [part for part in self._parts(packet) if isinstance(part, kind)] if self._parts is not None else ()
 
     def expander(self, kind: type) -> Callable[[Any], Iterable[Any]] | None:
-        """What `expand` does for one class; None where a packet always is what was asked for."""
+        """Return `expand` for one class; None if every packet is of that class."""
         if kind in (self._kind, ConnectionEvent, Traffic):
             return None
         return lambda packet: self.expand(kind, packet)
 
     def add(self, sink: Sink, kind: type) -> None:
-        """Offer to `sink` each packet that is or holds a `kind`."""
+        """Start to offer to `sink` each packet that is or contains a `kind`."""
         group: type = object
         offer: _Offer = sink.offer
         if kind in (Traffic, ConnectionEvent):
@@ -199,7 +200,7 @@ class FanOut:
         return offer
 
     def remove(self, sink: Sink) -> None:
-        """Offer to `sink` no more; what waits in it can still be taken."""
+        """Stop offering packets to `sink`; queued packets can still be taken."""
         with self._lock:
             for route in self._now():
                 if route.sink is sink:
@@ -207,11 +208,14 @@ class FanOut:
             self._update()
 
     def _now(self) -> list[_Route]:
-        # Inline callbacks come last: one that is slow then keeps no queue waiting.
+        # Inline callbacks come last, so that a slow one does not delay the queues.
         return sorted(self._routes, key=lambda route: route.sink.is_inline)
 
     def _update(self) -> None:
-        """Make what the reader looks at from the routes; again if a signal handler changes them meanwhile."""
+        """Make the tuples of the reader from the routes.
+
+        Repeat it if a signal handler changes the routes meanwhile.
+        """
         routes: list[_Route] | None = None
         while routes != (routes := self._now()):
             offered = [route for route in routes if route.group is object]
@@ -226,22 +230,22 @@ class FanOut:
 
     @property
     def deliveries(self) -> tuple[Delivery, ...]:
-        """The callbacks."""
+        """Deliveries of all callbacks."""
         return tuple(self._deliveries)
 
     def add_delivery(self, delivery: Delivery) -> None:
-        """Remember a callback, so that closing the stream can wait for it."""
+        """Register a callback, so that closing the stream can wait for it."""
         with self._lock:
             self._deliveries[delivery] = None
 
     def remove_delivery(self, delivery: Delivery) -> None:
-        """Offer to a callback no more, and forget it."""
+        """Stop offering packets to a callback, and forget it."""
         with self._lock:
             self.remove(delivery.sink)
             self._deliveries.pop(delivery, None)
 
     def close(self, *, all: bool) -> None:
-        """Close what promised nothing, or the callers wait in themselves; or all of it."""
+        """Close the sinks that may lose packets, and the sink whose callback makes this call; or all sinks."""
         callers = [delivery.sink for delivery in self.deliveries if delivery.runs_here()]
         for route in self._now():
             if all or not route.sink.makes_reader_wait or route.sink in callers:

@@ -1,4 +1,4 @@
-"""`Feed`: the packets of one class on a stream, for users."""
+"""`Feed`: the public interface to the packets of one class on a stream."""
 
 from __future__ import annotations
 
@@ -23,51 +23,55 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Packets that may wait for a consumer that has to look at every one.
+#: Maximum number of queued packets for a consumer that must examine every packet.
 LAGGARD = 1024
 
 
 class Feed(StrictAttributes, Generic[T]):
-    """The packets of one class on a stream: iterate, subscribe, look at the newest, wait for the next.
+    """The packets of one class on a stream: iterate, subscribe, read the newest, or wait for the next.
 
-    Made by `Stream.of`; a stream is the feed of its main class.
+    `Stream.of` returns a feed. A stream is itself the feed of its main class.
     """
 
     def __init__(self, connection: Connection, kind: type[T], *, lossless: bool = False, owner: object = None) -> None:
         self._connection = connection
         self._kind = kind
         self._lossless = lossless
-        self._owner = owner  # keeps the stream from being collected as long as one of its feeds is held
+        self._owner = owner  # prevents the garbage collection of the stream while one of its feeds exists
 
     def _hint(self, name: str) -> str | None:
-        from inspect import getattr_static  # imported here: importing the library stays cheap
+        from inspect import getattr_static  # imported here: importing the library stays fast
 
         field = getattr_static(self._kind, name, None)
         own = field.own if isinstance(field, Elsewhere) else None if field is None else name
         return None if own is None else self._field_hint(own)
 
     def _field_hint(self, name: str) -> str:
-        return f"; its packets have it: wait().{name} of the next one, latest.{name} of the newest one"
+        return f"; it is a field of the packets: use wait().{name} for the next packet, or latest.{name} for the newest"
 
     @property
     def latest(self) -> T | None:
-        """The newest packet of this connection, or None. Never blocks.
+        """Newest packet of the current connection, or None. Never blocks.
 
-        None before the first packet came and again as soon as the connection is lost: old data is never shown as new. A
-        recording that is over keeps its last one. Begins to connect, if nothing has yet.
+        It is None before the first packet arrives, and again after the connection is lost, so that old data is never
+        shown as new. A finished recording keeps its last packet. Reading it starts the connection if the stream has not
+        connected yet.
         """
         self._connection.start_quietly()
         return self._connection.fan_out.newest(self._kind)
 
     def wait(self, timeout: float = 5.0) -> T:
-        """The next packet that arrives.
+        """Wait for the next packet, and return it.
+
+        Args:
+            timeout: Maximum wait in seconds.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
-            LinkTimeout: If no packet arrived within `timeout` seconds.
-            RemoteError: the first connection could not be made, or the stream gave up.
-            LocalError: called in an inline callback, where nothing could come.
-            Closed: the stream was closed.
+            BadValue: If `timeout` is not a number of seconds.
+            LinkTimeout: If no packet arrives within `timeout` seconds.
+            RemoteError: If the first connection cannot be made, or the stream has stopped reconnecting.
+            LocalError: If called in an inline callback, where no packet could arrive.
+            Closed: If the stream was closed.
         """
         timeout = check_seconds(timeout, "timeout")
         self._connection.refuse_to_wait("wait()")
@@ -77,18 +81,20 @@ class Feed(StrictAttributes, Generic[T]):
         raise self._why_nothing(timeout)
 
     def wait_until(self, condition: Callable[[T], object], timeout: float = 5.0) -> T:
-        """The first packet for which a condition holds: the newest that there is, or one that arrives.
+        """Wait for a packet that meets a condition, and return it.
 
-        Every packet is looked at as it comes, in this thread. One that falls more than 1024 packets behind misses the
-        oldest. Of events (`State.IS_EVENT`) only those count that arrive from now on.
+        The newest packet is examined first, then every packet as it arrives, all in this thread. If the condition is so
+        slow that more than 1024 packets are queued, the oldest ones are dropped. For events (`State.IS_EVENT`), only
+        events that arrive from now on are examined.
 
         Args:
-            condition: gets each packet; what it raises ends the waiting.
-            timeout: seconds.
+            condition: Function that is called with each packet. An exception that it raises ends the wait.
+            timeout: Maximum wait in seconds.
 
         Raises:
-            BadValue: `condition` cannot be called, or `timeout` is not a number of seconds.
-            LinkTimeout: If it did not hold within `timeout` seconds; the message contains the number of packets.
+            BadValue: If `condition` is not callable, or `timeout` is not a number of seconds.
+            LinkTimeout: If no packet meets the condition within `timeout` seconds; the message contains the number of
+                examined packets.
             RemoteError, LocalError, Closed: See `wait`.
         """
         check_callable(condition, "condition")
@@ -100,7 +106,7 @@ class Feed(StrictAttributes, Generic[T]):
         take = _taking(queue)
         looked_at = 0
         try:
-            # After the queue was opened, so that no packet is missed between the two; it may come twice.
+            # Read it after the queue was opened, so that no packet is missed. The same packet might come twice.
             newest = None if self._has_events else connection.fan_out.newest(kind)
             if newest is not None and condition(newest):
                 return newest
@@ -116,23 +122,24 @@ class Feed(StrictAttributes, Generic[T]):
     def iterate(
         self, policy: Policy | None = None, timeout: float | None = None, lifespan: float | None = None
     ) -> Iterator[T]:
-        """Iterate with a policy or a timeout of your own; a plain ``for`` keeps the newest state, or 1024 events.
+        """Iterate over the packets with your own policy or timeout.
 
-        `Stream.stats` counts the packets that a slow loop does not get, as `dropped`.
+        A plain ``for`` keeps only the newest state, or 1024 events. `Stream.stats` counts the packets that a slow loop
+        does not get, as `dropped`.
 
-        Ends when the stream is closed, or a recording is over. Without a timeout it waits for as long as the back-off
-        allows for a robot that went away; `ConnectionEvent` tells of that.
+        The iteration ends when the stream is closed, or when a recording has ended. Without a timeout, it waits for a
+        disconnected robot for as long as the back-off allows; a `ConnectionEvent` reports the disconnection.
 
         Args:
-            policy: what to do when the loop falls behind, as for `subscribe`.
+            policy: Behaviour when the loop falls behind. See `subscribe`.
             timeout: Maximum wait for each packet, in seconds.
             lifespan: See `subscribe`.
 
         Raises:
             BadValue: If `policy` is not a policy, or a time is not a number of seconds.
-            LinkTimeout: If nothing arrived within `timeout` seconds.
-            RemoteError: the first connection could not be made, or the stream gave up.
-            LocalError: called in an inline callback, where nothing could come.
+            LinkTimeout: If no packet arrives within `timeout` seconds.
+            RemoteError: If the first connection cannot be made, or the stream has stopped reconnecting.
+            LocalError: If called in an inline callback, where no packet could arrive.
         """
         policy = self._policy(policy, latest)
         if timeout is not None:
@@ -183,25 +190,26 @@ class Feed(StrictAttributes, Generic[T]):
     ) -> Subscription:
         """Call `callback` with each packet, in order and one at a time, until closed.
 
-        Each subscription has a queue and a thread of its own, so a callback may be slow and may raise: no packet of
-        anybody else's is lost by that. ``inline=True`` does without both, and so without the time that waking a thread
-        takes: the thread that reads calls back at once. Then it has to be quick, since until it returns nothing is read
-        and nobody else on this stream gets anything; calls of more than 0.5 ms are counted in `Stream.stats`.
+        Each subscription has its own queue and its own thread. So a callback may be slow and may raise, and no other
+        subscriber loses a packet because of that. With ``inline=True`` the thread that reads the stream makes the call,
+        which saves the time to wake another thread. Such a callback must be quick: until it returns, nothing is read,
+        and no other subscriber of this stream gets a packet. Calls of more than 0.5 ms are counted in `Stream.stats`.
 
         Args:
             callback: Function that is called with each packet.
-            policy: what to do when it falls behind: `latest`, `drop_oldest(n)` or `block`; by default
-                `drop_oldest(256)`, and 1024 for events. An inline callback has no queue, so it takes none.
-            lifespan: seconds after its arrival for which a packet is worth having; None for ever. One that is older
-                when its turn comes is dropped and counted as `expired`. Inline there is none: nothing waits.
+            policy: Behaviour when the callback falls behind: `latest`, `drop_oldest(n)` or `block`; default
+                `drop_oldest(256)`, and `drop_oldest(1024)` for events. Not allowed for an inline callback, which has no
+                queue.
+            lifespan: Maximum age of a packet in seconds after its arrival; None for no limit. A packet that is older
+                when its turn comes is dropped and counted as `expired`. Not allowed for an inline callback.
             deadline: Maximum time between two packets, in seconds.
-            on_deadline: called with the seconds since the last packet, once for each time that it is longer than
-                `deadline`; by default the log gets a warning. Inline, it has a thread of its own.
-            inline: Whether to call it in the thread that reads.
+            on_deadline: Function that is called with the seconds since the last packet, once for each time that exceeds
+                `deadline`; by default a warning is logged. For an inline callback it is called in a dedicated thread.
+            inline: Whether to make the calls in the thread that reads the stream.
 
         Raises:
             BadValue: If an argument is invalid.
-            RemoteError: If the first connection could not be made.
+            RemoteError: If the first connection cannot be made.
             LocalError: If the system has no thread left.
             Closed: If the stream was closed.
         """
@@ -211,9 +219,7 @@ class Feed(StrictAttributes, Generic[T]):
         connection, kind, owner = self._connection, self._kind, self._owner
         if inline:
             if policy is not None or lifespan is not None:
-                raise BadValue(
-                    "an inline callback has no queue in which packets could wait, so it takes no policy and no lifespan"
-                )
+                raise BadValue("inline=True delivers without a queue, so it cannot be combined with policy or lifespan")
             return connection.subscribe_inline(kind, callback, deadline=deadline, on_deadline=on_deadline, owner=owner)
         policy = self._policy(policy, drop_oldest(256))
         return connection.subscribe(
@@ -221,36 +227,39 @@ class Feed(StrictAttributes, Generic[T]):
         )
 
     def history(self, seconds: float) -> History:
-        """Keep the states of the last seconds, from now on, to look back at as arrays.
+        """Start to keep the states of the last seconds, which can be read as arrays.
 
         Args:
-            seconds: for which each is kept: memory is some kilobyte for a state.
+            seconds: Time for which each state is kept, in s. A state takes about a kilobyte of memory.
 
         Raises:
-            BadValue: no positive number of seconds, or a class without fields of its own.
-            RemoteError, LocalError, Closed: as `subscribe`.
+            BadValue: If `seconds` is not a positive number, or if the class of the packets has no fields.
+            RemoteError, LocalError, Closed: See `subscribe`.
         """
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         if not (issubclass(self._kind, State) and self._kind.FIELDS):
-            raise BadValue(f"a {self._kind.__name__} has no fields of its own to keep; take a part of it with of()")
+            raise BadValue(f"{self._kind.__name__} has no fields of its own to keep; select one of its parts with of()")
         return History(self._kind, seconds, lambda keep: self.subscribe(keep, inline=True))
 
     def plot(self, *fields: str, seconds: float = 10.0, window: float = 10.0, period: float = 0.2) -> None:
-        """Draw fields while they come: in a notebook below its cell, elsewhere in a window. Returns when time is up.
+        """Plot fields while they arrive, below the cell of a notebook or in a window.
+
+        Returns after `seconds`.
 
         Args:
-            fields: names, a panel for each; vectors have a line for each element.
-            seconds: Duration in seconds, from the connection on. The last plot shows every state of the window.
-            window: seconds that are shown, the newest on the right.
+            fields: Names of the fields. Each has its own panel, and a vector has a line for each element.
+            seconds: Duration in seconds, counted from the connection. The last plot shows every state of the window.
+            window: Length of the time axis in seconds, with the newest state on the right.
             period: Interval between two plots, in seconds.
 
         Raises:
-            BadValue: no field, or one that is not there or is not a number, or a time that is not a number of seconds.
-            LocalError: matplotlib is not installed; says how to.
-            LinkTimeout: If nothing arrived within `seconds`.
-            RemoteError, LocalError, Closed: as `subscribe`.
+            BadValue: If no field is given, a field does not exist or is not numeric, or a time is not a number of
+                seconds.
+            LocalError: If matplotlib is not installed; the message has the command that installs it.
+            LinkTimeout: If no state arrives within `seconds`.
+            RemoteError, LocalError, Closed: See `subscribe`.
         """
-        from ..plotting import SHORTEST, LivePlot  # imported here: importing the library stays cheap
+        from ..plotting import SHORTEST, LivePlot  # imported here: importing the library stays fast
 
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
@@ -269,9 +278,10 @@ class Feed(StrictAttributes, Generic[T]):
             live.close()
 
     def _pictures(self, history: History, fields: Sequence[str], end: float) -> Iterator[Plot | None]:
-        """What to show next, until `end`, monotonic s; None if nothing has arrived yet.
+        """Yield the next plot until the monotonic time `end`, in s.
 
-        The last one is made after `end`. It shows every state, even if drawing takes longer than receiving.
+        Yield None if nothing has arrived yet. The last plot is made after `end`. It shows every state, even if drawing
+        takes longer than receiving.
         """
         from ..plotting import Curves, Plot
 
@@ -291,7 +301,7 @@ class Feed(StrictAttributes, Generic[T]):
                 yield None
 
     def _policy(self, policy: Policy | None, for_states: Policy) -> Policy:
-        """The policy; of those who do not say: events are kept, states are replaced by newer ones."""
+        """Return `policy`, or a default that keeps events and replaces states by newer ones."""
         if policy is not None:
             return check_policy(policy)
         if self._lossless:
@@ -300,27 +310,27 @@ class Feed(StrictAttributes, Generic[T]):
 
     @property
     def _has_events(self) -> bool:
-        """The packets are news that come once, rather than samples of something that goes on."""
+        """Whether the packets are events that come once, rather than samples of a continuous quantity."""
         return bool(getattr(self._kind, "IS_EVENT", self._kind is ConnectionEvent))
 
     def _why_nothing(self, timeout: float) -> Exception:
-        """What to raise when nothing came within `timeout` seconds."""
+        """Return the error for a wait in which nothing arrived within `timeout` seconds."""
         connection = self._connection
         if connection.failure is not None:
             return connection.failure
         if connection.is_over:
-            return Closed(f"{connection.name} was closed, or is over")
+            return Closed(f"{connection.name} was closed, or has ended")
         because = ""
         if connection.state is not ConnectionState.CONNECTED and connection.error is not None:
             because = f"; it is not connected: {connection.error}"
         return LinkTimeout(f"no {self._kind.__name__} from {connection.name} within {timeout:g} s{because}")
 
     def _why_none_of(self, looked_at: int, timeout: float) -> Exception:
-        """What to raise when a condition held for none of so many packets within `timeout` seconds."""
+        """Return the error for a wait in which none of `looked_at` packets met the condition."""
         connection = self._connection
         if looked_at and connection.failure is None and not connection.is_over:
             what = f"{looked_at} {self._kind.__name__} from {connection.name}"
-            return LinkTimeout(f"the condition held for none of {what} within {timeout:g} s")
+            return LinkTimeout(f"the condition was true for none of {what} within {timeout:g} s")
         return self._why_nothing(timeout)
 
     def __repr__(self) -> str:
@@ -328,7 +338,10 @@ class Feed(StrictAttributes, Generic[T]):
 
 
 def _taking(queue: PacketQueue) -> Callable[[float | None], Any]:
-    """`PacketQueue.next`; if this thread makes a pending call, abandoning the call ends the wait."""
+    """Return `queue.next`.
+
+    If this thread makes a pending call, abandoning the call ends the wait.
+    """
     if pending_call() is None:
         return queue.next
 

@@ -1,6 +1,7 @@
-"""The last seconds of a stream as arrays, for filters and for code that learns.
+"""The last seconds of a stream as arrays, for filters and for machine learning.
 
-States are kept as they came, which costs the reader a microsecond each, and are taken apart when an array is asked for.
+States are kept as they arrive, which takes about a microsecond of the reader for each state. They are converted to
+columns when an array is requested.
 """
 
 from __future__ import annotations
@@ -20,19 +21,20 @@ from ..threads import Closing
 from ..wire.packet import State
 from .subscription import Subscription
 
-#: Columns that say when the bytes came.
+#: Columns with the arrival time of the bytes.
 _WHEN = ("received", "received_wall")
 
 
 class History(StrictAttributes, Closing):
-    """The states of the last seconds; made by `Feed.history`. A context manager: close it, or it goes on.
+    """The states of the last seconds, returned by `Feed.history`.
 
-    States of before a reconnect to another firmware, whose fields differ, are dropped.
+    It is a context manager: it keeps states until it is closed. After a reconnection to another firmware, whose fields
+    differ, the earlier states are dropped.
 
     Args:
-        kind: class of the states.
-        seconds: before the newest state for which others are kept, by when their bytes came.
-        subscribe: begins to call back with each state.
+        kind: Class of the states.
+        seconds: Time in s before the newest state for which older states are kept, by the arrival of their bytes.
+        subscribe: Function that subscribes a callback to each state.
     """
 
     def __init__(
@@ -44,7 +46,7 @@ class History(StrictAttributes, Closing):
         self._subscription = subscribe(self._keep)
 
     def _keep(self, state: State) -> None:
-        """In the thread that reads."""
+        """Keep a state. The thread that reads the stream calls this."""
         states = self._states
         if states and states[-1][1]._layout is not state._layout:
             states.clear()
@@ -56,21 +58,22 @@ class History(StrictAttributes, Closing):
             states.popleft()
 
     def array(self, *fields: str) -> NDArray[np.void]:
-        """The states as a structured array, oldest first.
+        """Return the states as a structured array, with the oldest state first.
 
         Args:
-            fields: Names of fields, or of one element, such as ``"q_actual_3"``. Without any, all fields that this
-                firmware sends and that are numbers.
+            fields: Names of fields, or of one element, such as ``"q_actual_3"``. Without names, all numeric fields that
+                this firmware sends.
 
         Returns:
-            (n,) with one column for each field, in the order asked for, of its shape: ``array["q_actual"]`` is (n, 6).
-            Numbers are float64 or int64; modes are their numbers. Before them stand ``received``, when the bytes came
-            by `linkcore.clock.now`, and ``received_wall`` by `time.time`, s. Empty where nothing has come yet.
+            Array of shape (n,) with one column for each field in the given order, with the shape of the field:
+            ``array["q_actual"]`` is (n, 6). Numbers are float64 or int64, and modes are their numbers. The first two
+            columns are the arrival time of the bytes in s: ``received`` by `linkcore.clock.now`, and ``received_wall``
+            by `time.time`. The array is empty if no state has arrived yet.
 
         Raises:
-            BadValue: no such field, or one that is not a number, or that this firmware does not send.
+            BadValue: If there is no such field, if it is not numeric, or if this firmware does not send it.
         """
-        # In one step: the reader goes on.
+        # Copied in one step, because the reader continues meanwhile.
         states = [state for _, state in self._states.copy()]
         check_fields(fields)
         places: dict[str, tuple[str, int | None]] = {}
@@ -89,7 +92,7 @@ class History(StrictAttributes, Closing):
             if column is not None:
                 columns[name] = column
             elif fields:
-                why = "is not sent by this firmware" if values[0] is None else "is no number"
+                why = "is not sent by this firmware" if values[0] is None else "is not numeric"
                 raise BadValue(f"{name} of {self._kind.__name__} {why}")
         found = np.empty(
             len(states),
@@ -104,7 +107,10 @@ class History(StrictAttributes, Closing):
         return found
 
     def _found(self, name: str) -> tuple[str, int | None] | None:
-        """The field of a name, and the index if it names one element of it; None if there is no such field."""
+        """Return the field of a name, and the index if it names one element.
+
+        Return None if there is no such field.
+        """
         fields = self._kind.FIELDS
         element = None if name in fields else element_of(name)
         if element is None:
@@ -112,23 +118,23 @@ class History(StrictAttributes, Closing):
         return element if element[0] in fields and element[1] < (fields[element[0]].shape.count or 0) else None
 
     def __getitem__(self, field: str) -> NDArray[Any]:
-        """One column of `array`, (n,) or (n, size of the field).
+        """Return one column of `array`, of shape (n,) or (n, size of the field).
 
         Raises:
-            BadValue: as of `array`.
+            BadValue: See `array`.
         """
         column: NDArray[Any] = self.array(*(() if field in _WHEN else (field,)))[field]
         return column
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
-        """All columns, for ``numpy.asarray(history)``."""
+        """Return all columns, for ``numpy.asarray(history)``."""
         return np.asarray(self.array(), dtype)
 
     def __len__(self) -> int:
         return len(self._states)
 
     def close(self) -> None:
-        """Keep no more; what was kept stays. Idempotent."""
+        """Keep no more states; the kept states stay. Idempotent."""
         self._subscription.close(0)
 
     def __repr__(self) -> str:
@@ -136,7 +142,7 @@ class History(StrictAttributes, Closing):
 
 
 def _numbers(values: list[Any]) -> NDArray[Any] | None:
-    """One row for each value; None where they are not numbers."""
+    """Return an array with one row for each value; None if the values are not numbers."""
     array = np.array(values) if values[0] is not None else np.empty(0, dtype=object)
     if array.dtype.kind in "bui":
         return array.astype(np.int64)

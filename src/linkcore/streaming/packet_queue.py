@@ -1,13 +1,13 @@
-"""The bounded queue between what reads a stream and one consumer, and what happens when it is full.
+"""The bounded queue between the reader of a stream and one consumer, and the policies for a full queue.
 
-`BoundedQueue` has the bound, the policy, the lifespan, the end and the counters. It never waits. How a consumer waits
-for a packet, and a reader for room, is the only difference between its two faces: `PacketQueue` for threads, and
-`linkcore.aio.packets.LoopQueue` for tasks.
+`BoundedQueue` has the limit, the policy, the lifespan, the end and the counters. It never waits. Its two subclasses
+differ only in how a consumer waits for a packet, and a reader for room: `PacketQueue` is for threads, and
+`linkcore.aio.packets.LoopQueue` is for tasks.
 
-`queue.Queue` takes a lock and a condition for each packet, in Python, and can neither drop the oldest nor be ended.
-Here the packets are in a `deque`, whose methods are atomic; a thread that finds it empty sets a flag and sleeps on a
-`SimpleQueue`, which is woken in C. So a packet that is handed over costs a few method calls and a look at a flag, and
-many packets cost hardly more than one.
+`queue.Queue` uses a lock and a condition for each packet, in Python. It can neither drop the oldest packet nor be
+ended. Here the packets are in a `deque`, whose methods are atomic. A thread that finds it empty sets a flag and sleeps
+on a `SimpleQueue`, which is woken in C. So passing on a packet takes a few method calls and a check of a flag, and many
+packets take hardly longer than one.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ from .. import clock
 from ..arguments import check_seconds
 from ..errors import BadValue
 
-#: Makes room for packets that do not all fit: ``drop(waiting, packets, limit)`` drops from either, and returns those
-#: of `packets` that are to be added, and how many it has dropped. The consumer may take from `waiting` meanwhile.
+#: Function that makes room when not all packets fit: ``drop(waiting, packets, limit)`` drops packets from either. It
+#: returns the part of `packets` to add, and the number of dropped packets. The consumer may take from `waiting`
+#: meanwhile.
 Drop = Callable[[deque[Any], Sequence[Any], int], tuple[Sequence[Any], int]]
 
 
 @dataclass(frozen=True)
 class Policy:
-    """How many packets wait for a subscriber, and what happens when more come.
+    """Length of the queue of a subscriber, and its behaviour when it is full.
 
     Attributes:
-        limit: packets that wait at most.
-        drop: makes room by dropping packets, which are counted; None makes the reader wait until there is room.
+        limit: Maximum number of queued packets.
+        drop: Function that makes room by dropping packets, which are counted. With None, the reader waits for room.
 
     Raises:
-        BadValue: a limit below 1.
+        BadValue: If `limit` is below 1.
     """
 
     limit: int
@@ -47,117 +48,121 @@ class Policy:
 
     def __post_init__(self) -> None:
         if self.limit < 1:
-            raise BadValue(f"{self}: at least one packet has to fit")
+            raise BadValue(f"{self}; expected a limit of 1 or more packets")
 
     @property
     def makes_reader_wait(self) -> bool:
-        """Every packet is delivered, and the reader waits for a consumer that falls behind."""
+        """Whether every packet is delivered, and the reader waits for a consumer that falls behind."""
         return self.drop is None
 
 
 def _oldest(waiting: deque[Any], packets: Sequence[Any], limit: int) -> tuple[Sequence[Any], int]:
-    """Drop the oldest: of those that wait, and then of those that come."""
+    """Drop the oldest packets: first the queued ones, then the new ones."""
     dropped = max(len(packets) - limit, 0)
     packets = packets[dropped:]
-    # Room is made first and the packets are added then: the other way round, a consumer that takes one in between would
-    # have the newest dropped in its stead.
+    # Room is made before the packets are added. In the other order, if the consumer took a packet in between, the
+    # newest packet would be dropped.
     for _ in range(len(waiting) + len(packets) - limit):
         try:
             waiting.popleft()
-        except IndexError:  # the consumer was quicker
+        except IndexError:  # the consumer has already taken it
             break
         dropped += 1
     return packets, dropped
 
 
 def drop_oldest(limit: int) -> Policy:
-    """Let up to `limit` packets wait, then drop the oldest.
+    """Return a policy that queues up to `limit` packets, and then drops the oldest ones.
 
     Raises:
-        BadValue: less than 1.
+        BadValue: If `limit` is below 1.
     """
     return Policy(limit, _oldest)
 
 
-#: Keep the newest packet only: for control loops and displays. A callback that is quick enough still gets every one.
+#: Policy that keeps only the newest packet, for control loops and displays. A quick callback still gets every packet.
 latest = drop_oldest(1)
 
-#: Lose nothing: the reader waits, and with it every subscriber of the stream; in the end TCP makes the robot's
-#: controller wait, which may then drop the connection. For replay and tests.
+#: Policy that never drops a packet. If the queue is full, the reader waits, and with it every subscriber of the stream.
+#: In the end TCP makes the robot's controller wait, and the controller might then drop the connection. Use it for
+#: replay and tests.
 block = Policy(1024, drop=None)
 
 
 def check_policy(value: Any) -> Policy:
-    """`value`, if it is a policy.
+    """Return `value` if it is a policy.
 
     Raises:
-        BadValue: it is not; says what is.
+        BadValue: If it is not a policy. The message lists the policies.
     """
     if not isinstance(value, Policy):
-        raise BadValue(f"policy={value!r}; expected latest, drop_oldest(n) or block, the objects and not their names")
+        raise BadValue(f"policy={value!r}; expected latest, drop_oldest(n) or block, as objects rather than names")
     return value
 
 
 def check_lifespan(value: Any) -> float | None:
-    """Seconds after its arrival for which a packet is worth having; None for ever.
+    """Return the maximum age of a packet in s; None for no limit.
 
     Raises:
-        BadValue: it is not a positive number of seconds.
+        BadValue: If `value` is not a positive number of seconds.
     """
     return None if value is None else check_seconds(value, "lifespan", positive=True)
 
 
 def is_older(packet: Any, lifespan: float) -> bool:
-    """Whether a packet arrived more than so many seconds ago, by the monotonic clock; one without a stamp did not."""
+    """Whether a packet arrived more than `lifespan` seconds ago.
+
+    Return False for a packet without a stamp.
+    """
     received = packet.received
     return received is not None and clock.now() - received.monotonic > lifespan
 
 
 class BoundedQueue(abc.ABC):
-    """Packets waiting for one consumer: what threads and tasks have in common. One offers them and one takes them.
+    """Queue with one producer and one consumer: the common part for threads and tasks.
 
-    Whatever happens, ``offered == taken + dropped + waiting`` once both are at rest. Each counter is raised where its
-    event happens, by one thread only or under a lock.
+    When both sides are idle, ``offered == taken + dropped + waiting`` always holds. Each counter is incremented where
+    its event happens, by only one thread or under a lock.
 
     Args:
-        policy: what to do when the consumer falls behind.
-        lifespan: seconds after its arrival (`received`) for which a packet can be taken; None for ever.
+        policy: Behaviour when the consumer falls behind.
+        lifespan: Seconds after its arrival (`received`) for which a packet can be taken; None for no limit.
 
     Attributes:
-        offered: packets that were offered to this queue.
-        taken: packets that the consumer took.
-        expired: those of `dropped` that were older than the lifespan when their turn came.
-        makes_reader_wait: the reader waits when the queue is full, and no packet is dropped.
-        is_over: No more will come, and what came was taken; or the queue was closed.
+        offered: Number of packets that were offered to this queue.
+        taken: Number of packets that the consumer took.
+        expired: Number of packets among `dropped` that were older than the lifespan when their turn came.
+        makes_reader_wait: Whether the reader waits when the queue is full, so that no packet is dropped.
+        is_over: Whether the queue was closed, or no more packets will arrive and all were taken.
     """
 
-    #: A queue is never in the way of another, so the reader serves it before the callbacks that it calls itself.
+    #: A queue never delays another one, so the reader serves queues before the callbacks that it calls itself.
     is_inline = False
 
     def __init__(self, policy: Policy, lifespan: float | None = None) -> None:
         self.offered = 0
-        self.taken = self.expired = 0  # raised by the consumer
+        self.taken = self.expired = 0  # incremented by the consumer
         self.makes_reader_wait = policy.makes_reader_wait
         self.is_over = False
         self._lifespan = lifespan
         self._limit = policy.limit
         self._drop = policy.drop
         self._packets: deque[Any] = deque()
-        self._surplus = 0  # dropped by the policy; raised by the reader
-        self._discarded = 0  # raised under the lock
+        self._surplus = 0  # packets dropped by the policy; incremented by the reader
+        self._discarded = 0  # packets dropped at the end; incremented under the lock
         self._discarding = threading.Lock()
-        self._is_ended = False  # nothing more is to be taken from the reader
+        self._is_ended = False  # whether no more packets are accepted from the reader
         self._consumer_sleeps = False
         self._reader_sleeps = False
 
     @property
     def dropped(self) -> int:
-        """Packets thrown away: one too many, too old, or waiting when the queue was closed."""
+        """Packets that were dropped by the policy, had expired, or were still queued at the close."""
         return self._surplus + self._discarded + self.expired
 
     @property
     def overtaken(self) -> int:
-        """Packets among `dropped` that the policy dropped, or that had expired: the consumer fell behind."""
+        """Packets among `dropped` that the policy dropped or that had expired, because the consumer fell behind."""
         return self._surplus + self.expired
 
     @property
@@ -167,20 +172,20 @@ class BoundedQueue(abc.ABC):
 
     @abc.abstractmethod
     def _wait_for_room(self, packets: Sequence[Any]) -> None:
-        """Add packets of which not all fit, and make the reader wait."""
+        """Add packets that do not all fit, and make the reader wait for room."""
 
     @abc.abstractmethod
     def _wake_consumer(self) -> None:
-        """There is something to take, or nothing will come any more."""
+        """Wake the consumer, because there is a packet, or no more packets will arrive."""
 
     @abc.abstractmethod
     def _wake_reader(self) -> None:
-        """There is room, or no more is taken."""
+        """Wake the reader, because there is room, or no more packets are accepted."""
 
     # -- the reader's side ---------------------------------------------------------------------
 
     def offer(self, packets: Sequence[Any]) -> None:
-        """Hand packets over; the reader waits only if the policy says so."""
+        """Add packets. The reader waits for room only if the policy requires it."""
         if self._is_ended:
             return
         count = len(packets)
@@ -196,25 +201,25 @@ class BoundedQueue(abc.ABC):
             self._wait_for_room(packets)
         if self._consumer_sleeps:
             self._wake_consumer()
-        if self.is_over:  # it was closed meanwhile, or its consumer has just gone
+        if self.is_over:  # it was closed meanwhile, or its consumer has just ended
             self._discard()
 
     def end(self) -> None:
-        """No more will come; what waits can still be taken. Idempotent."""
+        """Accept no more packets; queued packets can still be taken. Idempotent."""
         self._is_ended = True
         self._wake_consumer()
 
     # -- the consumer's side -------------------------------------------------------------------
 
     def take(self) -> Any | None:
-        """A packet that has come and is not too old; None if there is none."""
+        """Remove and return the next packet that has not expired; None if there is none."""
         packets = self._packets
         while packets:
             try:
                 packet = packets.popleft()
-            except IndexError:  # the reader has dropped it, and adds a newer one
+            except IndexError:  # the reader has dropped it, and will add a newer one
                 continue
-            # Not for each packet: the two would take turns.
+            # Wake the reader only when half of the queue is free: otherwise both threads would alternate.
             if self._reader_sleeps and len(packets) <= self._limit // 2:
                 self._wake_reader()
             if self._lifespan is not None and is_older(packet, self._lifespan):
@@ -225,15 +230,15 @@ class BoundedQueue(abc.ABC):
         return None
 
     def close(self) -> None:
-        """Drop what waits, take nothing more; idempotent."""
+        """Drop the queued packets, and accept no more; idempotent."""
         self.is_over = True
         self.end()
         self._wake_reader()
         self._discard()
 
     def _discard(self) -> None:
-        # The reader, a thread that closes the queue and its signal handlers may all come here. Who finds the lock taken
-        # need not wait: its holder looks again after releasing it.
+        # The reader, a thread that closes the queue, and its signal handlers may all call this. If the lock is taken, a
+        # caller does not have to wait, because the holder checks the queue again after releasing the lock.
         while self._packets and self._discarding.acquire(blocking=False):
             try:
                 while self._packets:
@@ -247,10 +252,11 @@ class BoundedQueue(abc.ABC):
 
 
 class PacketQueue(BoundedQueue):
-    """Packets waiting for one consumer in a thread of its own; the arguments are those of `BoundedQueue`.
+    """Queue for a consumer in another thread. See `BoundedQueue` for the arguments.
 
-    A consumer that finds nothing raises its flag, looks again, and sleeps until a token comes. A thread that changes
-    something looks at the flag afterwards. So one of the two sees the other. A reader without room does the same.
+    A consumer that finds no packet sets its flag, checks the queue again, and sleeps until a token arrives. A thread
+    that changes the queue checks the flag afterwards. So one of the two always notices the other. A reader without room
+    does the same.
     """
 
     def __init__(self, policy: Policy, lifespan: float | None = None) -> None:
@@ -284,7 +290,7 @@ class PacketQueue(BoundedQueue):
             self._reader_sleeps = False
 
     def next(self, timeout: float | None = None) -> Any | None:
-        """Wait for a packet and take it; None when time is up, or when no more will come: `is_over` tells which."""
+        """Wait for a packet, and return it; return None after `timeout`, or when `is_over` is true."""
         until = None
         while True:
             packet = self.take()
@@ -302,7 +308,7 @@ class PacketQueue(BoundedQueue):
                     return None
             self._consumer_sleeps = True
             if not self._packets and not self._is_ended:
-                # Most loops have no timeout. They need no call of `slice_of`, which would be one for each packet.
+                # Most loops have no timeout, so this saves them a call of `slice_of` for each packet.
                 left = clock.ENDLESS if until is None else clock.slice_of(until - now)
                 with contextlib.suppress(Empty):
                     self._to_consumer.get(True, left)

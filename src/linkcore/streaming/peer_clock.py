@@ -1,10 +1,10 @@
-"""The clock of a peer compared with the clock of this computer, from the times in its packets and when they arrived.
+"""Comparison of the clock of a peer with the clock of this computer, from the times in packets and their arrivals.
 
-A packet has the time of the peer at which it was made, and arrives later. How long it was under way is unknown, but
-two things are: it was no less than nothing; and the quickest of many took no longer than the handshake of their TCP
-connection, which went there and back. So the packets that came quickest show the relation of both clocks, but for that
-round trip: `OffsetEstimator` keeps the quickest packet of each second of the last minute, and puts under these the
-highest line that lies above none. The slope of the line is the drift.
+A packet contains the time of the peer at which it was made, and arrives later. Its delay is unknown, but it has two
+limits. It cannot be negative, and the quickest of many packets took no longer than the handshake of their TCP
+connection, which goes there and back. So the quickest packets show the relation of both clocks, with an uncertainty of
+this round trip. `OffsetEstimator` keeps the quickest packet of each second of the last minute. It places the highest
+line that is not above any of these packets. The slope of the line is the drift.
 """
 
 from __future__ import annotations
@@ -14,36 +14,37 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-#: Seconds by which a packet may be quicker than the quickest before it. If it is more, a clock was set.
+#: Seconds by which a packet may be quicker than the quickest earlier packet. If it is even quicker, a clock was set.
 EARLIER = 0.1
-#: The most that two clocks drift apart, as a fraction: Linux adjusts its own by up to 500 ppm, and a crystal is within
+#: Maximum drift between two clocks, as a fraction: Linux adjusts its clock by up to 500 ppm, and a crystal is within
 #: 100 ppm.
 _MOST_DRIFT = 600e-6
-#: How far the drift may be another one before and after the minute in which it was measured. Chosen: a crystal changes
-#: by about 0.04 ppm/K² away from 25 degC.
+#: Assumed difference, as a fraction, between the measured drift and the drift before or after the measured minute. The
+#: value is chosen: the frequency of a crystal changes by about 0.04 ppm/K² away from 25 degC.
 _WANDER = 2e-6
-#: Seconds of which the quickest packet is kept, how many of these, and between two looks at a packet.
+#: Length in s of the interval of which the quickest packet is kept, maximum number of these intervals, and time in s
+#: between two packets that are examined.
 _SECONDS, _MOST, _STEP = 1.0, 60, 0.04
-#: Packets of which the quickest counts.
+#: Minimum number of packets of which the quickest one is used.
 _LEAST = 8
-#: Of n packets with delays of mean J, the quickest is later than 7 J / n in one of a thousand cases, if the delays are
-#: exponential or uniform.
+#: If n packets have exponential or uniform delays with the mean J, the quickest of them is later than 7 J / n in one of
+#: a thousand cases.
 _RARE = 7.0
 
 _Point = tuple[float, float]
 
 
 class OffsetEstimate(NamedTuple):
-    """How two clocks go beside each other.
+    """Relation between the clock of a peer and the clock of this computer.
 
     Attributes:
-        moment: s on the peer's clock to which the others belong.
-        way: s from there to the arrival of the quickest packet on this computer's clock; both clocks run from another
-            zero, so only its change means anything.
-        slope: s by which `way` grows in a second of the peer.
-        error: s by which the quickest packets may have been slower than those that could have come.
-        unsure: by how much `slope` may be off.
-        round_trip: s of the quickest handshake; the quickest packet took no more.
+        moment: Time on the peer's clock for which the other values are valid, in s.
+        way: Arrival of the quickest packet on this computer's clock minus `moment`, in s. The two clocks have different
+            zeros, so only changes of `way` are meaningful.
+        slope: Growth of `way` per second of the peer.
+        error: Seconds by which the quickest packets might have been slower than the quickest possible packets.
+        unsure: Maximum error of `slope`.
+        round_trip: Duration of the quickest handshake, in s. The quickest packet took no longer.
     """
 
     moment: float
@@ -54,31 +55,31 @@ class OffsetEstimate(NamedTuple):
     round_trip: float
 
     def to_local(self, time: float, latency: float = 0.0) -> float:
-        """Monotonic s of this computer at a time of the peer.
+        """Return the monotonic time of this computer at a time of the peer, in s.
 
         Args:
-            time: s on the peer's clock.
-            latency: s that the peer may take from the time in a packet until it sends it.
+            time: Time on the peer's clock, in s.
+            latency: Maximum seconds from the time in a packet until the peer sends the packet.
         """
         return time + self.way + self.slope * (time - self.moment) - self._half(latency)
 
     def to_peer(self, time: float, latency: float = 0.0) -> float:
-        """s on the peer's clock at monotonic s of this computer; `to_local` the other way."""
+        """Return the time on the peer's clock at a monotonic time of this computer, in s: the inverse of `to_local`."""
         zero = self.to_local(self.moment, latency)
         return self.moment + (time - zero) / (1.0 + self.slope)
 
     def bound(self, time: float, latency: float = 0.0) -> float:
-        """s by which both may be off at a time of the peer."""
+        """Return the maximum error of `to_local` and `to_peer` at a time of the peer, in s."""
         unmeasured = math.inf if math.isinf(self.round_trip) else self._half(latency)
         return unmeasured + self.error + self.unsure * abs(time - self.moment)
 
     def _half(self, latency: float) -> float:
-        """s by which the quickest packet is taken to be later than its time: half of what it can be at most."""
+        """Return the assumed delay of the quickest packet in s, which is half of its maximum delay."""
         return 0.5 * (latency if math.isinf(self.round_trip) else self.round_trip + latency)
 
 
 class _Second(NamedTuple):
-    """The packets of about a second: time and delay of the quickest, how many there are, and their mean delay."""
+    """Packets of about a second: time and delay of the quickest packet, number of packets, and their mean delay."""
 
     moment: float
     way: float
@@ -87,7 +88,7 @@ class _Second(NamedTuple):
 
     @property
     def lucky(self) -> float:
-        """Seconds by which the quickest may be slower than one that was not held up at all."""
+        """Seconds by which the quickest packet might be slower than a packet without any extra delay."""
         return _RARE * (self.mean - self.way) / self.packets
 
     def and_one(self, moment: float, way: float) -> _Second:
@@ -100,43 +101,47 @@ _EMPTY = _Second(math.nan, math.inf, 0, 0.0)
 
 
 class OffsetEstimator:
-    """Estimates the offset between the clock of a peer and this computer's, over all connections to the peer.
+    """Estimator of the offset between the clocks of a peer and of this computer, over all connections to the peer.
 
-    One thread, the one that reads, writes it.
+    Only the thread that reads the stream changes it.
 
     Attributes:
-        due: when the next packet is to be looked at, by `linkcore.clock.now`.
-        restarts: how often the peer's clock has begun again, or was set.
+        due: Time of `linkcore.clock.now` from which the next packet is examined.
+        restarts: Number of times that the peer's clock has started again, or was set.
     """
 
     def __init__(self) -> None:
         self.due = 0.0
         self.restarts = 0
-        # Those that are over, and the present one. Replaced as a whole, so that other threads can read them.
+        # The completed seconds, and the current one. Both are replaced as a whole, so that other threads can read them.
         self._seconds: tuple[_Second, ...] = ()
         self._present = _EMPTY
         self._until = -math.inf
         self._round_trip = math.inf
-        #: of the newest packet; and the way below which a packet has a wrong time
+        #: Time of the newest packet, and the smallest plausible `way`; a packet below it has a wrong time.
         self._last, self._floor = -math.inf, -math.inf
         self._suspect: tuple[float, float] | None = None
-        #: of the present connection no packet has shown yet that its clock is that of the last one
+        #: Whether it is still unknown if the current connection has the same clock as the previous one.
         self._is_new = False
         self._known: tuple[object, object, OffsetEstimate | None] = (None, None, None)
 
     def connected(self, round_trip: float) -> None:
-        """A connection was made, by a handshake of so many seconds; `inf` where there was none."""
+        """Record a new connection.
+
+        Args:
+            round_trip: Duration of its handshake in s; `inf` if there was no handshake.
+        """
         self._close_second()
         self._round_trip = min(self._round_trip, round_trip)
         self._is_new, self._suspect, self._floor = True, None, -math.inf
         self.due = 0.0
 
     def take(self, moment: float, arrival: float) -> None:
-        """A packet has come.
+        """Use a received packet.
 
         Args:
-            moment: its time by the peer's clock, s; NaN where it has none.
-            arrival: by this computer's, monotonic s.
+            moment: Time of the packet on the peer's clock, in s; NaN if it has none.
+            arrival: Time of its arrival on this computer's monotonic clock, in s.
         """
         way = arrival - moment
         if not (moment >= self._last and way >= self._floor) and not self._is_another(moment, way):
@@ -151,11 +156,14 @@ class OffsetEstimator:
                 self._recognise()
             if moment >= self._until:
                 self._close_second()
-        # Each packet, until there are some of which the quickest counts.
+        # Every packet is examined until there are enough packets to use the quickest one.
         self.due = arrival + _STEP if self._seconds and not self._is_new else 0.0
 
     def _is_another(self, moment: float, way: float) -> bool:
-        """Whether it is the second packet by a clock that is not the one before. One alone may have a wrong time."""
+        """Whether this is the second packet by a different clock.
+
+        A single such packet might have a wrong time.
+        """
         suspect = self._suspect
         if not math.isfinite(way):
             return False
@@ -167,7 +175,10 @@ class OffsetEstimator:
         return True
 
     def _recognise(self) -> None:
-        """Whether the clock of a new connection goes on where the last one was, or the peer was off meanwhile."""
+        """Check whether the clock of a new connection continues the previous one.
+
+        Restart if it does not. It does not if the peer was switched off meanwhile.
+        """
         self._is_new = False
         if self._seconds:
             last, present = self._seconds[-1], self._present
@@ -195,13 +206,13 @@ class OffsetEstimator:
 
     @property
     def relation(self) -> OffsetEstimate | None:
-        """How both clocks go; None before the first packet with a time."""
+        """Relation of both clocks; None before the first packet with a time."""
         seconds, present = self._seconds, self._present
         is_counted = present.packets >= _LEAST and not self._is_new
         if not seconds:
             if not present.packets:
                 return None
-            # The packets of the first second show no drift.
+            # The drift cannot be estimated from the packets of the first second.
             error = present.lucky if present.packets >= _LEAST else math.inf
             return OffsetEstimate(present.moment, present.way, 0.0, error, _MOST_DRIFT, self._round_trip)
         newest = present if is_counted else _EMPTY
@@ -213,7 +224,7 @@ class OffsetEstimator:
 
 
 def _line(seconds: Sequence[_Second], round_trip: float) -> OffsetEstimate:
-    """The highest line below the quickest packets: highest in the middle of their time."""
+    """Return the line below the quickest packets that is the highest in the middle of their time."""
     middle = 0.5 * (seconds[0].moment + seconds[-1].moment)
     points = [(each.moment - middle, each.way) for each in seconds]
     slope = 0.0
@@ -229,7 +240,14 @@ def _line(seconds: Sequence[_Second], round_trip: float) -> OffsetEstimate:
 
 
 def lowest_edge(points: Iterable[_Point], at: float) -> tuple[_Point, _Point]:
-    """The edge of the lower hull of two or more points with increasing x, where x is `at`: none is below its line."""
+    """Return the edge of the lower convex hull at x = `at`.
+
+    No point is below the line through this edge.
+
+    Args:
+        points: Two or more points (x, y) with increasing x.
+        at: x coordinate.
+    """
     hull: list[_Point] = []
     for x, y in points:
         while len(hull) > 1:

@@ -1,7 +1,7 @@
-"""Bytes to packets, counted, sans-IO: the part of a stream that needs neither thread nor socket.
+"""Conversion of bytes to packets, with counters. Sans-IO: this part of a stream needs neither a thread nor a socket.
 
-The reader thread gives it what it has received and hands out what comes back; an asyncio protocol would do the same
-from `data_received`.
+The reader thread passes the received bytes to it, and publishes the returned packets. An asyncio protocol could do the
+same in `data_received`.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from .statistics import StreamCounters
 
 _log = logging.getLogger(__name__)
 
-#: No comparison with it holds.
+#: Every comparison with it is false.
 _NO_TIME = float("nan")
 
 
 class Receiver:
-    """The receiving side of one connection.
+    """Receiving side of one connection.
 
     Args:
-        name: of the stream, for the log.
-        protocol: of this connection.
-        counters: of the stream, which outlive the connection.
+        name: Name of the stream, used in the log.
+        protocol: Protocol of this connection.
+        counters: Counters of the stream. They outlive the connection.
     """
 
     def __init__(self, name: str, protocol: PacketProtocol, counters: StreamCounters) -> None:
@@ -40,14 +40,16 @@ class Receiver:
 
     @property
     def rest(self) -> bytes:
-        """The bytes that belong to no packet yet."""
+        """Bytes of a packet that is not complete yet."""
         return self._protocol.framer.rest
 
     def feed(self, data: bytes, stamp: Stamp) -> Sequence[Any]:
-        """The typed packets that `data` completes. One bad packet takes no other with it.
+        """Return the typed packets that `data` completes.
+
+        An invalid packet does not affect the others.
 
         Raises:
-            WrongPeer: what comes is not such a stream at all.
+            WrongPeer: If the bytes do not belong to such a stream.
         """
         counters = self._counters
         counters.bytes += len(data)
@@ -61,8 +63,8 @@ class Receiver:
         if count != 1:
             packets = self._many(frames, stamp)
         else:
-            # Nearly always one packet has arrived, and it follows the last one. This is detected without a call of
-            # Python code. A separate branch from `_many` takes about 850 instructions fewer.
+            # Nearly always one packet has arrived, and it follows the last one. This case is detected without a call of
+            # Python code, because a branch separate from `_many` takes about 850 instructions fewer.
             (frame,) = frames
             if cycles is not None:
                 moment = cycles.time(frame)[0] if len(frame) == cycles.size else _NO_TIME
@@ -85,7 +87,7 @@ class Receiver:
         protocol, packets = self._protocol, []
         if protocol.cycles is not None:
             protocol.cycles.take(frames)
-        # Anew each time: a protocol may have learnt from these frames how to.
+        # Looked up each time, because the protocol may have replaced its decoder after these frames.
         decode = self._strictly or protocol.decode
         for frame in frames:
             try:
@@ -98,5 +100,5 @@ class Receiver:
     def _fail(self, error: PacketError) -> None:
         self._counters.failed += 1
         failed = self._counters.failed
-        if failed & (failed - 1) == 0:  # each power of two: bad packets at 500 Hz must not fill the disk
+        if failed & (failed - 1) == 0:  # log at each power of two, because bad packets at 500 Hz must not fill the disk
             _log.warning("%s: bad packet, %d so far: %s", self._name, failed, printable(error))

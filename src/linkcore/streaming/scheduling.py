@@ -1,8 +1,9 @@
-"""Real-time scheduling: what the operating system and the interpreter can do for threads that must not be late.
+"""Real-time options of the operating system and the interpreter for threads that must not be late.
 
-A thread that reads a robot, or leads one, needs little of a processor, but at once. Whether it gets that is up to the
-system's scheduler, to the memory that may have been swapped out, to the garbage collector, and to whichever thread of
-this program holds the interpreter's lock. Each can be asked for; most need rights. What cannot be had is reported once.
+A thread that reads or drives a robot needs little processor time, but it needs it immediately. It might be late because
+of the system's scheduler, swapped-out memory, the garbage collector, or another thread that holds the interpreter's
+lock. There is an option for each of these causes, and most options need special rights. Refused options are reported
+once.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ from ..errors import BadValue
 
 _log = logging.getLogger(__name__)
 
-#: Of mlockall(2): the pages that there are, and those to come.
+#: Flags of mlockall(2): current pages, and future pages.
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
 
 @dataclass(frozen=True)
 class RealtimeReport:
-    """What became of `realtime_options`.
+    """Result of `realtime_options`.
 
     Attributes:
-        granted: names of the options that are in force.
-        refused: name -> why it could not be had, and what that means.
+        granted: Names of the options that are in force.
+        refused: Name of each refused option -> the reason, and the consequence.
     """
 
     granted: tuple[str, ...]
@@ -39,7 +40,7 @@ class RealtimeReport:
 
     def __str__(self) -> str:
         granted = f"in force: {', '.join(self.granted) or 'nothing'}"
-        return "; ".join([granted, *(f"{name} could not be had: {why}" for name, why in self.refused.items())])
+        return "; ".join([granted, *(f"{name} was refused: {why}" for name, why in self.refused.items())])
 
 
 @dataclass(frozen=True)
@@ -49,18 +50,17 @@ class _Options:
 
 
 class _Threads:
-    """The threads that must not be late, and what they are given."""
+    """The threads that must not be late, and their options."""
 
     def __init__(self) -> None:
-        self._lock = (
-            threading.RLock()
-        )  # re-entrant: a signal handler may enter a block, and leaves it before it returns
-        self._numbers: dict[int, int] = {}  # of the system -> how often it was entered
+        # Re-entrant, because a signal handler may enter a block; it leaves the block before it returns.
+        self._lock = threading.RLock()
+        self._numbers: dict[int, int] = {}  # native number of each thread -> number of its entered blocks
         self._options = _Options()
 
     @contextlib.contextmanager
     def urgent(self) -> Iterator[None]:
-        """The current thread must not be late while it is in the block."""
+        """Give the options to the current thread while it is in the block."""
         number = threading.get_native_id()
         with self._lock:
             self._numbers[number] = self._numbers.get(number, 0) + 1
@@ -72,12 +72,12 @@ class _Threads:
             with self._lock:
                 left = self._numbers[number] = self._numbers[number] - 1
                 if not left:
-                    self._numbers.pop(number, None)  # a signal handler may have done so just now
+                    self._numbers.pop(number, None)  # a signal handler may have removed it already
                     if self._options != _Options():
                         _give(number, _Options())
 
     def use(self, options: _Options) -> dict[str, str]:
-        """Give these to all of them, and to those to come; name -> why it was refused."""
+        """Give the options to all current and future threads; return refused option -> reason."""
         with self._lock:
             refused = _probe(options)
             self._options = _Options(
@@ -101,28 +101,29 @@ def realtime_options(
     gc: bool | Literal["freeze"] | None = None,
     switch_interval: float | None = None,
 ) -> RealtimeReport:
-    """Ask for what keeps the threads that read and lead robots from being late, those that run and those to come.
+    """Request real-time options for the current and future threads that read and drive robots.
 
-    They are: the reader of each stream, which also sends the set-points of `follow`; the thread in the block of a
-    `servo`; and that of an event loop which reads. Each call says all of it anew. What the system refuses is logged
-    once in a process and stands in the report; the program goes on without it.
+    These threads are the reader of each stream, which also sends the set-points of `follow`, the thread in the block of
+    a `servo`, and the thread of an event loop that reads a stream. Each call replaces the `priority`, `cpu` and
+    `lock_memory` of the previous call. If the system refuses an option, this is reported, and logged once per process.
+    The program continues without it.
 
     Args:
-        priority: 1 to 99, of the scheduling policy SCHED_FIFO: such a thread runs before every usual one. Linux; needs
-            CAP_SYS_NICE or a limit (``ulimit -r``).
-        cpu: number of a processor, or several, that they run on alone as far as this process goes. Linux.
-        lock_memory: no page of this process is swapped out. Linux and macOS; needs a limit (``ulimit -l``).
-        gc: False switches the collection of cyclic garbage off, "freeze" leaves out what there is now, True switches it
-            on; None leaves it as it is.
-        switch_interval: seconds after which a thread that computes in Python has to let others in, 0.005 unless set
-            (`sys.setswitchinterval`): the longest that another thread is kept waiting by it, again for each of its
-            steps. None leaves it as it is.
+        priority: Priority of the scheduling policy SCHED_FIFO, 1 to 99. Such a thread runs before every normal thread.
+            Linux only; needs CAP_SYS_NICE or a limit (``ulimit -r``).
+        cpu: Number of a processor, or several numbers. The threads run only on these processors. Linux only.
+        lock_memory: Whether no page of this process may be swapped out. Linux and macOS; needs a limit (``ulimit -l``).
+        gc: Garbage collection of reference cycles: False switches it off, True switches it on, "freeze" excludes all
+            current objects from it, and None leaves it unchanged.
+        switch_interval: Seconds after which a thread that computes in Python must let other threads run; Python's
+            default is 0.005 (`sys.setswitchinterval`). This is the longest delay of another thread, each time that it
+            needs the interpreter. None leaves it unchanged.
 
     Raises:
-        BadValue: no such priority, processor or interval.
+        BadValue: If the priority, the processor or the interval is out of range.
     """
     if priority is not None and not (isinstance(priority, int) and 1 <= priority <= 99):
-        raise BadValue(f"priority={priority!r}; expected 1 to 99, or None for that of every thread")
+        raise BadValue(f"priority={priority!r}; expected 1 to 99, or None for the normal priority")
     if gc not in (True, False, None, "freeze"):
         raise BadValue(f"gc={gc!r}; expected True, False, 'freeze' or None")
     if switch_interval is not None and not 1e-5 <= switch_interval <= 1.0:
@@ -159,12 +160,12 @@ def _cpus(cpu: int | Iterable[int] | None) -> frozenset[int] | None:
     cpus = frozenset((cpu,)) if isinstance(cpu, int) else frozenset(cpu)
     there = _everywhere or set(range(os.cpu_count() or 1))
     if not cpus or not cpus <= there:
-        raise BadValue(f"cpu={cpu!r}; this process may run on {', '.join(map(str, sorted(there)))}")
+        raise BadValue(f"cpu={cpu!r}; expected processors from {', '.join(map(str, sorted(there)))}")
     return cpus
 
 
 def _probe(options: _Options) -> dict[str, str]:
-    """Try the options on this thread, and take them back; name -> why it was refused."""
+    """Try the options on this thread, and reset them; return refused option -> reason."""
     number = threading.get_native_id()
 
     def use(one: _Options) -> None:
@@ -173,18 +174,16 @@ def _probe(options: _Options) -> dict[str, str]:
 
     refused: dict[str, str] = {}
     if options.priority is not None:
-        meaning = (
-            "the threads take turns with all others of this machine, and can be late by milliseconds where it is busy"
-        )
+        meaning = "the threads compete with all other threads, and might be late by milliseconds on a busy machine"
         refused |= _refusal("priority", meaning, lambda: use(_Options(priority=options.priority)))
     if options.cpus is not None:
-        meaning = "the threads run where the system puts them, and find the caches cold when it moves them"
+        meaning = "the system moves the threads between processors, and their caches are cold after each move"
         refused |= _refusal("cpu", meaning, lambda: use(_Options(cpus=options.cpus)))
     return refused
 
 
 def _refusal(name: str, meaning: str, ask: Callable[[], object]) -> dict[str, str]:
-    """name -> why it was refused, and what that means; empty if it was not."""
+    """Return name -> reason and consequence if the option is refused; empty if it is granted."""
     try:
         ask()
     except (OSError, NotImplementedError) as error:
@@ -193,26 +192,27 @@ def _refusal(name: str, meaning: str, ask: Callable[[], object]) -> dict[str, st
 
 
 def _give(number: int, options: _Options) -> None:
-    """Set what `_probe` found to be granted; of a thread that has just ended, nothing."""
+    """Set options that `_probe` found to be granted. Does nothing if the thread has just ended."""
     with contextlib.suppress(OSError, NotImplementedError):
         _set(number, options)
 
 
 def _set(number: int, options: _Options) -> None:
-    """Set the options of one thread; what is None is as usual.
+    """Set the options of one thread; None restores the normal value.
 
     Raises:
-        OSError, NotImplementedError: it may not be, or there is no such thing here.
+        OSError: If the system refuses an option.
+        NotImplementedError: If this system has no such option.
     """
     if sys.platform != "linux":
         if options == _Options():
             return
-        raise NotImplementedError(f"{sys.platform} has no such call, or none that was tried")
+        raise NotImplementedError(f"not implemented on {sys.platform}")
     os.sched_setaffinity(number, options.cpus or _everywhere)
     if options.priority is None:
         os.sched_setscheduler(number, os.SCHED_OTHER, os.sched_param(0))
     else:
-        # What such a thread starts does not inherit it.
+        # Threads and processes that such a thread starts must not inherit the policy.
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(number, policy, os.sched_param(options.priority))
 
@@ -221,7 +221,7 @@ def _lock_memory(is_wanted: bool) -> dict[str, str]:
     global _is_locked
     if not is_wanted and not _is_locked:
         return {}
-    meaning = "a page that was swapped out is read from the disk when it is needed, which takes milliseconds"
+    meaning = "a swapped-out page must be read from the disk when it is needed, which takes milliseconds"
     refused = _refusal("lock_memory", meaning, lambda: _call_mlock(is_wanted))
     _is_locked = is_wanted and not refused
     return refused if is_wanted else {}
@@ -231,14 +231,14 @@ _is_locked = False
 
 
 def _call_mlock(is_wanted: bool) -> None:
-    """mlockall or munlockall.
+    """Call mlockall or munlockall.
 
     Raises:
-        OSError: it was refused.
-        NotImplementedError: not on this system.
+        OSError: If the system refuses it.
+        NotImplementedError: If this system has no such call.
     """
     if sys.platform == "win32":
-        raise NotImplementedError("Windows has no such call")
+        raise NotImplementedError("not implemented on Windows")
     import ctypes
 
     libc = ctypes.CDLL(None, use_errno=True)

@@ -1,9 +1,9 @@
-"""How long a peer has been silent, sans-IO: computed from the result of each wait for bytes.
+"""Measurement of the silence of a peer, from the result of each wait for bytes. Sans-IO.
 
-Only the reader thread can measure it. Time that has passed since the last packet proves nothing: this process may have
-been suspended, or kept by a C call that holds the interpreter's lock, while packets wait in the socket. But when the
-kernel's own wait for bytes runs out, nothing has come. So silence is the sum of the waits that ran out since the last
-packet, and a stall of this process never adds to it.
+Only the reader thread can measure silence. The time since the last packet proves nothing, because packets might be
+waiting in the socket while this process is suspended, or blocked by a C call that holds the interpreter's lock. But if
+the kernel's own wait for bytes times out, nothing has arrived. So silence is the sum of the waits that timed out since
+the last packet. A stall of this process never adds to it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from ..errors import BadValue, LinkTimeout
 
 _log = logging.getLogger(__name__)
 
-#: Seconds by which a sum of waits may fall short of a limit, for the rounding of floating-point numbers.
+#: Tolerance in s for a sum of waits that is below a limit only because floating-point numbers are rounded.
 _ROUNDING = 1e-6
 
 
 class _Watch:
-    """A callback, and the seconds of silence after which it is called."""
+    """Callback, and the seconds of silence after which it is called."""
 
     def __init__(self, seconds: float, hook: Callable[[float], object]) -> None:
         self.seconds = seconds
@@ -29,17 +29,20 @@ class _Watch:
 
 
 class SilenceMonitor:
-    """Adds up the silence of a peer. One thread reports to it; watches come and go from any.
+    """Sum of the silence of a peer.
+
+    One thread reports to it; any thread may add and remove watches.
 
     Args:
-        name: of the stream, for messages.
-        limit: seconds of silence after which the connection counts as lost; None for never.
+        name: Name of the stream, used in messages.
+        limit: Seconds of silence after which the connection is considered lost; None for no limit.
 
     Attributes:
-        limit: the same.
-        wait: seconds that the next wait for bytes may last; None for as long as it takes.
-        last: when the last packet came, by `linkcore.clock.now`; set by the reader for each.
-        is_quiet: a wait ran out, or bytes came that completed no packet, since then. The reader then calls `end`.
+        limit: Limit of the silence, or None.
+        wait: Maximum duration in s of the next wait for bytes; None for no limit.
+        last: Time of `linkcore.clock.now` at which the last packet arrived. The reader sets it for each packet.
+        is_quiet: Whether a wait has timed out, or bytes without a complete packet have arrived, since the last packet.
+            If so, the reader calls `end` for the next packet.
     """
 
     def __init__(self, name: str, limit: float | None) -> None:
@@ -53,13 +56,13 @@ class SilenceMonitor:
         self.wait = limit
 
     def watch(self, seconds: float, hook: Callable[[float], object]) -> Callable[[], None]:
-        """Call `hook` with the seconds of silence when there are so many, once for each silence.
+        """Call `hook` with the seconds of silence when they reach `seconds`, once for each silence.
 
         Returns:
-            what takes the hook away again.
+            Function that removes the hook.
 
         Raises:
-            BadValue: no such number of seconds, or more than the limit.
+            BadValue: If `seconds` is not a positive number, or exceeds the limit.
         """
         if not (seconds > 0 and (self.limit is None or seconds <= self.limit)):
             raise BadValue(f"seconds={seconds!r}; expected a positive number, at most silence={self.limit}")
@@ -73,7 +76,7 @@ class SilenceMonitor:
         return remove
 
     def end(self, now: float) -> None:
-        """A packet came at `now`, or a connection was made."""
+        """Record that a packet arrived at `now`, or that a connection was made."""
         for watch in self._watches:
             watch.is_told = False
         self.last = now
@@ -82,28 +85,28 @@ class SilenceMonitor:
         self.wait = self._next_wait()
 
     def timed_out(self) -> None:
-        """The kernel has waited for `wait` seconds, and nothing came.
+        """Record that the kernel has waited for `wait` seconds, and that nothing has arrived.
 
         Raises:
-            LinkTimeout: the connection counts as lost.
+            LinkTimeout: If the silence has reached the limit, so that the connection is considered lost.
         """
         if self.wait is not None:
             self.is_quiet = True
             self._quiet += self.wait
-            self._tell(self._quiet, "nothing came")
+            self._tell(self._quiet, "nothing was received")
             self.wait = self._next_wait()
 
     def no_packet(self, now: float) -> None:
-        """Bytes came at `now`, but they complete no packet.
+        """Record that bytes arrived at `now` which do not complete a packet.
 
-        That is silence as well. But the reader may have been held up while the rest of the packet came. So only what
-        was true when bytes came last, and is still true now, is certain.
+        This is silence as well. But the reader might have been delayed while the rest of the packet arrived. So only
+        the silence up to the previous arrival of bytes is certain.
 
         Raises:
-            LinkTimeout: the connection counts as lost.
+            LinkTimeout: If the silence has reached the limit, so that the connection is considered lost.
         """
         self.is_quiet = True
-        self._tell(self._unconfirmed, "bytes came, but no packet,")
+        self._tell(self._unconfirmed, "bytes, but no complete packet, were received")
         self._unconfirmed = now - self.last
 
     def _tell(self, quiet: float, what: str) -> None:
@@ -113,7 +116,7 @@ class SilenceMonitor:
                 try:
                     watch.hook(quiet)
                 except Exception:
-                    _log.exception("%s: what was told of a silence raised", self._name)
+                    _log.exception("%s: the callback for silence raised", self._name)
         if self.limit is not None and quiet + _ROUNDING >= self.limit:
             raise LinkTimeout(f"{self._name}: {what} for {self.limit:g} s")
 

@@ -1,12 +1,12 @@
-"""The counters of streams and subscriptions. Nothing disappears silently.
+"""Counters of streams and subscriptions, so that no packet disappears silently.
 
-Each counter is raised where its event happens, and none is computed from others, so that their sums are a check:
+Each counter is incremented where its event happens, and none is computed from others. So their sums are a check:
 
 - of a stream: ``received == decoded + failed``
 - of a subscription: ``offered == delivered + dropped + raised + waiting``
 
-There is no lock around them. A snapshot waits a moment for a thread that is between two of its
-counters; sums that do not add up after that are an error in counting.
+The counters have no lock. A snapshot waits briefly for a thread that has incremented one counter and not yet the other.
+If a sum still does not match after that, the counting has a defect.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from ..wire.cycles import MissedCycles, Missing
 from ..wire.framing import PacketProtocol
 from .peer_clock import OffsetEstimator
 
-#: Seconds that a call in the reader thread may last; longer ones count as `slow_inline`. A quarter of the 2 ms between
-#: two packets of an e-Series controller.
+#: Maximum duration of a call in the reader thread, in s; longer calls count as `slow_inline`. It is a quarter of the
+#: 2 ms between two packets of an e-Series controller.
 SLOW_INLINE = 0.5e-3
 
 
@@ -34,26 +34,28 @@ class StreamStatistics:
         received: Packets that were received.
         decoded: Packets that were decoded to typed states, and handed out.
         failed: Packets that could not be decoded.
-        missed: packets that never came, by the controller's own clock: cycles between two packets of one connection
-            that are too far apart. It is beside ``received``, no part of it. What a controller sent while there was no
-            connection is not in it, since a controller that was started again has started its clock again; `reconnects`
-            counts those. None where the packets have no such clock: RTDE without ``timestamp``, CB2's robot states.
-        gaps: places where some were missed; `longest_gap` is the longest of them, s, by the controller's clock.
-        duplicates: Received packets with the same controller time as the packet before. None if `missed` is.
+        missed: Packets that never arrived, based on the controller's clock: the missing cycles between consecutive
+            packets of one connection. They are not part of ``received``. Packets that a controller sent without a
+            connection are not included, because a restarted controller has also restarted its clock; `reconnects`
+            counts the reconnections. None if the packets have no such clock: RTDE without ``timestamp``, and the robot
+            states of CB2.
+        gaps: Number of gaps with missed packets.
+        longest_gap: Duration of the longest gap in s, by the controller's clock.
+        duplicates: Received packets with the same controller time as the previous packet. None if `missed` is None.
         dropped: Packets that loops over the stream did not get, because an earlier packet kept the loop busy or because
             they were older than the lifespan. A ``for`` loop keeps only the newest state, so a slow loop drops states.
-            Each loop counts on its own; subscriptions have counters of their own.
-        slow_inline: calls of inline callbacks that lasted longer than 0.5 ms. Meanwhile nothing is read, and no
-            other subscriber of this stream gets a packet.
+            Each loop counts separately. Subscriptions have separate counters.
+        slow_inline: Calls of inline callbacks that lasted longer than 0.5 ms. During such a call nothing is read, and
+            no other subscriber of this stream gets a packet.
         reconnects: Connections after the first.
         rate: Packets per second, over about the last second; 0 in the first half second of a connection.
         bytes: Received bytes.
         skipped: Bytes discarded during the search for a lost frame boundary.
         resyncs: Lost frame boundaries that were found again.
         unknown: Packets, or parts of a packet, whose type has no known layout.
-        tails: Packets, or parts of a packet, that end in bytes which no known layout explains.
+        tails: Packets, or parts of a packet, that end in bytes which no known layout describes.
         age: Seconds since the last packet was read; None before the first one. It grows while the robot is silent, and
-            while an inline callback or a full queue keeps the reader.
+            while an inline callback or a full queue blocks the reader.
     """
 
     received: int
@@ -98,14 +100,14 @@ class SubscriptionStatistics:
     expired: int = 0
 
 
-#: Seconds that a look at counters waits for a thread that is between two of them: four turns of Python's threads.
+#: Maximum time in s that a snapshot waits for a thread that is between two counters: four switches of Python's threads.
 _MOMENT = 0.02
 
 S = TypeVar("S", StreamStatistics, SubscriptionStatistics)
 
 
 def snapshot(take: Callable[[], S]) -> S:
-    """What `take` returns, as soon as its sum holds; after a moment as it is."""
+    """Return the counters from `take` when their sum matches, or after 0.02 s in any case."""
     until = clock.now() + _MOMENT
     while True:
         statistics = take()
@@ -120,22 +122,26 @@ def snapshot(take: Callable[[], S]) -> S:
 
 
 class Loop(Protocol):
-    """The queue of a loop over a stream."""
+    """Queue of a loop over a stream."""
 
     @property
     def overtaken(self) -> int:
-        """Packets that were dropped because newer ones replaced them, or because they had expired."""
+        """Number of packets that were replaced by newer ones, or had expired."""
 
 
 class StreamCounters:
-    """What the reader counts. Only the reader writes it, so it needs no lock; queues of loops have one.
+    """Counters of the reader.
+
+    Only the reader changes them, so they need no lock; the queues of loops have a lock.
 
     Attributes:
-        received, decoded, failed, slow_inline, bytes, connections: see `StreamStatistics`.
-        arrived: when the last packet was read, by `linkcore.clock.now`; None before the first.
-        clock_offset: between the peer's clock and this computer's, by the times of its packets.
-        window_ends: when `next_window` is due: the rate is that of the last whole window of about a second.
-        due: when `look` is due, by `linkcore.clock.now`.
+        received, decoded, failed, slow_inline, bytes: See `StreamStatistics`.
+        connections: Number of connections.
+        arrived: Time of `linkcore.clock.now` at which the last packet was read; None before the first packet.
+        clock_offset: Estimator of the offset between the clocks of the peer and of this computer.
+        window_ends: Time at which `next_window` is due. The rate is measured over the last complete window of about a
+            second.
+        due: Time of `linkcore.clock.now` at which `look` is due.
     """
 
     def __init__(self) -> None:
@@ -145,12 +151,12 @@ class StreamCounters:
         self.slow_inline = 0
         self.bytes = 0
         self.connections = 0
-        # Of the connections that are over; what the present one has counted stands in its protocol.
+        # Counters of ended connections. The protocol of the current connection has its own counters.
         self._skipped = self._resyncs = self._unknown = self._tails = 0
         self._missing: Missing | None = None
         self._duplicates = 0
-        # The queues of loops that run, and what those of the ended loops dropped. Re-entrant: a loop may be collected
-        # in the middle of a change.
+        # Queues of running loops, and the number of packets dropped by ended loops. The lock is re-entrant, because a
+        # loop may be garbage-collected in the middle of a change.
         self._loops: tuple[Loop, ...] = ()
         self._dropped = 0
         self._changing_loops = threading.RLock()
@@ -162,7 +168,12 @@ class StreamCounters:
         self._begin_window(clock.now())
 
     def connected(self, protocol: PacketProtocol, round_trip: float) -> None:
-        """A connection was made, by a handshake of so many seconds; what its protocol counts belongs to the stream."""
+        """Record a new connection; the counters of its protocol are added to the stream.
+
+        Args:
+            protocol: Protocol of the connection.
+            round_trip: Duration of its handshake in s; `inf` if there was no handshake.
+        """
         self._protocol = protocol
         self.connections += 1
         self._begin_window(clock.now())
@@ -171,7 +182,7 @@ class StreamCounters:
         self.due = 0.0
 
     def disconnected(self) -> None:
-        """The connection is over; what its protocol counted stays counted."""
+        """Record that the connection has ended, and keep the counts of its protocol."""
         protocol, self._protocol = self._protocol, None
         if protocol is not None:
             self._skipped += protocol.framer.skipped + len(protocol.framer.rest)
@@ -182,19 +193,19 @@ class StreamCounters:
             self._duplicates += _duplicates(protocol)
 
     def loop_began(self, queue: Loop) -> None:
-        """A loop takes packets from a queue: what the queue drops is counted for the stream."""
+        """Record that a loop takes packets from a queue, to count its dropped packets for the stream."""
         with self._changing_loops:
             self._loops = (*self._loops, queue)
 
     def loop_ended(self, queue: Loop) -> None:
-        """The loop has ended; what its queue has dropped stays counted. Idempotent."""
+        """Record that a loop has ended, and keep the count of its dropped packets. Idempotent."""
         with self._changing_loops:
             if queue in self._loops:
                 self._loops = tuple(each for each in self._loops if each is not queue)
                 self._dropped += queue.overtaken
 
     def look(self, now: float, cycles: MissedCycles | None) -> None:
-        """Do what is not done for each packet, beside the newest one."""
+        """Update the clock offset and the rate if they are due, which is not necessary for each packet."""
         offset = self.clock_offset
         if cycles is not None and now >= offset.due:
             offset.take(cycles.last, now)
@@ -203,7 +214,7 @@ class StreamCounters:
         self.due = self.window_ends if cycles is None else min(self.window_ends, offset.due)
 
     def next_window(self, now: float) -> None:
-        """The window of the rate is over; the next one begins."""
+        """Compute the rate of the window that has ended, and start the next window."""
         self._rate = (self.received - self._window_received) / (now - self._window_began)
         self._begin_window(now)
 
@@ -214,12 +225,12 @@ class StreamCounters:
 
     @property
     def statistics(self) -> StreamStatistics:
-        """The counters at this moment."""
+        """Counters at this moment."""
         return snapshot(self._look)
 
     def _look(self) -> StreamStatistics:
-        # The reader goes on meanwhile. Times before the present, and what past connections have counted before what the
-        # present one has: an age is never negative, and nothing counts twice.
+        # The reader continues meanwhile. The arrival time is read before the current time, so that an age is never
+        # negative. The counts of past connections are read before the current ones, so that nothing counts twice.
         arrived, now = self.arrived, clock.now()
         skipped, resyncs, unknown, tails = self._skipped, self._resyncs, self._unknown, self._tails
         missing, duplicates = self._missing, self._duplicates
@@ -228,7 +239,7 @@ class StreamCounters:
         protocol, rate, elapsed = self._protocol, self._rate, now - self._window_began
         missing = _sum(missing, protocol)
         if elapsed > 2.0 or (not rate and elapsed > 0.5):
-            # The last whole window is too old, or there was none.
+            # The last complete window is too old, or does not exist.
             rate = (self.received - self._window_received) / elapsed
         return StreamStatistics(
             received=self.received,
@@ -256,7 +267,7 @@ def _duplicates(protocol: PacketProtocol | None) -> int:
 
 
 def _sum(missing: Missing | None, protocol: PacketProtocol | None) -> Missing | None:
-    """What is missing of the connections that are over, and of the present one."""
+    """Return the missing packets of the ended connections and of the current one."""
     if protocol is None or protocol.cycles is None:
         return missing
     return protocol.cycles.missing.plus(missing or Missing())

@@ -1,4 +1,4 @@
-"""`Stream`: one interface of one peer, for users."""
+"""`Stream`: the public interface to one interface of a peer."""
 
 from __future__ import annotations
 
@@ -21,66 +21,69 @@ K = TypeVar("K")
 
 
 class Stream(Feed[T]):
-    """The packets of one interface of one robot: iterate, subscribe, look at the newest, wait for the next.
+    """The packets of one interface of a robot: iterate, subscribe, read the newest, or wait for the next.
 
-    Connects when first used, connects again by itself when the connection is lost, and keeps its subscriptions
-    meanwhile. Close it: one that is merely let go is closed with a `ResourceWarning`, or goes on where a callback still
-    refers to it.
+    A stream connects when it is first used. It reconnects automatically when the connection is lost, and keeps its
+    subscriptions meanwhile. You should close it. A stream that is garbage-collected without being closed is closed with
+    a `ResourceWarning`, but a stream to which a callback still refers keeps running.
     """
 
     @property
     def name(self) -> str:
-        """The address and the interface."""
+        """Address and interface."""
         return self._connection.name
 
     @property
     def connection(self) -> ConnectionState:
-        """What the connection is doing."""
+        """Current state of the connection."""
         return self._connection.state
 
     @property
     def failure(self) -> Exception | None:
-        """What ended the stream, where it was not closed on purpose."""
+        """Error that ended the stream; None if it was closed on purpose, or has not ended."""
         return self._connection.failure
 
     @property
     def stats(self) -> StreamStatistics:
-        """The counters at this moment."""
+        """Counters at this moment."""
         return self._connection.counters.statistics
 
     def start(self) -> None:
-        """Connect, if nothing has yet, and wait until it is done.
+        """Connect if the stream has not connected yet, and wait until it is connected.
 
         Raises:
-            RemoteError: the connection could not be made; the next use tries again.
-            LocalError: the system has no thread left.
-            Closed: the stream was closed.
+            RemoteError: If the connection cannot be made; the next use tries again.
+            LocalError: If the system has no thread left.
+            Closed: If the stream was closed.
         """
         self._connection.start()
 
     def description(self) -> dict[str, Any]:
-        """What a recording has to say of this stream beyond its name so that its bytes can be read; JSON can hold it.
+        """Return the data that a recording needs, besides the name, to decode the bytes of this stream.
+
+        JSON can represent the data.
 
         Raises:
-            RemoteError, LocalError, Closed: as `start`, where the peer has to be asked for it.
+            RemoteError, LocalError, Closed: If the peer must be asked for the data. See `start`.
         """
         return {}
 
     def of(self, kind: type[K]) -> Feed[K]:
-        """The packets of another class on the same stream.
+        """Return the feed of another class of packets on the same stream.
 
-        A class of packet, of a part of one, a base class of several, `ConnectionEvent`, or `Traffic` for the bytes as
-        they came.
+        Args:
+            kind: Class of packets or of parts of packets, a base class of several of them, `ConnectionEvent`, or
+                `Traffic` for the received bytes.
 
         Raises:
-            BadValue: not a class that this stream can have.
+            BadValue: If packets of this class cannot arrive on this stream.
         """
         if not (isinstance(kind, type) and issubclass(kind, (State, ConnectionEvent, Traffic))):
             raise BadValue(f"kind={kind!r}; expected a class of packets such as {self._kind.__name__}")
         fan_out = self._connection.fan_out
         if issubclass(kind, State) and not fan_out.carries(kind):
             there = ", ".join(each.__name__ for each in fan_out.kinds)
-            raise BadValue(f"{self.name} never has a {kind.__name__}; what comes there is {there}")
+            raise BadValue(f"{self.name} has no packets of class {kind.__name__}; expected one of {there}")
         return Feed(self._connection, kind, lossless=self._lossless, owner=self)
 
     def subscribe(
@@ -94,40 +97,49 @@ class Stream(Feed[T]):
         on_deadline: Callable[[float], object] | None = None,
         inline: bool = False,
     ) -> Subscription:
-        """As `Feed.subscribe`; with `kind`, to packets of that class: ``of(kind).subscribe(...)``."""
+        """Subscribe as with `Feed.subscribe`; with `kind`, to the packets of this class.
+
+        ``subscribe(callback, kind)`` is the same as ``of(kind).subscribe(callback)``.
+        """
         feed: Feed[Any] = self.of(self._kind if kind is None else kind)
         return feed.subscribe(
             callback, policy=policy, lifespan=lifespan, deadline=deadline, on_deadline=on_deadline, inline=inline
         )
 
     def join(self, timeout: float | None = None) -> bool:
-        """Wait until a recording is over and all of it is delivered; False when time is up.
+        """Wait until a recording has ended and all of it is delivered.
+
+        Return False after `timeout` seconds.
+
+        Args:
+            timeout: Maximum wait in seconds; None for no limit.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
+            BadValue: If `timeout` is not a number of seconds.
         """
         return self._connection.join(float("inf") if timeout is None else check_seconds(timeout, "timeout"))
 
     def close(self, timeout: float = 2.0) -> None:
-        """Disconnect and end every subscription and iteration; within `timeout` seconds.
+        """Disconnect and end every subscription and iteration, within `timeout` seconds.
 
-        What waits is dropped and counted, but under the policy `block` it is still delivered, if need be after this has
-        returned. A callback that is running then is left to end by itself. Only a reader that is still kept when time
-        is up, by a full queue or an inline callback, makes `block` drop too. Idempotent; may be called from a callback.
+        Queued packets are dropped and counted. Under the policy `block` they are still delivered, if necessary after
+        this has returned. A callback that still runs after `timeout` is left to end on its own. If a full queue or an
+        inline callback still blocks the reader after `timeout`, the policy `block` drops its packets too. Idempotent;
+        may be called from a callback.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
+            BadValue: If `timeout` is not a number of seconds.
         """
         self._connection.close(check_seconds(timeout, "timeout"))
 
     def __del__(self) -> None:
-        connection: Connection | None = getattr(self, "_connection", None)  # None: it was never made
+        connection: Connection | None = getattr(self, "_connection", None)  # None if `__init__` has failed
         if connection is not None and connection.is_running and not connection.is_over:
             warnings.warn(f"{self!r} was not closed", ResourceWarning, source=self, stacklevel=2)
             connection.abandon()
 
     def _repr_html_(self) -> str:
-        from ..text import html_table  # imported here: importing the library stays cheap
+        from ..text import html_table  # imported here: importing the library stays fast
 
         stats = self.stats
         rows = [

@@ -1,7 +1,7 @@
-"""A callback and the thread that calls it: one of its own, fed by a queue, or the thread that reads the stream.
+"""Subscribed callbacks, and the thread that calls each: a dedicated thread with a queue, or the reader of the stream.
 
-The threads refer to a `Delivery` and never to a `Subscription`, so that a stream without references can be collected
-although its threads still run.
+The threads refer to a `Delivery` and never to a `Subscription`. So a stream without references can be garbage-collected
+while its threads still run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 _NEVER = float("inf")
 
-#: Seconds between two looks of a thread that waits for the end of an inline call.
+#: Interval in s at which a thread checks whether an inline call has ended.
 _LOOK = 0.001
 
 
@@ -39,7 +39,7 @@ def check_deadline(deadline: float | None, on_deadline: Callable[[float], object
     if on_deadline is not None:
         check_callable(on_deadline, "on_deadline")
         if deadline is None:
-            raise BadValue("on_deadline was given without a deadline")
+            raise BadValue("on_deadline was given without a deadline; give deadline as well")
     return deadline
 
 
@@ -74,8 +74,8 @@ class Delivery:
         self._delivered = 0
         self._raised = 0
         self._is_calling = False
-        self._last = clock.now()  # when a packet came last; kept only where there is a deadline
-        self._reported = -1.0  # the one after which `on_deadline` was called
+        self._last = clock.now()  # arrival of the last packet; updated only if there is a deadline
+        self._reported = -1.0  # value of `_last` for which `on_deadline` was called
         self.missed_deadlines = 0
 
     @property
@@ -85,7 +85,7 @@ class Delivery:
 
     @property
     def statistics(self) -> SubscriptionStatistics:
-        """The counters at this moment."""
+        """Counters at this moment."""
         return snapshot(self._look)
 
     def _look(self) -> SubscriptionStatistics:
@@ -105,12 +105,18 @@ class Delivery:
         raise NotImplementedError
 
     def finish(self, timeout: float = 5.0) -> bool:
-        """Stop accepting packets, and deliver queued ones; return False if that takes longer than `timeout`."""
+        """Stop accepting packets, and deliver queued ones.
+
+        Return False if this takes longer than `timeout`.
+        """
         self.sink.end()
         return self.join(timeout)
 
     def join(self, timeout: float) -> bool:
-        """Wait until no more will come and all is delivered; False when time is up, or in the callback itself."""
+        """Wait until no more packets arrive and all are delivered.
+
+        Return False after `timeout`, and always if called in the callback itself.
+        """
         raise NotImplementedError
 
     def runs_here(self) -> bool:
@@ -120,11 +126,12 @@ class Delivery:
     def _fail(self) -> None:
         self._raised += 1
         count = self._raised
-        if count & (count - 1) == 0:  # each power of two: a failing callback at 500 Hz must not fill the disk
-            _log.exception("callback of %s raised; its subscription goes on (%d so far)", self.name, count)
+        # Log at each power of two, because a failing callback at 500 Hz must not fill the disk.
+        if count & (count - 1) == 0:
+            _log.exception("callback of %s raised; its subscription continues (%d so far)", self.name, count)
 
     def _late(self, deadline: float) -> float:
-        """Call `on_deadline` if that is due; seconds until the next look."""
+        """Call `on_deadline` if it is due; return the seconds until the next check."""
         last = self._last
         age = clock.now() - last
         if age < deadline:
@@ -137,7 +144,7 @@ class Delivery:
     def _miss(self, age: float) -> None:
         self.missed_deadlines += 1
         if self._on_deadline is None:
-            _log.warning("%s: nothing came for %.3f s", self.name, age)
+            _log.warning("%s: nothing was received for %.3f s", self.name, age)
             return
         try:
             self._on_deadline(age)
@@ -159,24 +166,25 @@ def _for_each(callback: Callable[[Any], object], expand: Callable[[Any], Iterabl
             if failure is not None:
                 raise failure
         finally:
-            failure = None  # it refers to this frame
+            failure = None  # breaks the reference cycle between the error and this frame
 
     return call
 
 
 class ThreadedDelivery(Delivery):
-    """Takes packets out of a queue in a thread of its own.
+    """Delivery that takes packets out of a queue in a dedicated thread.
 
-    A callback that raises loses this packet and nothing else, whatever it raises: also `SystemExit`, of
-    ``sys.exit()``, by which Python would end the thread without a message.
+    If a callback raises any exception, only this packet is lost. This includes `SystemExit` from ``sys.exit()``, which
+    would otherwise end the thread without a message.
 
     Args:
-        queue: of this callback alone.
-        gather: seconds for which packets gather before they are handed over: it spares the reader waking this thread
-            for each.
+        queue: Queue that only this callback uses.
+        callback: See `Delivery`.
+        gather: Seconds for which packets are collected before they are delivered together. The reader then does not
+            have to wake this thread for each packet.
 
     Raises:
-        LocalError: the system has no thread left.
+        LocalError: If the system has no thread left.
     """
 
     def __init__(
@@ -216,35 +224,36 @@ class ThreadedDelivery(Delivery):
                 except BaseException:
                     self._fail()
                 self._is_calling = False
-                del packet  # not kept while waiting for the next
+                del packet  # it must not be kept while waiting for the next one
                 if deadline is not None:
                     self._last = clock.now()
                     wait = deadline
             elif self._queue.is_over:
                 return
             elif self._gather:
-                # No thread waits on the queue meanwhile, so the reader has none to wake.
+                # No thread waits on the queue meanwhile, so the reader does not have to wake one.
                 clock.sleep(self._gather)
             elif deadline is not None:
                 wait = self._late(deadline)
 
 
 class InlineDelivery(Delivery):
-    """Is called by the thread that reads the stream, with no queue between.
+    """Delivery that calls back in the thread that reads the stream, without a queue.
 
-    Only a deadline, if there is one, is watched by a thread of its own.
+    If there is a deadline, a dedicated thread watches it.
 
     Args:
-        counters: of the stream, where slow calls are counted.
-        reads_here: whether the current thread is the one that reads.
+        callback: See `Delivery`.
+        counters: Counters of the stream, which include the slow calls.
+        reads_here: Function that returns whether the current thread is the reader.
 
     Attributes:
-        offered: packets that came here.
+        offered: Number of packets that were offered.
     """
 
-    #: After the queues, so that a slow inline callback does not delay subscribers with threads of their own.
+    #: It gets packets after the queues, so that a slow inline callback does not delay subscribers with own threads.
     is_inline = True
-    #: What is given to it is called at once: there is nothing that could be delivered later.
+    #: It calls back at once, so no packet could be delivered later.
     makes_reader_wait = False
     dropped = expired = waiting = 0
 
@@ -258,17 +267,19 @@ class InlineDelivery(Delivery):
         super().__init__(callback, **options)
         self._counters = counters
         self.offered = 0
-        # The reader sets its flag, and then looks whether this is closed. A thread that closes marks it closed, and
-        # then looks at the flag. So one of the two sees the other, without a lock for each packet.
+        # The reader sets its flag, and then checks whether this is closed. A thread that closes marks it closed, and
+        # then checks the flag. So one of the two notices the other, without a lock for each packet.
         self._is_closed = False
         self._reads_here = reads_here
         self._closing = threading.Condition()
 
     def begin(self) -> None:
-        """Watch the deadline, if there is one: from the first connection on, which may take longer to make.
+        """Start to watch the deadline, if there is one.
+
+        Call it after the first connection was made, because connecting might take longer than the deadline.
 
         Raises:
-            LocalError: the system has no thread left.
+            LocalError: If the system has no thread left.
         """
         if self._deadline is not None:
             self._last = clock.now()
@@ -279,8 +290,8 @@ class InlineDelivery(Delivery):
         return self
 
     def offer(self, packets: Sequence[Any]) -> None:
-        """Call back with each packet, here and now."""
-        # Looked up once for each batch, but not kept longer, because simulated time replaces it.
+        """Call back with each packet, immediately and in this thread."""
+        # `clock.ticks` is looked up once for each batch, but not kept longer, because simulated time replaces it.
         callback, ticks = self._callback, clock.ticks
         now = ticks()
         self._is_calling = True
@@ -301,7 +312,7 @@ class InlineDelivery(Delivery):
             self._last = clock.now()
 
     def end(self) -> None:
-        """No more will come. Idempotent."""
+        """Accept no more packets. Idempotent."""
         with self._closing:
             self._is_closed = True
             self._closing.notify_all()
@@ -335,54 +346,62 @@ class InlineDelivery(Delivery):
 
 
 class Subscription(StrictAttributes, Closing):
-    """A callback that gets packets, in order and one at a time, until it is closed.
+    """Subscription of a callback, which gets packets in order, one at a time, until closed.
 
-    Made by `Stream.subscribe`; a context manager that closes itself. It need not be kept: the
-    callback is called without it too, for as long as the stream is open.
+    `Stream.subscribe` returns it. It is a context manager that closes itself. You do not have to keep the object: the
+    callback is called for as long as the stream is open.
     """
 
     def __init__(self, delivery: Delivery, detach: Callable[[Delivery], object], owner: object) -> None:
         self._delivery = delivery
         self._detach = detach
-        self._owner = owner  # keeps the stream from being collected
+        self._owner = owner  # prevents the garbage collection of the stream
 
     @property
     def name(self) -> str:
-        """Of the stream, and of the class of packets."""
+        """Name of the stream and of the class of packets."""
         return self._delivery.name
 
     @property
     def stats(self) -> SubscriptionStatistics:
-        """The counters at this moment."""
+        """Counters at this moment."""
         return self._delivery.statistics
 
     def close(self, timeout: float = 1.0) -> None:
-        """Stop delivering; what waits is dropped and counted. Idempotent, may be called from the callback.
+        """Stop delivering; queued packets are dropped and counted.
 
-        Waits up to `timeout` seconds for a callback that is running; the callback is left to end by itself after that.
+        Idempotent; may be called from the callback. Waits up to `timeout` seconds for a running callback. After that,
+        the callback is left to end on its own.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
+            BadValue: If `timeout` is not a number of seconds.
         """
         timeout = check_seconds(timeout, "timeout")
         self._detach(self._delivery)
         self._delivery.close(timeout)
 
     def finish(self, timeout: float = 5.0) -> bool:
-        """Take no more, but deliver what waits; False when time is up before that is done.
+        """Accept no more packets, and deliver the queued ones.
+
+        Return False if this takes longer than `timeout`.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
+            BadValue: If `timeout` is not a number of seconds.
         """
         timeout = check_seconds(timeout, "timeout")
         self._detach(self._delivery)
         return self._delivery.finish(timeout)
 
     def join(self, timeout: float | None = None) -> bool:
-        """Wait until everything is delivered and no more will come, as after a recording; False when time is up.
+        """Wait until no more packets arrive, as after a recording, and all are delivered.
+
+        Return False after `timeout` seconds.
+
+        Args:
+            timeout: Maximum wait in seconds; None for no limit.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
+            BadValue: If `timeout` is not a number of seconds.
         """
         return self._delivery.join(_NEVER if timeout is None else check_seconds(timeout, "timeout"))
 

@@ -1,11 +1,12 @@
-"""Cycles of a controller of which no packet came, counted by the controller's own clock.
+"""Count of the controller's cycles whose packets never arrived, based on the controller's own clock.
 
-Each packet of a controller that sends one every cycle has the time of its cycle. Between two packets whose times are
-several periods apart, packets are missing: the controller did not send them, or they were lost before they came here.
-Times of arrival cannot show that, since packets that were held up come later, all at once, with none missing.
+If a controller sends a packet in every cycle, each packet has the time of its cycle. If the times of two consecutive
+packets are several periods apart, packets are missing between them. The controller did not send these packets, or they
+were lost on the way. Arrival times cannot show this, because delayed packets arrive later, all at once, and none is
+missing.
 
-A clock that goes backwards, or ahead by more than an hour, is another clock (`ANOTHER_CLOCK`): nothing is counted then.
-The same rule holds while packets are received (`MissedCycles`) and for columns of a recording (`gaps_of`).
+If a clock goes backwards, or jumps ahead by more than an hour, it is a different clock (`ANOTHER_CLOCK`), and nothing
+is counted. The same rule applies while packets are received (`MissedCycles`) and to columns of a recording (`gaps_of`).
 """
 
 from __future__ import annotations
@@ -16,23 +17,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-#: Seconds that a clock goes on at most between two packets of one connection; more is the time of something else.
+#: Maximum step in s between two packets of one connection. A larger step shows that it is a different clock.
 ANOTHER_CLOCK = 3600.0
-#: No comparison with it holds.
+#: Every comparison with it is false.
 _NO_TIME = float("nan")
-#: Parts of a period by which two packets in a row may be late: the primary interface has a period of 12.5 cycles, and
-#: sends after 12 or 13 (docs/protocols/primary.md, section Time stamps).
+#: Part of a period by which the next packet may be late. The primary interface has a period of 12.5 cycles, and sends
+#: after 12 or 13 cycles (docs/protocols/primary.md, section Time stamps).
 _SLACK = 0.5
 
 
 class Gap(NamedTuple):
-    """Packets that are missing between two others.
+    """Missing packets between two received packets.
 
     Attributes:
-        start: arrival of the last packet before them, s since the recording began.
-        end: arrival of the first packet after them, s since the recording began.
-        cycles: how many are missing.
-        seconds: from the one packet to the other by the controller's clock.
+        start: Arrival of the last packet before the gap, in s since the start of the recording.
+        end: Arrival of the first packet after the gap, in s since the start of the recording.
+        cycles: Number of missing packets.
+        seconds: Time between the two packets by the controller's clock, in s.
     """
 
     start: float
@@ -42,12 +43,12 @@ class Gap(NamedTuple):
 
 
 class Missing(NamedTuple):
-    """How much is missing.
+    """Summary of the missing cycles.
 
     Attributes:
-        cycles: that are missing.
-        gaps: places where some are missing.
-        longest: seconds of the longest gap by the controller's clock, from packet to packet.
+        cycles: Number of missing cycles.
+        gaps: Number of gaps.
+        longest: Duration of the longest gap by the controller's clock, from packet to packet, in s.
     """
 
     cycles: int = 0
@@ -55,33 +56,35 @@ class Missing(NamedTuple):
     longest: float = 0.0
 
     def plus(self, other: Missing) -> Missing:
-        """Both together."""
+        """Return the sum of both."""
         return Missing(self.cycles + other.cycles, self.gaps + other.gaps, max(self.longest, other.longest))
 
     def text(self, received: int) -> str:
-        """For people: "363 of 475 cycles are missing (2 gaps, the longest 0.400 s)".
+        """Return a readable text: "363 of 475 cycles are missing (2 gaps, the longest 0.400 s)".
 
         Args:
-            received: packets that are not missing.
+            received: Number of received packets.
         """
         count = f"{self.cycles} of {self.cycles + received} cycles {'is' if self.cycles == 1 else 'are'} missing"
         return f"{count} ({self.gaps} gap{'' if self.gaps == 1 else 's'}, the longest {self.longest:.3f} s)"
 
 
 class MissedCycles:
-    """Counts missing cycles of one connection while its packets come.
+    """Counter of the missing cycles of one connection, used while its packets arrive.
 
     Args:
-        moment: the time of a packet by the controller's clock, s, from its bytes; None where it has none.
-        periods: seconds from one packet to the next; several where it is not known which, until two packets show it.
-        time: what `moment` returns, of a packet of `size` bytes: one call of C code (`struct.Struct.unpack_from`).
-        size: of the packets that have a time, in bytes; -1 if they have several sizes.
+        moment: Function that returns the time of a packet by the controller's clock in s, from its bytes; None if the
+            packet has no time.
+        periods: Possible periods of the packets, in s. If there are several, two packets show which one applies.
+        time: Function that returns the same as `moment` for a packet of `size` bytes, as the first element. It is a
+            single call of C code (`struct.Struct.unpack_from`).
+        size: Size in bytes of the packets that have a time; -1 if they have several sizes.
 
     Attributes:
-        missing: how much, so far; replaced as a whole, so that other threads can read it.
-        duplicates: Packets so far with the same time as the packet before.
-        last: the time of the newest packet that has one, s by the controller's clock; NaN before the first.
-        at_most: the longest step between two packets with none missing, s; 0 while the period is not known.
+        missing: Missing cycles so far. It is replaced as a whole, so that other threads can read it.
+        duplicates: Number of packets so far with the same time as the previous packet.
+        last: Time of the newest packet that has a time, by the controller's clock, in s; NaN before the first packet.
+        at_most: Longest step in s between two packets without a missing one; 0 while the period is unknown.
     """
 
     def __init__(
@@ -102,7 +105,10 @@ class MissedCycles:
         self.last = _NO_TIME
 
     def take(self, frames: Sequence[bytes]) -> None:
-        """Packets have come, at least one, in order. `Receiver` calls it unless one has come that follows on `last`."""
+        """Count one or more received packets, in order.
+
+        `Receiver` does not call this for a single packet that directly follows `last`.
+        """
         time, size, last, at_most = self.time, self.size, self.last, self.at_most
         for frame in frames:
             quick = time(frame)[0] if len(frame) == size else _NO_TIME
@@ -131,13 +137,13 @@ class MissedCycles:
 def gaps_of(
     moments: NDArray[np.float64], arrivals: NDArray[np.float64], periods: Iterable[float], begins: Sequence[int] = ()
 ) -> list[Gap]:
-    """Where cycles are missing between the rows of a recording.
+    """Return the gaps between the rows of a recording.
 
     Args:
-        moments: time of each row by the controller's clock, s, (n,).
-        arrivals: of each row, s since the recording began, (n,).
-        periods: as for `MissedCycles`.
-        begins: rows with which a connection begins: what is missing before them is not counted.
+        moments: Time of each row by the controller's clock, in s, shape (n,).
+        arrivals: Arrival of each row in s since the start of the recording, shape (n,).
+        periods: See `MissedCycles`.
+        begins: Indices of the first row of each connection. Cycles that are missing before these rows do not count.
     """
     steps = np.diff(moments)
     steps[np.asarray(begins, np.intp) - 1] = np.nan

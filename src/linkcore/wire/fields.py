@@ -1,12 +1,12 @@
-"""The parts of which a packet is declared: header, fields, the versions that send each, and the shape of its values.
+"""The parts of a packet declaration: header, fields, the versions that send each field, and the shape of its values.
 
-A peer is made in several generations that are maintained side by side, so "since 3.10 and, in the next generation,
-since 5.4" is one fact; it is written ``"3.10/5.4"``.
+A peer is made in several generations that are maintained in parallel. A field might exist since 3.10, and in the next
+generation since 5.4. This is a single fact, written as ``"3.10/5.4"``.
 
-A shape is how one field is coded: numbers, coded numbers, a mask of two codings, text, raw bytes. It
-says which number, or which bytes, lie on the wire, and how they are converted to the value that users hold, and
-back. The fast decoder is derived from that. The numbers have construct's names, and `linkcore.wire.schema` builds
-the same from construct's own numbers; a property test holds the two equal.
+A shape is the coding of one field: numbers, coded numbers, a mask with two codings, text or raw bytes. It defines the
+number or the bytes on the wire, and their conversion to and from the value that users hold. The fast decoder is derived
+from the shape. The numbers have the names of construct, and `linkcore.wire.schema` builds the same packets from
+construct's numbers. A property test checks that both are equal.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from typing import Any, NamedTuple
 
 from ..errors import BadVersion
 
-#: What a coded float reads as when it holds no whole number.
+#: Code of a coded float that is not a whole number.
 NOT_A_CODE = -(2**31)
 
-# Numbers whose meaning is remembered, for each shape. They come off the wire, so there may be any number of them.
+# Maximum number of cached meanings for each shape. The numbers come from the wire, so their number is not limited.
 _MOST_CODES = 256
 
 
 class OpenInt(enum.IntEnum):
-    """An IntEnum that takes numbers without a name, since the next release may send one.
+    """An IntEnum that accepts numbers without a name, because the next release might send one.
 
     >>> class Mode(OpenInt):
     ...     IDLE = 5
@@ -46,12 +46,13 @@ class OpenInt(enum.IntEnum):
 
 
 class Shape:
-    """One field on the wire. ``shape[6]`` is six of it.
+    """Shape of one field on the wire. ``shape[6]`` is an array of six.
 
     Attributes:
-        number: the number on the wire, or each of several; None for bytes, of which there may be any number.
-        count: how many, as an array; None for a single one.
-        read: from one number, or the bytes, to what the user holds; None where that is the number itself. Never fails.
+        number: Type of the number on the wire, or of each number of an array; None for bytes of variable length.
+        count: Number of elements of an array; None for a single value.
+        read: Function from a number, or from the bytes, to the value that users hold; None if this is the number
+            itself. It never fails.
     """
 
     number: Number | None
@@ -59,10 +60,10 @@ class Shape:
     read: Callable[[Any], Any] | None = None
 
     def write(self, value: Any) -> Any:
-        """The inverse of `read`.
+        """Convert a value to the wire, as the inverse of `read`.
 
         Raises:
-            TypeError, ValueError, OverflowError: it has no such value.
+            TypeError, ValueError, OverflowError: If the shape has no such value.
         """
         raise NotImplementedError
 
@@ -74,10 +75,10 @@ class Number(Shape):
     """A number in network byte order.
 
     Attributes:
-        name: construct's.
-        code: struct's letter.
-        width: bytes.
-        kind: numpy's name of it, such as "f8". struct's letters will not do: numpy's "L" has 8 bytes on Linux.
+        name: Name in construct.
+        code: Letter in `struct`.
+        width: Number of bytes.
+        kind: Name in numpy, such as "f8". The letters of `struct` differ: numpy's "L" has 8 bytes on Linux.
     """
 
     def __init__(self, name: str, code: str) -> None:
@@ -91,7 +92,7 @@ class Number(Shape):
         return self.name
 
     def write(self, value: Any) -> Any:
-        return value + 0  # what is not a number cannot be added to one
+        return value + 0  # raises for a value that is not a number
 
 
 Float32b, Float64b = Number("Float32b", "f"), Number("Float64b", "d")
@@ -102,7 +103,7 @@ Int64sb, Int64ub = Number("Int64sb", "q"), Number("Int64ub", "Q")
 
 
 class Array(Shape):
-    """As many of one shape as declared, one after the other."""
+    """Array of a declared number of elements of one shape, one after the other."""
 
     def __init__(self, element: Shape, count: int) -> None:
         self.element = element
@@ -118,13 +119,13 @@ class Array(Shape):
 
 
 class _Meanings(dict[float, Any]):
-    """number -> its meaning, made when it is looked up for the first time."""
+    """Number -> its meaning, made when it is looked up for the first time."""
 
     def __init__(self, meaning: Callable[[int], Any]) -> None:
         self._meaning = meaning
 
     def __missing__(self, raw: float) -> Any:
-        # NaN and the infinities fail the range, fractions the comparison.
+        # NaN and infinity are out of the range, and fractions fail the comparison.
         is_whole = isinstance(raw, int) or (-(2**31) < raw < 2**31 and raw == int(raw))
         meaning = self._meaning(int(raw) if is_whole else NOT_A_CODE)
         if len(self) < _MOST_CODES:
@@ -133,15 +134,15 @@ class _Meanings(dict[float, Any]):
 
 
 class Coded(Shape):
-    """A number that stands for something: `Coded(Int8ub, JointMode)`, `Coded(Int8ub, bool)`.
+    """A number with a meaning: `Coded(Int8ub, JointMode)`, `Coded(Int8ub, bool)`.
 
-    In a float shape the number is a whole one held in a float; any other float reads as the code `NOT_A_CODE`.
+    In a float shape, the code is a whole number in a float. Any other float has the code `NOT_A_CODE`.
     """
 
     def __init__(self, number: Number, meaning: Callable[[int], Any]) -> None:
         self.number = number
         self.meaning = meaning
-        # 5 and 5.0 are the same key. The bound method of a dict is the quickest function there is.
+        # 5 and 5.0 are the same key. The bound method of a dict is the fastest kind of function.
         self.read = _Meanings(meaning).__getitem__
         self._write: Callable[[Any], Any] = float if number.code in "fd" else int
 
@@ -153,12 +154,12 @@ class Coded(Shape):
 
 
 class _Mask64(Shape):
-    """64 bits that hold a mask either as an integer or as an IEEE double of the same value.
+    """A mask in 64 bits, coded either as an integer or as an IEEE double of the same value.
 
-    Public decoders of the UR real-time interface disagree on the coding, and no robot bytes decide it
-    (docs/protocols/realtime.md, section Digital inputs and outputs). The two cannot be confused: a mask of up to 48
-    bits has its top 16 bits clear as an integer, and a double of 1.0 or more has not. What is neither reads as the raw
-    64 bits.
+    Public decoders of the UR real-time interface disagree on the coding, and no captured bytes of a robot decide it
+    (docs/protocols/realtime.md, section Digital inputs and outputs). The two codings cannot be confused. As an integer,
+    a mask of up to 48 bits has zeros in its top 16 bits; a double of 1.0 or more does not. If the bits match neither
+    coding, the value is the raw 64 bits.
     """
 
     number = Int64ub
@@ -185,10 +186,9 @@ Mask64 = _Mask64()
 
 
 class Raw(Shape):
-    """Bytes up to the end of the packet, or as many as `prefix` counts.
+    """Bytes up to the end of the packet, or the number of bytes that `prefix` contains.
 
-    `least` is the number of bytes below which the field cannot be what it should be: a layout that leaves less for it
-    does not fit.
+    `least` is the minimum number of bytes of the field. A layout that leaves fewer bytes for the field does not fit.
     """
 
     number = None
@@ -205,7 +205,10 @@ class Raw(Shape):
 
 
 class Text(Raw):
-    """UTF-8 text. Bytes that are not UTF-8 read as backslash escapes, so that text never fails."""
+    """UTF-8 text.
+
+    Bytes that are not UTF-8 become backslash escapes, so that reading never fails.
+    """
 
     @staticmethod
     def read(raw: bytes) -> str:
@@ -215,15 +218,15 @@ class Text(Raw):
         return str(value).encode("utf-8", "backslashreplace")
 
 
-#: ``(major, minor, ...)``; longer tuples compare as tuples do, so any NamedTuple of integers will do.
+#: ``(major, minor, ...)``. Any NamedTuple of integers can be used, because versions are compared as tuples.
 Version = tuple[int, ...]
 
 
 def parse_version(text: str | Version) -> Version:
-    """``"3.10"`` -> ``(3, 10)``; a tuple is returned as it is.
+    """Convert ``"3.10"`` to ``(3, 10)``; a tuple is returned unchanged.
 
     Raises:
-        BadVersion: the text is not two or more dot-separated whole numbers.
+        BadVersion: If the text is not two or more whole numbers separated by dots.
 
     >>> parse_version("5.11.1")
     (5, 11, 1)
@@ -237,15 +240,15 @@ def parse_version(text: str | Version) -> Version:
 
 
 def version_text(version: Version) -> str:
-    """``(3, 10)`` -> ``"3.10"``; versions that are more than a tuple say it themselves."""
+    """Convert ``(3, 10)`` to ``"3.10"``; a version of another type has its own text."""
     return ".".join(map(str, version)) if type(version) is tuple else str(version)
 
 
 class Since:
-    """The first version of each generation that has something, as in ``Since("3.10/5.4")``.
+    """First version of each generation that has a feature, as in ``Since("3.10/5.4")``.
 
-    A version is judged by the entry of the nearest generation at or below its own, so what one
-    generation gained late is absent from the next one until that generation's own entry.
+    A version is compared with the entry of its own generation, or else of the nearest earlier generation. So if a
+    generation got a feature late, the next generation does not have it before its own entry.
 
     >>> since = Since("3.10/5.4")
     >>> [version in since for version in [(1, 8), (3, 9), (3, 10), (5, 0), (5, 4), (10, 7)]]
@@ -265,18 +268,18 @@ class Since:
 
     @property
     def steps(self) -> set[Version]:
-        """The versions at which the answer can change."""
+        """Versions at which the result can change."""
         return {*self.firsts, *((first[0], 0) for first in self.firsts[1:])}
 
 
 class Header:
-    """Numbers that precede the fields of a packet; the first of them is `size`, the bytes of the whole packet.
+    """Numbers before the fields of a packet; the first number is `size`, the size of the whole packet in bytes.
 
     ``Header(size=Int32sb, type=Int8ub)``
 
     Attributes:
-        parts: name -> number, in wire order.
-        width: bytes of the header.
+        parts: Name -> number, in wire order.
+        width: Size of the header, in bytes.
     """
 
     def __init__(self, **parts: Number) -> None:
@@ -285,16 +288,16 @@ class Header:
         self.width = self._struct.size
 
     def pack(self, **values: int) -> bytes:
-        """The header on the wire; a part that is not given is zero, and what is not a part of it is passed over."""
+        """Return the header on the wire. A missing part is zero, and other names are ignored."""
         return self._struct.pack(*(values.get(name, 0) for name in self.parts))
 
     def unpack(self, data: bytes) -> dict[str, int]:
-        """name -> value of the parts of the header that `data` begins with."""
+        """Return name -> value for the parts of the header at the beginning of `data`."""
         return dict(zip(self.parts, self._struct.unpack_from(data), strict=True))
 
 
 class Field(NamedTuple):
-    """The declaration of one field; `linkcore.wire.packet.wire` describes each entry."""
+    """Declaration of one field; `linkcore.wire.packet.wire` describes each entry."""
 
     name: str
     shape: Shape
@@ -307,7 +310,7 @@ class Field(NamedTuple):
     block: str | None = None
 
     def shape_in(self, version: Version) -> Shape | None:
-        """The shape that `version` sends, or None where it does not send the field."""
+        """Return the shape that `version` sends; None if it does not send the field."""
         if version not in self.since or (self.until is not None and version >= self.until):
             return None
         if self.before is not None and version < self.before[0]:
@@ -316,6 +319,6 @@ class Field(NamedTuple):
 
     @property
     def steps(self) -> set[Version]:
-        """The versions at which the answer of `shape_in` can change."""
+        """Versions at which the result of `shape_in` can change."""
         others = [self.until, None if self.before is None else self.before[0]]
         return self.since.steps | {version for version in others if version is not None}

@@ -1,15 +1,15 @@
-"""Bytes to frames, sans-IO: a byte stream is cut at its frame boundaries, and a lost boundary is found again.
+"""Conversion of bytes to frames, sans-IO: it cuts a byte stream at its frame boundaries, and finds lost boundaries.
 
-Each protocol declares its `FrameBoundary`. The loop, the bounds and the counting are the same for every protocol and
-stand here.
+Each protocol declares its `FrameBoundary`. The loop, the limits and the counting are the same for every protocol, and
+are defined here.
 
-The work is linear in the bytes that come, however they are cut into chunks, also for bytes that an adversary chose: the
-place that is looked at only moves forward, a boundary looks at a bounded number of bytes beyond it, and returns how
-many bytes it needs before it can decide.
+The work is linear in the number of received bytes, however they are divided into chunks. This also holds for bytes that
+an attacker has chosen. The examined position only moves forward. A boundary examines a limited number of bytes after
+it, and returns the number of bytes that it needs to decide.
 
-With the environment variable ``URLINK_STRICT=1``, read when this module is imported, decoding is strict: bytes that no
-layout explains are errors, rather than kept and counted. That is for tests against new firmware, not for the operation
-of a robot.
+With the environment variable ``URLINK_STRICT=1``, which is read when this module is imported, decoding is strict: bytes
+that no layout describes are errors. Without it, these bytes are kept and counted. Strict decoding is for tests against
+new firmware, and not for operating a robot.
 """
 
 from __future__ import annotations
@@ -24,75 +24,77 @@ from .cycles import MissedCycles
 
 
 class FrameBoundary(Protocol):
-    """How the packets of a protocol are delimited. Sizes count the header.
+    """Boundaries of the packets of a protocol. All sizes include the header.
 
-    Two rules make resynchronisation linear and independent of how the bytes are cut into chunks:
+    Two rules make resynchronisation linear and independent of the division into chunks:
 
-    - Each call does a bounded amount of work, plus what is proportional to the bytes that `search` passes over. It is
-      asked about places where a byte is.
-    - An answer depends on nothing but the bytes up to `need`, so more bytes never change it.
+    - Each call does a limited amount of work, plus an amount proportional to the bytes that `search` skips. It is only
+      called for positions that contain a byte.
+    - A result depends only on the bytes up to `need`, so more bytes never change it.
     """
 
-    #: bound of every `need`
+    #: Upper limit of every `need`.
     largest: int
-    #: out of step, bytes that have to come before it is worth looking again
+    #: Number of further bytes to wait for before the next search, while the boundary is lost.
     pace: int
-    #: bytes of each packet of the connection, once it is known; 0 where they vary
+    #: Size of every packet of the connection, once it is known; 0 if the size varies.
     size: int
-    #: with which each packet of that size begins
+    #: Bytes with which each packet of this size begins.
     head: bytes
-    #: the newest packet of that size, or its beginning
+    #: Newest packet of this size, or its beginning.
     last: bytes | bytearray
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        """The packets with which the buffer begins, as far as that can be found quickly and for certain.
+        """Return the packets at the beginning of the buffer that can be found quickly and with certainty.
 
         Returns:
-            the packets, all of the same size.
+            Packets, all of the same size.
         """
 
     def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
-        """In step: whether the packet that has to begin at `at` is one.
+        """Check whether a packet begins at `at`. It is used while the boundary is known.
 
         Returns:
-            ``(size, need)``: its size, or 0 if no packet begins there. That holds if `need` bytes from `at` on are in
-            the buffer; with fewer it is undecided.
+            ``(size, need)``: The size of the packet, or 0 if no packet begins there. This is only valid if the buffer
+            has at least `need` bytes from `at` to its end; with fewer bytes it is undecided.
         """
 
     def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
-        """Out of step: the first place from `start` on where a packet begins or can still turn out to begin.
+        """Search for the first position, `start` or later, where a packet begins or might begin.
+
+        It is used while the boundary is lost.
 
         Returns:
-            ``(place, size, need)``: if `need` bytes from `place` on are in the buffer, a packet of `size` bytes begins
-            there; with fewer it is undecided. Nothing before `place` can be the beginning of a packet.
+            ``(place, size, need)``: If the buffer has at least `need` bytes from `place` to its end, a packet of `size`
+            bytes begins there; with fewer bytes it is undecided. No packet begins before `place`.
         """
 
     def peer(self, buffer: bytes | bytearray) -> str | None:
-        """What else than expected seems to be talking, judged by its first bytes, or None."""
+        """Return the kind of an unexpected peer, as recognised from its first bytes, or None."""
 
 
 class Framer:
-    """Cuts a byte stream into packets.
+    """Framer that cuts a byte stream into packets.
+
+    While the boundary is lost, it searches again after `FrameBoundary.pace` more bytes. So a packet that is found might
+    be delayed until these bytes have arrived.
 
     Args:
-        boundary: of the protocol; used for this stream only.
-        limit: bytes without a single packet after which the peer counts as something else. None: never, whatever it
-            sends, not even if it says so.
-
-    Out of step it looks again after `FrameBoundary.pace` more bytes, so a packet that is found may be held back until
-    they have come.
+        boundary: Boundary of the protocol, used only for this stream.
+        limit: Number of bytes without a single packet after which the peer is considered to be of another kind. With
+            None this never happens, even if `FrameBoundary.peer` recognises another kind.
 
     Attributes:
-        skipped: bytes thrown away while looking for a frame boundary.
-        resyncs: how often a lost frame boundary was found again.
+        skipped: Number of bytes that were discarded during searches for a frame boundary.
+        resyncs: Number of lost frame boundaries that were found again.
     """
 
     def __init__(self, boundary: FrameBoundary, *, limit: int | None = 1 << 16) -> None:
         self._boundary = boundary
         self._limit = limit
-        # Appending is amortised, and so is taking from the front: no byte is copied again for each chunk that comes.
+        # Appending has an amortised cost, and so has removing from the front: no byte is copied again for each chunk.
         self._kept = bytearray()
-        self._need: int  # bytes that have to be kept before anything can change; known whenever some are kept
+        self._need: int  # number of bytes to collect before a decision is possible; set whenever bytes are kept
         self._is_lost = False
         self._has_framed = False
         self.skipped = 0
@@ -100,23 +102,23 @@ class Framer:
 
     @property
     def rest(self) -> bytes:
-        """The bytes that belong to no packet yet; always fewer than `largest` and `pace` together."""
+        """Bytes that belong to no complete packet yet; always fewer than the sum of `largest` and `pace`."""
         return bytes(self._kept)
 
     @property
     def is_between_packets(self) -> bool:
-        """Whether everything so far was whole packets, or was given up, so that one may begin with the next byte."""
+        """Whether a packet may begin with the next byte, because all earlier bytes were packets or discarded."""
         return not self._kept and not self._is_lost
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The packets that `data` completes, each whole.
+        """Return the packets that `data` completes.
 
         Raises:
-            WrongPeer: what comes is not such a stream at all.
+            WrongPeer: If the bytes do not belong to such a stream.
         """
         kept, boundary = self._kept, self._boundary
         if 0 < boundary.size == len(data) and not kept and not self._is_lost and data.startswith(boundary.head):
-            # The common case, in as few calls as can be: with cold caches each takes 2 to 4 us, be it ever so small.
+            # The common case has as few calls as possible, because with cold caches each call takes 2 to 4 us.
             boundary.last = data
             return [data]
         buffer: bytes | bytearray = data
@@ -127,7 +129,7 @@ class Framer:
             buffer = kept
         end = len(buffer)
         frames = [] if self._is_lost else boundary.whole(buffer)
-        if frames and len(frames[0]) == end:  # one packet at a time
+        if frames and len(frames[0]) == end:  # the buffer is exactly one packet
             if kept:
                 kept.clear()
             return frames
@@ -137,11 +139,14 @@ class Framer:
         else:
             kept += buffer[at:]
         if self._is_lost and not self._has_framed and self._limit is not None and self.skipped > self._limit:
-            raise WrongPeer(f"{self.skipped} bytes came and no packet among them; they end with {data[-16:]!r}")
+            raise WrongPeer(f"received {self.skipped} bytes without a valid packet; the last bytes are {data[-16:]!r}")
         return frames
 
     def _cut(self, buffer: bytes | bytearray, at: int, frames: list[bytes]) -> int:
-        """Append the packets from `at` on to `frames`; where the undecided rest begins."""
+        """Append the packets that begin at `at` or later to `frames`.
+
+        Return the start of the undecided rest.
+        """
         boundary, end = self._boundary, len(buffer)
         self._has_framed = self._has_framed or bool(frames)
         while at < end:
@@ -152,7 +157,7 @@ class Framer:
             else:
                 size, need = boundary.check(buffer, at)
             if need > end - at:
-                # Judging costs more than reading: out of step it is not done anew for each byte.
+                # A search takes longer than reading, so while the boundary is lost, it is not repeated for each byte.
                 self._need = max(need, end - at + boundary.pace) if self._is_lost else need
                 break
             if size:
@@ -162,7 +167,7 @@ class Framer:
                 frames.append(bytes(buffer[at : at + size]))
                 at += size
             else:
-                # No packet begins here. The size that it declares may swallow good packets: look inside it.
+                # No packet begins here. Its declared size might span valid packets, so search inside it.
                 self._lose(buffer)
                 at += 1
         return at
@@ -177,21 +182,21 @@ class Framer:
 
 
 class Counting(Protocol):
-    """Decodes, and counts what it does not know."""
+    """Decoder that counts unknown types and bytes."""
 
     @property
     def unknown(self) -> int:
-        """Packets, or parts of one, of a type that no layout is known for."""
+        """Number of packets, or parts of packets, whose type has no known layout."""
 
     @property
     def tails(self) -> int:
-        """Packets, or parts of one, that end in bytes which no known layout explains."""
+        """Number of packets, or parts of packets, that end in bytes which no known layout describes."""
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Any:
-        """The typed packet in one frame.
+        """Return the typed packet of one frame.
 
         Raises:
-            PacketError: no layout holds it. It is not counted in `unknown` or `tails`.
+            PacketError: If no layout can hold it. It is not counted in `unknown` or `tails`.
         """
 
 
@@ -199,37 +204,42 @@ class PacketProtocol(Counting, Protocol):
     """The protocol of one connection, sans-IO; a stream makes a new one each time it connects."""
 
     framer: Framer
-    #: counts the cycles that are missing; None as long as the packets have no time of the peer's clock
+    #: Counter of the missing cycles; None while the packets have no time of the peer's clock.
     cycles: MissedCycles | None
 
 
-#: Whether it was asked for.
+#: Whether strict decoding was requested.
 _STRICT = os.environ.get("URLINK_STRICT", "") not in ("", "0")
 
 
 def is_strict() -> bool:
-    """Whether bytes that no layout explains are errors."""
+    """Whether bytes that no layout describes are errors."""
     return _STRICT
 
 
 def check_explained(packet: Any, unknown: int, tails: int) -> None:
-    """Refuse a packet of which so many parts are not known.
+    """Reject a packet with unknown parts.
+
+    Args:
+        packet: Decoded packet.
+        unknown: Number of its parts with an unknown type.
+        tails: Number of its parts that end in unknown bytes.
 
     Raises:
-        PacketError: there are any.
+        PacketError: If one of the numbers is not 0.
     """
     kind = type(packet).__name__
     if unknown:
-        raise PacketError("it is, or holds, a type that is not known (URLINK_STRICT)", packet=kind)
+        raise PacketError("the packet, or a part of it, has an unknown type (URLINK_STRICT)", packet=kind)
     if tails:
-        raise PacketError("it, or a part of it, ends in bytes that are not known (URLINK_STRICT)", packet=kind)
+        raise PacketError("the packet, or a part of it, ends in unknown bytes (URLINK_STRICT)", packet=kind)
 
 
 def strictly(decoder: Counting) -> Callable[..., Any]:
-    """What `decoder.decode` does, for packets of which every byte is known.
+    """Return a function like `decoder.decode` that rejects packets with unknown bytes.
 
-    Raises, when it is called:
-        PacketError: no layout holds the packet, or a part of it is of an unknown type, or ends in unknown bytes.
+    The function raises `PacketError` if no layout can hold the packet, or if a part of it has an unknown type or ends
+    in unknown bytes.
     """
 
     def decode(frame: bytes, stamp: Stamp | None = None) -> Any:

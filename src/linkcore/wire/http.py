@@ -1,8 +1,8 @@
-"""HTTP/1.1 messages, sans-IO: bytes to requests and responses, and back.
+"""HTTP/1.1 messages, sans-IO: conversion of bytes to requests and responses, and back.
 
-Each connection carries one request and one response (`Connection: close`). A message is
-complete with its headers and its body, whose length is given by `Content-Length`, by chunks, or, for a response, by the
-end of the connection. Source: RFC 9112. Headers and bodies are bounded, so that no peer can fill the memory.
+Each connection carries one request and one response (`Connection: close`). A message consists of its headers and its
+body. The length of the body is given by `Content-Length`, by chunks, or, for a response, by the end of the connection.
+Source: RFC 9112. The sizes of headers and bodies are limited, so that a peer cannot fill the memory.
 """
 
 from __future__ import annotations
@@ -14,37 +14,37 @@ from typing import Literal, TypeAlias, TypeVar
 
 from ..errors import BadValue, PacketError
 
-#: Bytes of the start line and headers, and of a body.
+#: Maximum number of bytes of the start line and the headers together, and of a body.
 LONGEST_HEAD = 1 << 14
 LONGEST_BODY = 1 << 20
 
 _T = TypeVar("_T")
-#: Waits for more bytes at each `yield`, and returns what it has read.
+#: Generator that waits for more bytes at each `yield`, and returns the parsed part of the message.
 _Reading: TypeAlias = Generator[None, None, _T]
 
 _END = b"\r\n"
 _VERSION = b"HTTP/1."
-# Each pattern either matches a field as far as it goes or fails there: none is tried again from another place, so the
-# time grows with the length of a line and no faster. Fields are cut out by `partition` and `strip` beforehand.
+# Each pattern either matches a field or fails without backtracking to another position. So the time is linear in the
+# length of a line. Before, `partition` and `strip` cut out the fields.
 _REQUEST = re.compile(rb"([A-Z]{1,16}) (\S+) HTTP/1\.[01]")
 _RESPONSE = re.compile(rb"HTTP/1\.[01] ([0-9]{3})(?: ([^\r\n]*))?")
 _NAME = re.compile(rb"[!#$%&'*+\-.^_`|~0-9A-Za-z]+")
 _VALUE = re.compile(rb"[^\r\n\0]*")
 _CHUNK = re.compile(rb"[0-9A-Fa-f]{1,8}")
 _LENGTH = re.compile(r"[0-9]{1,12}")
-#: What may stand in a start line or header that is written here.
+#: Allowed characters of a start line or a header that is sent.
 _PLAIN = re.compile(r"[\x21-\x7e][\x20-\x7e]*")
 
 
 @dataclass(frozen=True)
 class HttpRequest:
-    """What a client asks.
+    """Request of a client.
 
     Attributes:
-        method: such as "GET".
-        target: path and query.
-        headers: name in lower case -> value.
-        body: bytes.
+        method: Method, such as "GET".
+        target: Path and query.
+        headers: Name in lower case -> value.
+        body: Bytes of the body.
     """
 
     method: str
@@ -53,23 +53,23 @@ class HttpRequest:
     body: bytes = b""
 
     def encode(self, host: str) -> bytes:
-        """The bytes on the wire, to a server of this name.
+        """Return the bytes on the wire, for a server of this name.
 
         Raises:
-            BadValue: the target or a header holds what cannot stand there.
+            BadValue: If the target or a header contains an invalid character.
         """
         return _encoded(f"{self.method} {self.target} HTTP/1.1", {"Host": host, **self.headers}, self.body)
 
 
 @dataclass(frozen=True)
 class HttpResponse:
-    """What a server answers.
+    """Response of a server.
 
     Attributes:
-        status: such as 200.
-        reason: words beside it.
-        headers: name in lower case -> value.
-        body: bytes.
+        status: Status code, such as 200.
+        reason: Text of the status.
+        headers: Name in lower case -> value.
+        body: Bytes of the body.
     """
 
     status: int
@@ -78,10 +78,10 @@ class HttpResponse:
     body: bytes = b""
 
     def encode(self) -> bytes:
-        """The bytes on the wire.
+        """Return the bytes on the wire.
 
         Raises:
-            BadValue: the reason or a header holds what cannot stand there.
+            BadValue: If the reason or a header contains an invalid character.
         """
         return _encoded(f"HTTP/1.1 {self.status:03d} {self.reason}".rstrip(), self.headers, self.body)
 
@@ -91,15 +91,17 @@ def _encoded(start: str, headers: Mapping[str, str], body: bytes) -> bytes:
     lines = [start, *(f"{name}: {value}" for name, value in every.items())]
     for line in lines:
         if not _PLAIN.fullmatch(line):
-            raise BadValue(f"{line[:80]!r} cannot be a line of HTTP")
+            raise BadValue(f"{line[:80]!r} is not a valid line of HTTP; expected printable ASCII characters")
     return "\r\n".join([*lines, "", ""]).encode("ascii") + body
 
 
 class HttpParser:
-    """One message as its bytes come in. The time that it takes is proportional to their number.
+    """Parser of one message that arrives in parts.
+
+    Its time is proportional to the number of bytes.
 
     Args:
-        kind: what comes: a client's request, or a server's response.
+        kind: Kind of the message: the request of a client, or the response of a server.
     """
 
     def __init__(self, kind: Literal["request", "response"]) -> None:
@@ -107,15 +109,17 @@ class HttpParser:
         self._data = bytearray()
         self._body = bytearray()
         self._has_ended = False
-        #: bytes that lines may still have: of the head, then of those between the chunks
+        #: Number of bytes that further lines may have: first lines of the head, then lines between the chunks.
         self._room = LONGEST_HEAD
         self._reading = self._request() if kind == "request" else self._response()
 
     def feed(self, data: bytes) -> HttpRequest | HttpResponse | None:
-        """The message, once it is whole. What comes after it is thrown away.
+        """Return the message when it is complete, or else None.
+
+        Bytes after the message are discarded.
 
         Raises:
-            PacketError: this is not such a message, or it is too large.
+            PacketError: If this is not such a message, or if it is too large.
         """
         self._data += data
         try:
@@ -126,21 +130,21 @@ class HttpParser:
         return None
 
     def end(self) -> HttpRequest | HttpResponse:
-        """The connection has ended, which ends a response that does not give its length.
+        """Return the message when the connection has ended, which is also the end of a response without a length.
 
         Raises:
-            PacketError: the message is not whole.
+            PacketError: If the message is not complete.
         """
         self._has_ended = True
         message = self.feed(b"")
         if message is None:
-            raise self._error("the connection ended in the middle of it")
+            raise self._error("the connection ended before the message was complete")
         return message
 
     def _error(self, text: str) -> PacketError:
         return PacketError(text, packet=f"HTTP {self._kind}")
 
-    # -- the two kinds; each generator waits for bytes where it yields -----------------------------------
+    # -- the two kinds; each generator waits for bytes when it yields ------------------------------------
 
     def _request(self) -> _Reading[HttpRequest]:
         start, headers = yield from self._head(_REQUEST)
@@ -155,7 +159,7 @@ class HttpParser:
         while True:
             start, headers = yield from self._head(_RESPONSE)
             status = int(start[1])
-            # An interim response, such as 100 Continue, comes before the one that counts.
+            # An interim response, such as 100 Continue, comes before the final response.
             if status >= 200:
                 break
         yield from self._message_body(headers, 0 if status in (204, 304) else None)
@@ -164,7 +168,7 @@ class HttpParser:
     # -- head and body -----------------------------------------------------------------------------------
 
     def _head(self, pattern: re.Pattern[bytes]) -> _Reading[tuple[re.Match[bytes], dict[str, str]]]:
-        """The start line and the headers."""
+        """Read the start line and the headers."""
         what = f"its headers have more than {LONGEST_HEAD} bytes"
         line = yield from self._line(what)
         start = pattern.fullmatch(line)
@@ -175,25 +179,28 @@ class HttpParser:
             key, colon, content = line.partition(b":")
             content = content.strip(b" \t")
             if not colon or not _NAME.fullmatch(key) or not _VALUE.fullmatch(content):
-                raise self._error(f"{line[:80]!r} is no header")
+                raise self._error(f"{line[:80]!r} is not a header")
             name, value = key.decode("ascii").lower(), content.decode("latin-1")
             if name in headers and headers[name] != value:
                 if name == "content-length":
-                    raise self._error(f"two lengths of its body: {headers[name]} and {value}")
+                    raise self._error(f"its headers give two lengths of its body: {headers[name]} and {value}")
                 value = f"{headers[name]}, {value}"
             headers[name] = value
         return start, headers
 
     def _message_body(self, headers: Mapping[str, str], otherwise: int | None) -> _Reading[None]:
-        """The body; `otherwise` is its length where the headers do not give it, None up to the connection's end."""
+        """Read the body.
+
+        `otherwise` is its length if the headers do not give it; None reads to the end of the connection.
+        """
         coding, length = headers.get("transfer-encoding"), headers.get("content-length")
         if coding is not None:
             if coding.lower() != "chunked":
-                raise self._error(f"its body is coded as {coding[:80]!r}, and only chunks are read")
+                raise self._error(f"unsupported Transfer-Encoding {coding[:80]!r}; only 'chunked' is supported")
             yield from self._chunks()
         elif length is not None:
             if not _LENGTH.fullmatch(length) or int(length) > LONGEST_BODY:
-                raise self._error(f"its body is {length[:80]!r} bytes long; {LONGEST_BODY} are the most")
+                raise self._error(f"its Content-Length is {length[:80]!r}; expected at most {LONGEST_BODY} bytes")
             yield from self._take(int(length))
         elif otherwise is not None:
             yield from self._take(otherwise)
@@ -210,16 +217,16 @@ class HttpParser:
             line = yield from self._line(what)
             digits = line.partition(b";")[0].rstrip(b" \t")
             if not _CHUNK.fullmatch(digits):
-                raise self._error(f"{line[:80]!r} is no size of a chunk")
+                raise self._error(f"{line[:80]!r} is not the size of a chunk")
             size = int(digits, 16)
             yield from self._take(size)
             if size and (yield from self._line(what)):
-                raise self._error("a chunk is longer than it says")
+                raise self._error("a chunk is longer than its size")
         while (yield from self._line(what)):
             pass  # trailers
 
     def _line(self, what: str) -> _Reading[bytes]:
-        """The next line; `what` is wrong where it is too long."""
+        """Read the next line; `what` is the error message if it is too long."""
         searched = 0
         while (end := self._data.find(_END, searched)) < 0 and len(self._data) <= self._room:
             searched = max(len(self._data) - 1, 0)
@@ -232,7 +239,7 @@ class HttpParser:
         return line
 
     def _take(self, count: int) -> _Reading[None]:
-        """Add the next bytes to the body."""
+        """Add the next `count` bytes to the body."""
         if len(self._body) + count > LONGEST_BODY:
             raise self._error(f"its body has more than {LONGEST_BODY} bytes")
         while len(self._data) < count:

@@ -1,8 +1,8 @@
-"""One order of fields on the wire, lowered to its machine form: offsets, sizes, a decoder, an encoder, a numpy dtype.
+"""One order of fields on the wire, with its offsets, sizes, decoder, encoder and numpy dtype.
 
-Everything in a `Layout` is derived from the declared fields, never written twice. It knows raw numbers and their
-offsets; the shapes define their meaning. A packet class makes its layouts by itself (`linkcore.wire.state_layouts`).
-Where the fields are known only at run time, a layout can be made of them alone::
+Everything in a `Layout` is derived from the declared fields, so nothing is written twice. A layout has the raw numbers
+and their offsets; the shapes define their meaning. A packet class makes its layouts automatically
+(`linkcore.wire.state_layouts`). If the fields are known only at run time, a layout can be made directly::
 
     layout = Layout("DataPackage", [(field, field.shape) for field in fields], header)
     values = layout.unpack(data)
@@ -29,16 +29,16 @@ NATIVE_DOUBLE = np.dtype("=f8")
 
 
 class Place:
-    """Where one field lies in one layout.
+    """Place of one field in one layout.
 
     Attributes:
-        field: its declaration.
-        shape: what this layout has of it.
-        number: the number on the wire, or each of several; None for bytes, of which there may be any number.
-        count: how many, or None for a single one.
-        offset: of its first byte in the packet; behind text, where it would be if that were empty.
-        stride: bytes from one element to the next.
-        at: index, or slice, among the unpacked values of the packet.
+        field: Declaration of the field.
+        shape: Shape of the field in this layout.
+        number: Type of the number on the wire, or of each number of an array; None for bytes of variable length.
+        count: Number of elements of an array; None for a single value.
+        offset: Offset of its first byte in the packet. Text before it is counted as empty.
+        stride: Number of bytes from one element to the next.
+        at: Index, or slice, among the unpacked values of the packet.
     """
 
     def __init__(self, field: Field, shape: Shape) -> None:
@@ -46,28 +46,28 @@ class Place:
         self.shape = shape
         self.number = shape.number
         self.count = shape.count
-        # Filled in by the layout, which alone knows the neighbours.
+        # The layout sets these attributes, because they depend on the neighbours.
         self.offset = 0
         self.stride = self.width
         self.at: int | slice = 0
 
     @property
     def width(self) -> int:
-        """Bytes of one element; 0 if there may be any number."""
+        """Size of one element in bytes; 0 if its length varies."""
         return 0 if self.number is None else self.number.width
 
     @property
     def size(self) -> int:
-        """Bytes of the field; of text, the bytes it has at least."""
+        """Size of the field in bytes; for text, its minimum size."""
         if isinstance(self.shape, Raw):
             return 0 if self.shape.prefix is None else self.shape.prefix.width
         return self.width * (self.count or 1)
 
     def raw(self, value: Any) -> list[Any]:
-        """What lies on the wire for `value`, one entry for each element.
+        """Return the numbers or bytes on the wire for `value`, one entry for each element.
 
         Raises:
-            BadValue: wrong number of elements, or not a number.
+            BadValue: If `value` has a wrong number of elements, or an element is not a number.
         """
         name = self.field.name
         if isinstance(value, np.ndarray):
@@ -88,20 +88,20 @@ class Layout:
     """One order of fields on the wire.
 
     Args:
-        name: of the packet, for errors.
-        fields: in wire order, each with the shape that it has here.
-        header: what precedes them.
-        constants: values of the header's parts, and of fields that the encoder is not given.
-        names: of all fields that the packet has in any layout; by default those that this one has.
-        first: the first version that has this layout.
-        has_block: whether the optional fields are in it.
+        name: Name of the packet, used in errors.
+        fields: Fields in wire order, each with its shape in this layout.
+        header: Header before the fields.
+        constants: Values of the parts of the header, and default values of fields for the encoder.
+        names: Names of the fields that the packet has in any layout; by default the fields of this layout.
+        first: First version that has this layout.
+        has_block: Whether the layout has the optional fields.
 
     Attributes:
-        places: name -> `Place`, in wire order.
-        fields: name and shape, in wire order: what makes two layouts the same.
-        size: bytes of the packet, header included; with text in it, the least number of bytes.
-        has_text: True if the number of bytes varies.
-        struct: what unpacks the whole packet, header left out; None where there is text.
+        places: Name -> `Place`, in wire order.
+        fields: Name and shape of each field, in wire order. Two layouts with equal `fields` are the same.
+        size: Size of the packet in bytes, header included; with text, its minimum size.
+        has_text: Whether the size varies.
+        struct: Struct that unpacks the whole packet without its header; None if there is text.
     """
 
     def __init__(
@@ -128,9 +128,9 @@ class Layout:
         self.struct = None if self.has_text else struct.Struct(self._codes)
 
     def _arrange(self) -> None:
-        """Give every place its offset and its index among the unpacked values."""
+        """Set the offset of every place, and its index among the unpacked values."""
         offset = self.header.width
-        #: neighbours that are sent element by element in turn, or one place by itself
+        #: Each run has the neighbours of one interleaved group, or a single place.
         self.runs = [
             run
             for key, members in groupby(self.places.values(), key=lambda place: place.field.interleave)
@@ -160,7 +160,7 @@ class Layout:
     # -- from the wire -------------------------------------------------------------------------
 
     def too_short(self, data: bytes) -> PacketError:
-        """The error that says that `data` cannot hold the fields."""
+        """Return the error for `data` that cannot hold the fields."""
         return PacketError(
             "packet too short",
             packet=self.name,
@@ -171,10 +171,10 @@ class Layout:
         )
 
     def unpack(self, data: bytes) -> tuple[Any, ...]:
-        """The numbers and bytes in one whole packet, header included.
+        """Return the numbers and bytes of one complete packet, whose header is skipped.
 
         Raises:
-            PacketError: it is too short.
+            PacketError: If the packet is too short.
         """
         if self.struct is None:
             return tuple(value for _, _, _, values in self.stretches(data) for value in values)
@@ -184,12 +184,12 @@ class Layout:
             raise self.too_short(data) from None
 
     def stretches(self, data: bytes) -> Iterator[tuple[Place, int, int, Sequence[Any]]]:
-        """Each place with the start and end of its bytes in `data` and the values in them, also where text varies.
+        """Yield each place, the start and end of its bytes in `data`, and their values.
 
-        Only for layouts without interleaved fields.
+        Text may have any length. This is only for layouts without interleaved fields.
 
         Raises:
-            PacketError: a field runs past the end, or has too few bytes.
+            PacketError: If a field runs past the end, or has too few bytes.
         """
         offset = self.header.width
         if len(data) < self.size:
@@ -223,7 +223,7 @@ class Layout:
         return PacketError(reason, packet=self.name, expected=expected, actual=actual, offset=offset)
 
     def end(self, data: bytes) -> int:
-        """Where the known fields of `data` end; what follows is the unknown tail."""
+        """Return the end of the known fields in `data`, where the unknown tail begins."""
         if not self.has_text:
             return self.size
         ends = [end for _, _, end, _ in self.stretches(data)]
@@ -232,12 +232,13 @@ class Layout:
     # -- to the wire ---------------------------------------------------------------------------
 
     def encode(self, values: Mapping[str, Any], tail: bytes = b"") -> bytes:
-        """The packet that holds `values`, header included; what is not given is zero.
+        """Return the packet with these values, header included; missing values are zero.
 
-        Fields of the packet that this layout does not send are passed over, so one mapping serves every version.
+        Fields of the packet that this layout does not send are ignored, so the same mapping can be used for every
+        version.
 
         Raises:
-            BadValue: a name that the packet does not have, a wrong number of elements, or a number that does not fit
+            BadValue: If the packet has no such field, a value has a wrong number of elements, or a number does not fit
                 its shape.
         """
         if not values.keys() <= set(self.names):
@@ -247,19 +248,19 @@ class Layout:
         return self.header.pack(**{**self.constants, "size": self.header.width + len(body) + len(tail)}) + body + tail
 
     def check_complete(self, names: Collection[str]) -> None:
-        """That no field of this layout would be zero only because nobody named it.
+        """Check that no field of this layout would be zero only because its name is missing.
 
         Raises:
-            BadValue: some are neither in `names` nor constants of the layout.
+            BadValue: If a field is neither in `names` nor a constant of the layout.
         """
         missing = [name for name in self.places if name not in names and name not in self.constants]
         if missing:
             raise BadValue(f"{self.name}: no value for {', '.join(missing)}")
 
     def _encode_at_once(self, values: Mapping[str, Any]) -> bytes | None:
-        """All fields by one precompiled struct; None where that cannot be: text, or a value that does not fit.
+        """Encode all fields with one precompiled struct.
 
-        `_encode_runs` finds which value it is.
+        Return None if there is text, or a value does not fit. `_encode_runs` then finds the value that does not fit.
         """
         if self.struct is None:
             return None
@@ -275,7 +276,7 @@ class Layout:
             is_list = isinstance(value, (list, tuple))
             is_shaped = not is_list if place.count is None else is_list and len(value) == place.count
             if place.shape.read is None and is_shaped:
-                row[place.at] = value  # the struct says whether these are numbers
+                row[place.at] = value  # the struct raises if these are not numbers
             else:
                 raw = place.raw(value)
                 row[place.at] = raw[0] if place.count is None else raw
@@ -310,26 +311,26 @@ class Layout:
 
     @property
     def of_cells(self) -> bool:
-        """Whether there is nothing but 8-byte cells, so that many packets are best swapped as a whole.
+        """Whether all fields are 8-byte cells, so that the bytes of many packets can be swapped together.
 
-        A 64-bit integer is not such a cell: read as a double it would lose its value. A mask is, since it is read by
-        its bits.
+        A 64-bit integer is not such a cell, because it would lose its value if it were read as a double. A mask is such
+        a cell, because its bits are read.
         """
         shapes = [shape for _, shape in self.fields]
         return all(shape is Mask64 or (shape.number is not None and shape.number.code == "d") for shape in shapes)
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """The numpy dtype of the packet as it lies on the wire, header included.
+        """The numpy dtype of the packet on the wire, header included.
 
-        Fields that the wire interleaves are strided by numpy's nested dtype under their group's name; masks and codes
-        stay numbers. Of the header there is its size, as `message_size`.
+        Interleaved fields are in a nested dtype under the name of their group. Masks and codes stay numbers. The header
+        is omitted except for its size, which is `message_size`.
 
         Raises:
-            BadValue: the packet has text in it, so its size varies.
+            BadValue: If the packet contains text, so that its size varies.
         """
         if self.has_text:
-            raise BadValue(f"{self.name} has text in it, so it has no numpy dtype")
+            raise BadValue(f"{self.name} contains text of variable length, so it has no numpy dtype")
         names, offsets = ["message_size"], [0]
         formats: list[Any] = [_wire_dtype(self.header.parts["size"])]
         for run in self.runs:
@@ -347,7 +348,7 @@ class Layout:
 
 
 def _indices(fields: Sequence[tuple[Field, Shape]]) -> dict[str, int | slice]:
-    """name -> index, or slice of an array, of each field among the values that a packet is unpacked to."""
+    """Return the index of each field among the unpacked values of a packet; for an array, a slice."""
     found: dict[str, int | slice] = {}
     index = 0
     for key, members in groupby(fields, key=lambda member: member[0].interleave):
@@ -359,13 +360,13 @@ def _indices(fields: Sequence[tuple[Field, Shape]]) -> dict[str, int | slice]:
             found[field.name] = begin if shape.count is None else slice(begin, begin + step * (count - 1) + 1, step)
             index += count if key is None else 0
         if key is not None:
-            # All of a group are as long as the first, and are sent element by element in turn.
+            # All fields of a group have the same length, and are sent element by element in turn.
             index += step * (group[0][1].count or 1)
     return found
 
 
 def _zeros(place: Place) -> list[Any]:
-    """What lies on the wire of a field that the encoder is not given."""
+    """Return the values on the wire for a field without a given value."""
     return [b"" if place.number is None else 0] * (place.count or 1)
 
 

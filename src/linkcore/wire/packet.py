@@ -1,15 +1,15 @@
-"""Typed, frozen packets declared once: `@packet` and `wire()`.
+"""Typed, frozen packets from a single declaration: `@packet` and `wire()`.
 
-A packet class says, field by field, the Python type that users hold beside the shape on the wire, the unit, and the
-version since which it is sent::
+A packet class declares for each field the Python type of the user's value, the shape on the wire, the unit, and the
+first version that sends it::
 
     @packet(header=PACKAGE, type=9)
     class CalibrationData(State):
         F: Vector = wire(Float64b[3], "N", "force")
 
-From that the decorator derives the properties, and, when they are first needed, one layout per distinct order of fields
-and the choice of the layout for a packet of a given size and version. A state *is* its bytes: the properties read from
-them, so nothing is lost and equality is equality of bytes.
+From this the decorator derives the properties. At the first use it makes one layout for each distinct order of fields,
+and the choice of the layout for a packet of a given size and version. A state *is* its bytes. The properties read from
+the bytes, so no data is lost, and two states are equal if their bytes are equal.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .fields import Field, Header, Raw, Shape, Since, parse_version
 from .state import State as State
 from .state_layouts import StateLayouts, is_array_of_floats
 
-#: Read-only float64 array; the declaration of the field says its length.
+#: Read-only float64 array; its length is in the declaration of the field.
 Vector = npt.NDArray[np.float64]
 #: Read-only integer array.
 IntVector = npt.NDArray[np.integer[Any]]
@@ -46,17 +46,17 @@ def wire(
     """Declare one field of a packet.
 
     Args:
-        shape: on the wire: `Float64b`, `Float64b[6]`, `Coded(Int8ub, bool)`, `Text()`.
-        unit: SI unit, or what the number is.
-        doc: meaning.
-        since: first versions that send it, one per generation: ``"3.10/5.4"``.
-        until: first version that no longer does.
-        before: ``("3.0", Int16ub)``: versions before 3.0 send this other shape.
-        interleave: neighbours of the same group are sent element by element in turn.
-        block: the field is sent only when the field of this name is true.
+        shape: Shape on the wire: `Float64b`, `Float64b[6]`, `Coded(Int8ub, bool)`, `Text()`.
+        unit: SI unit, or a description of the number.
+        doc: Meaning.
+        since: First versions that send it, one for each generation: ``"3.10/5.4"``.
+        until: First version that no longer sends it.
+        before: ``("3.0", Int16ub)`` if versions before 3.0 send this other shape.
+        interleave: Name of a group. Neighbouring fields of a group are sent element by element in turn.
+        block: Name of another field. This field is sent only if the other field is true.
     """
     if before is not None:
-        # One property reads both: what differs is the number, or what it stands for.
+        # The same property reads both shapes, so they may differ only in the number or in its meaning.
         assert before[1].count is shape.count is None
         assert (before[1].read is None) is (shape.read is None)
     return Field(
@@ -76,12 +76,14 @@ def wire(
 
 
 def _getter(shape: Shape, number: int, has_text: bool) -> Callable[[Any], Any]:
-    """What reads a field of a state. One Python function does it all, since a robot state has 120 fields to be read.
+    """Return the function that reads a field of a state.
+
+    It is a single Python function without further calls, because a robot state has 120 fields.
 
     Args:
-        shape: of the field.
-        number: of the field among those of the class.
-        has_text: a packet of the class has text in it, so all its values were read when it was decoded.
+        shape: Shape of the field.
+        number: Number of the field in the class.
+        has_text: Whether packets of the class contain text, so that all values were read when the packet was decoded.
     """
     get: Callable[[Any], Any]
     if has_text:
@@ -118,9 +120,9 @@ def packet(
     """Make a packet class of a `State` subclass whose body declares fields with `wire()`.
 
     Args:
-        header: what precedes the fields; its `size` is filled in.
-        reorder: ``("3.0", names)``: versions before 3.0 send the fields in this other order.
-        constants: values of the header's other parts, and defaults of the packet's own fields.
+        header: Header before the fields. Its `size` is set automatically.
+        reorder: ``("3.0", names)`` if versions before 3.0 send the fields in this other order.
+        constants: Values of the other parts of the header, and defaults of the fields of the packet.
     """
 
     def decorate(cls: _Class) -> _Class:
@@ -133,7 +135,7 @@ def packet(
             unit = f" [{field.unit}]" if field.unit else ""
             get = _getter(field.shape, number, has_text)
             body[name] = property(get, doc=f"{field.doc}{unit}")
-        # As attrs does: a class with slots has to be made anew.
+        # The class is made again, because slots cannot be added to an existing class. attrs does the same.
         remake: Any = type(cls)
         made = remake(cls.__name__, cls.__bases__, {**body, "__slots__": (), "FIELDS": fields})
         before = None if reorder is None else (parse_version(reorder[0]), reorder[1])

@@ -1,11 +1,11 @@
-"""The layouts of packets as construct schemas: they parse and build packets, check their sizes, and dissect them.
+"""The layouts of packets as construct schemas, which parse and build packets, check their sizes, and dissect them.
 
-Made of the same declarations as the fast decoders, and read by construct alone, so a property test can hold the two
-equal on random bytes, for every layout. `dissect` takes the meaning of each byte from them. construct is imported only
-with this module, since importing it takes longer than all else.
+The schemas are made from the same declarations as the fast decoders, but only construct reads them. So a property test
+can check on random bytes that both are equal, for every layout. `dissect` gets the meaning of each byte from a schema.
+Only this module imports construct, because importing it takes longer than importing all other modules.
 
-Its `compile()` is not used: it drops bounds checks. Nor are `Optional` and `Select`: they take a broken field for the
-end of the data.
+`compile()` of construct is not used, because it omits the checks of sizes. `Optional` and `Select` are not used,
+because they interpret a broken field as the end of the data.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from .schema_text import PacketStruct, SizedPacket
 
 
 def as_construct(shape: Shape) -> Any:
-    """The construct of one shape, whose values are what users hold; arrays are lists."""
+    """Return the construct of one shape.
+
+    Its values are the values that users hold; arrays are lists.
+    """
     if isinstance(shape, Number):
         return getattr(construct, shape.name)
     if isinstance(shape, Array):
@@ -44,10 +47,13 @@ def as_construct(shape: Shape) -> Any:
 
 
 def fields_of(layout: Layout, wrap: Callable[[Field, Any], Any]) -> Iterator[Any]:
-    """The fields of a layout, in wire order. Interleaved ones are an array of structs, as they lie on the wire.
+    """Yield the fields of a layout in wire order.
+
+    Interleaved fields are an array of structs, as on the wire.
 
     Args:
-        wrap: what becomes of the construct of one field.
+        layout: Layout.
+        wrap: Function that gets each field and its construct, and returns the construct to use.
     """
     for run in layout.runs:
         first = run[0].field
@@ -63,7 +69,10 @@ def _named(field: Field, shape: Any) -> Any:
 
 
 def checked_fields(layout: Layout) -> Iterator[Any]:
-    """The fields of a layout, where one that tells the packet from others is fixed and an optional block may miss."""
+    """Yield the fields of a layout.
+
+    Fields that identify the packet are constants, and blocks are optional.
+    """
 
     def checked(field: Field, shape: Any) -> Any:
         if field.name in layout.constants:
@@ -74,7 +83,7 @@ def checked_fields(layout: Layout) -> Iterator[Any]:
 
 
 def packet_schema(layout: Layout) -> Any:
-    """A layout as the schema of one whole packet; `urlink.schema` has what it checks."""
+    """Return a layout as the schema of one complete packet; `urlink.schema` describes its checks."""
     known = dict(layout.constants)
     names = list(layout.header.parts)
     is_fixed = not layout.has_text and not layout.has_block
@@ -93,18 +102,19 @@ def packet_schema(layout: Layout) -> Any:
 
 
 def sized(title: str, header: Header, body: Any) -> Any:
-    """The size that a header begins with, which counts itself, and `body`, which has that many bytes and no more."""
+    """Return the schema of a size, which includes itself, followed by a `body` that fills exactly this size."""
     return SizedPacket(title, as_construct(header.parts["size"]), body)
 
 
 @cache
 def as_struct(layout: Layout, *, located: bool = False) -> Any:
-    """A layout as one `Struct` of any bytes: the header's parts, the fields, and as `tail` what follows the last one.
+    """Return a layout as one `Struct` for any bytes: the parts of the header, the fields, and the rest as `tail`.
 
-    Nothing but the fields has to fit, so that what is damaged or newer than the layout can be looked at.
+    Only the fields have to fit, so that packets that are damaged, or newer than the layout, can be examined.
 
     Args:
-        located: each field is construct's `RawCopy`, with its bytes and offsets.
+        layout: Layout.
+        located: Whether each field is construct's `RawCopy`, with its bytes and offsets.
     """
     header = construct.Struct(*(name / as_construct(number) for name, number in layout.header.parts.items()))
     keep: Callable[[Any], Any] = construct.RawCopy if located else lambda shape: shape
@@ -113,12 +123,12 @@ def as_struct(layout: Layout, *, located: bool = False) -> Any:
 
 
 def _element(shape: Shape) -> Shape:
-    assert isinstance(shape, Array), "what is interleaved is an array"
+    assert isinstance(shape, Array), "an interleaved field is an array"
     return shape.element
 
 
 class Row(NamedTuple):
-    """One line of a dissection: a stretch of bytes and what it means."""
+    """One line of a dissection: a section of bytes and its meaning."""
 
     offset: int
     data: bytes
@@ -129,7 +139,7 @@ class Row(NamedTuple):
 
 
 def header_rows(header: Header, data: bytes) -> Iterator[Row]:
-    """The parts of the header that `data` begins with."""
+    """Yield the parts of the header at the beginning of `data`."""
     offset = 0
     for name, value in header.unpack(data).items():
         end = offset + header.parts[name].width
@@ -138,11 +148,13 @@ def header_rows(header: Header, data: bytes) -> Iterator[Row]:
 
 
 def dissect(layout: Layout, data: bytes) -> Iterator[Row]:
-    """Every stretch of `data` with its meaning, in wire order, the unknown tail last.
+    """Yield each section of `data` with its meaning, in wire order.
+
+    The unknown tail is the last.
 
     Args:
-        layout: that of the packet.
-        data: the whole packet, which has been decoded with this layout.
+        layout: Layout of the packet.
+        data: Complete packet, which was decoded with this layout.
     """
     parsed = as_struct(layout, located=True).parse(data)
     yield from header_rows(layout.header, data)

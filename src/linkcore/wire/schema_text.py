@@ -1,4 +1,4 @@
-"""Schemas of construct as text: the fields with their offsets, types and units. Imported by `linkcore.wire.schema`."""
+"""Construct schemas as text, with the offset, type and unit of each field. `linkcore.wire.schema` imports it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import construct
 
-#: construct -> its name, such as "Float64b"; of several names the one that says the size.
+#: construct -> its name, such as "Float64b". If it has several names, the name with the size is used.
 _NAMES: dict[int, str] = {
     id(value): name
     for name, value in sorted(vars(construct).items())
@@ -44,7 +44,7 @@ class PacketStruct(_Printed, construct.Struct):  # type: ignore[misc]  # constru
 
 
 class SizedPacket(_Printed, construct.Prefixed):  # type: ignore[misc]  # construct has no types
-    """The size that a packet begins with, which counts itself, and a body that has that many bytes and no more."""
+    """A size, which includes itself, followed by a body that fills exactly this size."""
 
     def __init__(self, title: str, size: Any, body: Any) -> None:
         super().__init__(size, body, includelength=True)
@@ -52,7 +52,7 @@ class SizedPacket(_Printed, construct.Prefixed):  # type: ignore[misc]  # constr
 
 
 def schema_text(title: str, schema: Any) -> str:
-    """A line with the name and the size of a packet, then one line for each field."""
+    """Return a line with the name and the size of a packet, and one line for each field."""
     size = _size(schema)
     lines = [_Line(None, "field", "type", "unit"), *_lines(schema, 0, "")]
     name_width, type_width = max(len(line.name) for line in lines), max(len(line.type) for line in lines)
@@ -72,7 +72,7 @@ def _size(schema: Any) -> int | None:
 
 
 def _lines(schema: Any, offset: int | None, indent: str) -> Iterator[_Line]:
-    """The fields of a schema. An offset is None if it varies, and within what is repeated."""
+    """Yield the fields of a schema. An offset is None if it varies, and inside repeated parts."""
     if isinstance(schema, construct.Renamed):
         yield _Line(offset, f"{indent}{schema.name}", _type(schema.subcon), schema.docs or "")
         yield from _lines(_repeated(schema.subcon), None, f"{indent}  ")
@@ -96,8 +96,8 @@ def _lines(schema: Any, offset: int | None, indent: str) -> Iterator[_Line]:
 
 
 def _repeated(schema: Any) -> Any:
-    """What an array, an adapter or a condition is of; the schema itself if it is none of these."""
-    if isinstance(schema, construct.FocusedSeq):  # a count, and so many
+    """Return the element of an array, an adapter or a condition; or else the schema itself."""
+    if isinstance(schema, construct.FocusedSeq):  # a count, followed by this number of elements
         return _repeated(schema.subcons[-1].subcon)
     if isinstance(schema, construct.IfThenElse):
         return _repeated(schema.thensubcon)
@@ -107,7 +107,7 @@ def _repeated(schema: Any) -> Any:
 
 
 def _type(schema: Any) -> str:
-    """The type of a field, as short as it is written in the declarations of packets."""
+    """Return the type of a field, in the short form of packet declarations."""
     if id(schema) in _NAMES:
         return _NAMES[id(schema)]
     if isinstance(schema, construct.Const):

@@ -1,6 +1,6 @@
-"""`State`: one decoded packet, typed, frozen, and backed by the bytes that were received.
+"""`State`: one decoded packet, typed, frozen, and backed by the received bytes.
 
-`linkcore.wire.packet` makes the classes of packets, which derive from it.
+`linkcore.wire.packet` makes the packet classes, which derive from it.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
 
 class State:
-    """One decoded packet: typed, frozen, and backed by the bytes that were received.
+    """One decoded packet: typed, frozen, and backed by the received bytes.
 
-    ``State(version, name=value, ...)`` builds one, for tests and simulators: fields that are not given are
-    zero. Equal states have equal bytes.
+    ``State(version, name=value, ...)`` makes a state for tests and simulators; fields without a value are zero. Equal
+    states have equal bytes.
     """
 
-    # With text in the packet `_values` are those of all fields. Otherwise they are its arrays of floats, or None before
-    # `StateLayout.swap` has made them, when the first is read.
+    # If the packet contains text, `_values` has the values of all fields. Otherwise it has the arrays of floats, or is
+    # None until the first array is read and `StateLayout.swap` has made them.
     __slots__ = ("_data", "_layout", "_stamp", "_values")
 
-    #: name -> declaration of the field, in declared order
+    #: Name -> declaration of the field, in the order of the declarations.
     FIELDS: ClassVar[Mapping[str, Field]] = {}
-    #: the layouts of the class, and the choice among them
+    #: Layouts of the class, and the choice among them.
     LAYOUTS: ClassVar[StateLayouts]
-    #: False for a sample of something that goes on, True for news that comes once
+    #: Whether it is an event that comes once, rather than a sample of a continuous quantity.
     IS_EVENT: ClassVar[bool] = False
 
     _data: bytes
@@ -52,7 +52,7 @@ class State:
 
     @classmethod
     def dtype(cls, version: str | Version | None = None) -> np.dtype[Any]:
-        """The numpy dtype of the packet on the wire, as `version` (or the newest) sends it.
+        """Return the numpy dtype of the packet on the wire for `version`, or for the newest version.
 
         ``np.frombuffer(data, RealtimeState.dtype("5.10"))["q_actual"]`` reads many at once.
         """
@@ -60,16 +60,16 @@ class State:
 
     @property
     def received(self) -> Stamp | None:
-        """When the bytes arrived; None for a state that came over no link."""
+        """Time at which the bytes arrived; None for a state that was not received."""
         return self._stamp
 
     @property
     def tail(self) -> bytes:
-        """The bytes after the last field that is known."""
+        """Bytes after the last known field."""
         return self._data[self._layout.end(self._data) :]
 
     def __bytes__(self) -> bytes:
-        """The packet as it lay on the wire, header and tail included."""
+        """Return the packet as on the wire, header and tail included."""
         return self._data
 
     def __eq__(self, other: object) -> bool:
@@ -84,7 +84,7 @@ class State:
         return (_restored, (type(self), self._data, self._layout.first, self._layout.has_block, self._stamp))
 
     def __dir__(self) -> list[str]:
-        # Without each `Elsewhere`, which is a name that the class does not have.
+        # Omit each `Elsewhere`, because it represents a name that the class does not have.
         return [name for name in super().__dir__() if hasattr(type(self), name)]
 
     def __copy__(self) -> Self:
@@ -94,13 +94,19 @@ class State:
         return self
 
     def dissect(self) -> Iterator[Row]:
-        """Every stretch of the packet's bytes with offset, name, value and unit; the unknown tail last."""
-        from .schema import dissect  # which imports construct: a program that dissects nothing does not pay for that
+        """Return each section of the packet's bytes with offset, name, value and unit.
+
+        The unknown tail is the last.
+        """
+        from .schema import dissect  # imported here, because it imports construct, which takes long
 
         return dissect(self._layout, self._data)
 
     def to_dict(self) -> dict[str, Any]:
-        """name -> plain Python value of every field sent: numbers, lists, text; codes by name."""
+        """Return name -> plain Python value of each sent field: numbers, lists and text.
+
+        Codes are given by name.
+        """
         return {name: plain(getattr(self, name)) for name in self._layout.places}
 
     def __str__(self) -> str:
@@ -110,7 +116,7 @@ class State:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        from ..text import html_table  # imported here: importing the library stays cheap
+        from ..text import html_table  # imported here: importing the library stays fast
 
         fields = ((name, place.field) for name, place in self._layout.places.items())
         rows = [(name, _short(getattr(self, name)), field.unit, field.doc) for name, field in fields]
@@ -123,7 +129,7 @@ def _restored(cls: type[State], data: bytes, first: Version, has_block: bool, st
 
 
 def plain(value: Any) -> Any:
-    """A field's value for JSON: codes by name, bytes in hex."""
+    """Return the value of a field for JSON: codes by name, bytes in hexadecimal."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, (tuple, list)):
@@ -134,7 +140,7 @@ def plain(value: Any) -> Any:
 
 
 def _short(value: Any) -> str:
-    """Text for one line, without control characters, whatever came over the wire."""
+    """Return a text for one line without control characters, because the value comes from the wire."""
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, OpenInt):

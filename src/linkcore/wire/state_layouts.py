@@ -1,4 +1,4 @@
-"""The layouts of one packet class: how each decodes, and the choice among them by version and by size."""
+"""The layouts of one packet class: the decoder of each, and the choice among them by version and by size."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from .layout import NATIVE_DOUBLE, WIRE_DOUBLE, Layout, Place
 if TYPE_CHECKING:
     from ..clock import Stamp
 
-#: Doubles in vectors from which on numpy swaps the bytes of all quicker than struct unpacks and packs the packet.
+#: Number of doubles in vectors above which numpy swaps all bytes faster than struct unpacks and packs the packet.
 _MANY_DOUBLES = 32
 
-#: How one field is read: what unpacks it, its offset, and a function from its numbers to what users hold, or None.
+#: Reader of one field: its unpacker, its offset, and a function from its numbers to the user's value, or None.
 _Single = tuple[Callable[[bytes, int], Any], int, Callable[[Any], Any] | None]
 
 
 class StateLayout(Layout):
-    """A layout whose values a packet class gives their types.
+    """A layout with the typed values of a packet class.
 
-    The bytes are the state. A packet is decoded by a look at its size, and a field is read when it is asked for. Only
-    where there is text, whose place has to be found, the whole packet is read when it is decoded.
+    A state consists of its bytes. Decoding a packet only checks its size, and a field is read when it is accessed. If
+    the packet contains text, whose place must be found, the whole packet is read when it is decoded.
 
     Attributes:
-        packet: that class, derived from `linkcore.wire.state.State`.
-        decode: ``decode(data, stamp=None)``: the state in one whole packet, header included. Raises `PacketError`.
-        singles: For each field of the class how it is read; of a field that is not sent, so that it reads as None.
-        vectors: For each field of the class, if it is an array of floats, its items in the array that `swap` makes.
-        swap: ``swap(state)``: all arrays of floats as one read-only float64 array, which the state keeps.
+        packet: The packet class, derived from `linkcore.wire.state.State`.
+        decode: ``decode(data, stamp=None)`` returns the state of one complete packet, header included. Raises
+            `PacketError`.
+        singles: Reader of each field of the class; a field that is not sent is read as None.
+        vectors: For each field of the class that is an array of floats, its items in the array that `swap` makes.
+        swap: ``swap(state)`` returns all arrays of floats as one read-only float64 array, which the state keeps.
     """
 
     decode: Callable[..., Any]
@@ -77,10 +78,10 @@ class StateLayout(Layout):
         return decode
 
     def values(self, data: bytes) -> tuple[Any, ...] | None:
-        """What a state keeps from the beginning: with text in the packet the values of all fields, otherwise None.
+        """Return the values that a state keeps from its decoding: of all fields if there is text, or else None.
 
         Raises:
-            PacketError: there is text, and the packet cannot hold it.
+            PacketError: If there is text, and the packet cannot hold it.
         """
         if not self._reads_whole:
             return None
@@ -93,17 +94,17 @@ class StateLayout(Layout):
 
 
 def is_array_of_floats(shape: Shape) -> bool:
-    """A field of this shape is handed out as a float64 array."""
+    """Whether users get a field of this shape as a float64 array."""
     return shape.count is not None and shape.read is None and shape.number is not None and shape.number.kind[0] == "f"
 
 
 def _swap_of_bytes(arrays: Iterable[Place]) -> tuple[Callable[[Any], Any], dict[Place, int | slice]]:
-    """`StateLayout.swap` for many doubles, and the items of each place in the array.
+    """Return `StateLayout.swap` for many doubles, and the items of each place in the array.
 
-    At 500 Hz, with the caches cold, numpy takes 20 to 30 us for a packet, in the thread that reads, and a subscriber
-    that reads a few numbers needs no array. So it is done when the first is asked for.
+    At 500 Hz and with cold caches, numpy takes 20 to 30 us for a packet, in the thread that reads the stream. A
+    subscriber that reads a few numbers needs no array. So the bytes are swapped when the first array is accessed.
     """
-    # Doubles can be swapped together if they are whole cells of 8 bytes apart.
+    # Doubles can be swapped together if their distance is a multiple of 8 bytes.
     aligned: dict[int, list[Place]] = {}
     for place in arrays:
         aligned.setdefault(place.offset % 8, []).append(place)
@@ -126,7 +127,7 @@ def _swap_of_bytes(arrays: Iterable[Place]) -> tuple[Callable[[Any], Any], dict[
         cells = frombuffer(data, WIRE_DOUBLE, count, start).astype(NATIVE_DOUBLE)
         if others:
             cells = concatenate([cells, *(frombuffer(data, WIRE_DOUBLE, *other) for other in others)])
-        cells.setflags(False)  # type: ignore[call-arg]  # write; by keyword it takes longer
+        cells.setflags(False)  # type: ignore[call-arg]  # write=False, but a keyword takes longer
         state._values = cells
         return cells
 
@@ -134,10 +135,10 @@ def _swap_of_bytes(arrays: Iterable[Place]) -> tuple[Callable[[Any], Any], dict[
 
 
 def _swap_of_numbers(layout: Layout) -> Callable[[Any], Any]:
-    """`StateLayout.swap` for a few floats of any size and order: all numbers of the packet are made to doubles.
+    """Return `StateLayout.swap` for a few floats of any size and order, which converts all numbers to doubles.
 
-    Floats of four bytes too are handed out as float64; that is exact. Through bytes it takes a third of the time that
-    `np.array` takes.
+    Floats of four bytes also become float64, which is exact. The conversion through bytes takes a third of the time of
+    `np.array`.
     """
     pack = struct.Struct(f"={sum(place.count or 1 for place in layout.places.values())}d").pack
     unpack_from, frombuffer = layout.struct.unpack_from, np.frombuffer  # type: ignore[union-attr]  # there is no text
@@ -150,18 +151,18 @@ def _swap_of_numbers(layout: Layout) -> Callable[[Any], Any]:
 
 
 def _single(shape: Shape, place: Place | None) -> _Single:
-    """An entry of `StateLayout.singles`, for a field of which the class declares `shape`."""
+    """Return an entry of `StateLayout.singles` for a field that the class declares with `shape`."""
     if place is None:
         return _nothing, 0, None if shape.count is None else itemgetter(0)
     assert place.number is not None, "there is no text"
     code = place.number.code
-    between = f"{place.stride - place.width}x"  # where others are sent in turn with it
+    between = f"{place.stride - place.width}x"  # bytes of other fields that are interleaved with it
     form = f">{f'{code}{between}' * ((place.count or 1) - 1)}{code}"
     return _unpacker(form), place.offset, _meaning(place.shape)
 
 
 def _nothing(data: bytes, offset: int) -> tuple[None]:
-    """In place of what unpacks a field that is not sent."""
+    """Unpack a field that is not sent."""
     return (None,)
 
 
@@ -172,7 +173,10 @@ def _unpacker(form: str) -> Callable[[bytes, int], Any]:
 
 @cache
 def _meaning(shape: Shape) -> Callable[[Any], Any] | None:
-    """A function from the number, the numbers or the bytes of a field to what users hold; None if they hold that."""
+    """Return a function from the numbers or bytes of a field to the user's value.
+
+    Return None if they are the same.
+    """
     read, number = shape.read, shape.number
     if shape.count is None:
         return read
@@ -189,16 +193,19 @@ def _read_only(array: Any) -> Any:
 
 
 class StateLayouts:
-    """Every distinct order of fields that some version sends, each lowered once, when the first of them is asked for.
+    """All distinct orders of fields that any version sends.
+
+    The layouts are made at the first use, and only once.
 
     Args:
-        packet: the class, derived from `linkcore.wire.state.State`.
-        header, constants: as for `Layout`.
-        reorder: ``((3, 0), names)``: versions before 3.0 send the fields in this other order.
-        has_text: some field is text.
+        packet: Packet class, derived from `linkcore.wire.state.State`.
+        header: See `Layout`.
+        constants: See `Layout`.
+        reorder: ``((3, 0), names)`` if versions before 3.0 send the fields in this other order, or None.
+        has_text: Whether a field is text.
 
     Attributes:
-        blocks: names of the fields that say whether the optional block is sent.
+        blocks: Names of the fields that show whether the optional block is sent.
     """
 
     def __init__(
@@ -215,18 +222,18 @@ class StateLayouts:
         self._lower = partial(StateLayout, packet, header=header, constants=constants, has_text=has_text)
         self._reorder = reorder
         self.blocks = {field.block for field in self._fields.values() if field.block is not None}
-        self._chosen: dict[tuple[Version, bool], StateLayout] = {}  # what `of` has found
-        # (size, version) -> the layouts that fit, and the decoder where these two alone decide
+        self._chosen: dict[tuple[Version, bool], StateLayout] = {}  # results of `of`
+        # (size, version) -> the layouts that fit, and the decoder if size and version are enough to choose it
         self._known: dict[tuple[int, Version | None], tuple[list[StateLayout], Callable[..., Any] | None]] = {}
 
     @cached_property
     def all(self) -> tuple[StateLayout, ...]:
-        """Every distinct layout, oldest first."""
+        """All distinct layouts, with the oldest first."""
         return tuple(dict.fromkeys(self._by_version.values()))
 
     @cached_property
     def _by_version(self) -> dict[tuple[Version, bool], StateLayout]:
-        """The layout from each version on at which something changes, without and with the block."""
+        """(version, whether it has the block) -> layout, for each version at which the layout changes."""
         steps = {step for field in self._fields.values() for step in field.steps}
         if self._reorder is not None:
             steps.add(self._reorder[0])
@@ -251,10 +258,10 @@ class StateLayouts:
         return [(field, shape) for field, shape in shapes if shape is not None and (has_block or field.block is None)]
 
     def of(self, version: str | Version | None = None, values: Mapping[str, Any] | None = None) -> StateLayout:
-        """The layout that `version` sends, or the newest; with its block if `values` asks for it.
+        """Return the layout that `version` sends, or the newest one; with its block if `values` requires it.
 
         Raises:
-            PacketError: that version does not send this packet.
+            PacketError: If this version does not send the packet.
         """
         has_block = any((values or {}).get(block) for block in self.blocks)
         if version is None:
@@ -269,15 +276,15 @@ class StateLayouts:
         return found
 
     def fitting(self, size: int, version: Version | None = None) -> list[StateLayout]:
-        """The layouts that a packet of `size` bytes can have, best first.
+        """Return the layouts that a packet of `size` bytes might have, with the best one first.
 
-        An exact size wins, then the longest that fits: what is left over is the tail. With a version, its own layout is
-        the least that will do, and only layouts that extend it come into question, since a newer release appends. Where
-        a release took fields away, its first builds may still send them: an exact size of the same generation will do,
-        if it is larger.
+        A layout of exactly this size is the best, then the longest layout that fits; the remaining bytes are the tail.
+        With a version, its own layout is the smallest possible one, and only layouts that extend it are possible,
+        because newer releases append fields. If a release has removed fields, its first builds might still send them.
+        So a larger layout of exactly this size is also possible if it is of the same generation.
 
         Raises:
-            PacketError: the packet is shorter than its version's layout, or than any.
+            PacketError: If the packet is shorter than the layout of its version, or than every layout.
         """
         candidates = list(self.all)
         least = min(layout.size for layout in candidates)
@@ -305,16 +312,16 @@ class StateLayouts:
         return sorted(fits, key=lambda layout: (layout.size == size, layout.size), reverse=True)
 
     def decode(self, data: bytes, version: Version | None = None, stamp: Stamp | None = None) -> Any:
-        """The typed state of one whole packet, header included.
+        """Return the typed state of one complete packet, header included.
 
         Raises:
-            PacketError: no layout holds it.
+            PacketError: If no layout can hold it.
         """
         key = (len(data), version)
         known = self._known.get(key)
         if known is None:
             known = self.fitting(*key), self.decoder(*key)
-            if len(self._known) < 256:  # lengths come from the wire: keep no more than a few
+            if len(self._known) < 256:  # sizes come from the wire, so the number of entries must be limited
                 self._known[key] = known
         fits, decode = known
         if decode is not None:
@@ -324,7 +331,7 @@ class StateLayouts:
             try:
                 state = layout.decode(data, stamp)
             except PacketError as error:
-                failure = failure or unraised(error)  # whose traceback would refer to this frame
+                failure = failure or unraised(error)  # the traceback of `error` would refer to this frame
                 continue
             if all(bool(getattr(state, block)) == layout.has_block for block in self.blocks):
                 return state
@@ -332,14 +339,14 @@ class StateLayouts:
             try:
                 raise failure
             finally:
-                del failure  # it refers to this frame
+                del failure  # breaks the reference cycle between the error and this frame
         return fits[0].decode(data, stamp)
 
     def decoder(self, size: int, version: Version | None = None) -> Callable[..., Any] | None:
-        """The decoder of packets of this size, or None where their content has to choose.
+        """Return the decoder of packets of this size; None if the choice depends on their content.
 
         Raises:
-            PacketError: no layout holds such a packet.
+            PacketError: If no layout can hold such a packet.
         """
         fits = self.fitting(size, version)
         by_text = fits[0].has_text and len(fits) > 1

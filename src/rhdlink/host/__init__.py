@@ -1,4 +1,4 @@
-"""A robot in Python: plugins, the tick that drives them, and the server that RHD clients connect to."""
+"""A robot in Python: plugins, the tick that runs them, and the server for RHD clients."""
 
 from __future__ import annotations
 

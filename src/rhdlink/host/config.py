@@ -1,16 +1,16 @@
-"""`rhdconfig.xml`: the file from which the original daemon reads its period, its port and its plugins.
+"""`rhdconfig.xml`: the file with the period, port and plugins of the original daemon and of a `Host`.
 
-The elements are those of docs/protocols/rhd.md, Configuration file::
+The elements are described in docs/protocols/rhd.md, Configuration file::
 
     <rhd>
       <scheduler> <period value="10000"/> <type value="itimer"/> </scheduler>      (or <sheduler>; microseconds)
       <server> <port value="24902"/> <clients number="10" allwriters="0"/> <mode value="synchronized"/>
-               <address value="0.0.0.0"/> <width value="2"/> </server>      (the last two are this library's own)
+               <address value="0.0.0.0"/> <width value="2"/> </server>      (the last two exist only in this library)
       <plugins> <turtle enable="true" lib="rhdlink.host.plugins.turtle:Turtle" critical="true" safety="1"/> </plugins>
     </rhd>
 
-The file may come from anywhere, so it is parsed with limits, and without what XML has for hiding or fetching things: a
-document type, entities, external references.
+The file may come from anywhere, so it is parsed with limits. XML features that can hide or fetch data are not accepted:
+document types, entities and external references.
 """
 
 from __future__ import annotations
@@ -32,31 +32,31 @@ from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
 from .service import Resend
 
-#: Bytes of a file, levels and elements in it, that are read.
+#: Maximum size of a file in bytes, and maximum number of levels and elements in it.
 LARGEST = 1 << 20
 DEEPEST = 32
 MOST_ELEMENTS = 10_000
 
-#: Scheduler types of the original that mean "at a period".
+#: Scheduler types of the original that mean "at a fixed period".
 _PERIODIC = ("usleep", "itimer", "LXRT", "RTAI")
 _TYPES = (*_PERIODIC, "freerunning", "synchronized")
 
 
 class BadConfiguration(BadValue):
-    """A configuration that cannot be read, or that asks for what cannot be done; names the file and the line."""
+    """Configuration that cannot be read or is not possible; the message names the file and the line."""
 
 
 @dataclass(frozen=True)
 class Element:
-    """One element of the file, with what is in it.
+    """One element of the file, with its contents.
 
     Attributes:
-        tag: its name.
-        attributes: name -> text.
-        children: the elements in it, in order.
-        text: the characters in it, without those of its children, stripped.
-        line: where it begins in the file; 0 for one that comes from no file.
-        source: name of the file, for messages.
+        tag: Name of the element.
+        attributes: Texts of the attributes, by name.
+        children: Child elements, in order.
+        text: Characters in the element, stripped, without those of its children.
+        line: Line in the file where it begins; 0 if it comes from no file.
+        source: Name of the file, used in messages.
     """
 
     tag: str
@@ -67,17 +67,17 @@ class Element:
     source: str = ""
 
     def find(self, tag: str) -> Element | None:
-        """The first child of that name, or None."""
+        """Return the first child of that name, or None."""
         return next(self.find_all(tag), None)
 
     def find_all(self, tag: str) -> Iterator[Element]:
-        """The children of that name, in order."""
+        """Return the children of that name, in order."""
         return (child for child in self.children if child.tag == tag)
 
     def get(self, name: str, default: str | None = None) -> str | None:
-        """What the file says of `name`: the attribute, or the attribute `value` of the child of that name.
+        """Return a setting: the attribute `name`, or the attribute `value` of the child called `name`.
 
-        Both styles are in use by the original's plugins.
+        The plugins of the original use both styles.
         """
         if name in self.attributes:
             return self.attributes[name]
@@ -85,10 +85,10 @@ class Element:
         return default if child is None else child.attributes.get("value", default)
 
     def number(self, name: str, default: float, *, least: float = -math.inf, most: float = math.inf) -> float:
-        """`get` as a finite number between `least` and `most`.
+        """Return a setting as a finite number between `least` and `most`; see `get`.
 
         Raises:
-            BadConfiguration: it is not such a number.
+            BadConfiguration: If it is not such a number.
         """
         text = self.get(name)
         if text is None:
@@ -102,24 +102,24 @@ class Element:
         return value
 
     def integer(self, name: str, default: int, *, least: int = -(2**31), most: int = 2**31 - 1) -> int:
-        """`get` as a whole number between `least` and `most`.
+        """Return a setting as a whole number between `least` and `most`; see `get`.
 
         Raises:
-            BadConfiguration: it is not such a number.
+            BadConfiguration: If it is not such a number.
         """
         text = self.get(name)
         if text is None:
             return default
-        # Not int() alone: it takes underscores and the digits of every script.
+        # int() alone would also accept underscores, and digits of every writing system.
         if not re.fullmatch(r"\s*[+-]?[0-9]{1,10}\s*", text) or not least <= int(text) <= most:
             self.reject(f"{name}={text!r} is not a whole number{_between(least, most)}")
         return int(text)
 
     def reject(self, reason: str) -> NoReturn:
-        """Say that this element asks for what cannot be.
+        """Raise the error that this element is invalid.
 
         Raises:
-            BadConfiguration: always.
+            BadConfiguration: Always.
         """
         raise self._mistake(reason)
 
@@ -143,12 +143,12 @@ class PluginEntry:
     """One plugin of the file.
 
     Attributes:
-        name: name of the element.
-        lib: what to load, ``package.module:Class``.
-        is_enabled: only the exact text "true" enables, as with the original.
-        is_critical: whether the host ends when it fails.
-        safety: 0, or the rank among the plugins that run last.
-        config: its element, for its own settings.
+        name: Name of the element.
+        lib: Class to load, ``package.module:Class``.
+        is_enabled: Whether it is enabled. Only the exact text "true" enables it, as in the original.
+        is_critical: Whether the host ends when it fails.
+        safety: Rank among the plugins that run last, or 0.
+        config: Its element, with its own settings.
     """
 
     name: str
@@ -159,26 +159,26 @@ class PluginEntry:
     config: Element
 
     def load(self) -> Any:
-        """An instance of the class that `lib` names, called without arguments.
+        """Return an instance of the class in `lib`, created without arguments.
 
-        This imports and runs code that the file names, as the original loads the library that it names.
+        This imports and runs code that the file names. The original loads a library in the same way.
 
         Raises:
-            BadConfiguration: it is a C library, there is no such module or class, or it cannot be made.
+            BadConfiguration: If it is a C library, the module or class does not exist, or it cannot be created.
         """
         lib = self.lib
         if re.search(r"\.so(\.[0-9.]*)?$|\.dll$|\.dylib$", lib) or "/" in lib:
             self.config.reject(
-                f"lib={lib!r} is a plugin in C, which this host cannot load: run it in the original rhd, or port it "
-                'to Python and name it as lib="package.module:Class" (see docs/rhd.md, writing a plugin)'
+                f"lib={lib!r} is a plugin in C, which this host cannot load; run it in the original rhd, or port it "
+                'to Python and write lib="package.module:Class" (see docs/rhd.md, writing a plugin)'
             )
         module_name, colon, class_name = lib.partition(":")
         if not colon or not class_name.isidentifier() or not all(map(str.isidentifier, module_name.split("."))):
-            self.config.reject(f'lib={lib!r} names no plugin; it is written lib="package.module:Class"')
+            self.config.reject(f'lib={lib!r} is not the name of a plugin; expected lib="package.module:Class"')
         try:
             module = importlib.import_module(module_name)
         except Exception as error:
-            # Any exception of an imported module is reported as the plugin's error, with its place in the file.
+            # Any exception of an imported module is reported as an error of the plugin, with its line in the file.
             raise self.config._mistake(f"cannot import {module_name}: {error}") from error
         made: Callable[[], object] | None = getattr(module, class_name, None)
         if not isinstance(made, type):
@@ -186,29 +186,29 @@ class PluginEntry:
         try:
             return made()
         except Exception as error:
-            raise self.config._mistake(f"cannot make a {class_name}: {error}") from error
+            raise self.config._mistake(f"cannot create a {class_name}: {error}") from error
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """The contents of an `rhdconfig.xml`. What it leaves out has the default given here, not the original's zero.
+    """Contents of an `rhdconfig.xml`. Omitted settings have the default given here, not the original's zero.
 
     Attributes:
-        period: of the tick, seconds.
-        scheduler: type of the scheduler as the file names it.
-        realtime_priority: whether it asks for real-time priority; this host does not use it, and logs a warning.
+        period: Period of the tick, in seconds.
+        scheduler: Type of the scheduler, as the file names it.
+        realtime_priority: Whether the file requests real-time priority. This host does not use it, and logs a warning.
         port: TCP port.
-        address: to listen on; ``<server> <address value="0.0.0.0"/>``. The original has no such element and listens
-            everywhere.
-        clients: how many may be connected.
-        allwriters: whether every client may write.
-        synchronized: whether each tick waits for the master's request, at most one period.
-        width: words of a time stamp, 2 or 4, as the clients have it; ``<server> <width value="4"/>``. The original has
-            no such element: its width is that of the machine it was built for.
-        resend: what a client is sent, "changed" or "original"; ``<server> <resend value="original"/>``.
-        limits: what a client may ask for; ``<server> <limits variables="100" length="64" words="1000" batch="4096"/>``.
-        client_timeout, inactivity_timeout: seconds, see `Host`; ``<clients timeout="5" inactivity="10"/>``.
-        plugins: in the order of the file, those not enabled among them.
+        address: Address to listen on; ``<server> <address value="0.0.0.0"/>``. The original has no such element and
+            listens on all addresses.
+        clients: Maximum number of connected clients.
+        allwriters: Whether every client may write.
+        synchronized: Whether each tick waits for the request of the master, for at most one period.
+        width: Words of a time stamp, 2 or 4, as the clients have it; ``<server> <width value="4"/>``. The original has
+            no such element: its width is the width of the machine that it was built for.
+        resend: Variables sent to a client, "changed" or "original"; ``<server> <resend value="original"/>``.
+        limits: Limits of requests; ``<server> <limits variables="100" length="64" words="1000" batch="4096"/>``.
+        client_timeout, inactivity_timeout: Timeouts in seconds, see `Host`; ``<clients timeout="5" inactivity="10"/>``.
+        plugins: Plugins in the order of the file, including those that are not enabled.
     """
 
     period: float = 0.01
@@ -228,28 +228,28 @@ class Configuration:
 
     @property
     def pacing(self) -> str:
-        """When the next tick comes: after the "period", at once ("free"), or with each request ("lockstep")."""
+        """Time of the next tick: after the "period", immediately ("free"), or with each request ("lockstep")."""
         if self.scheduler in _PERIODIC:
             return "period"
         return "lockstep" if self.scheduler == "synchronized" and self.synchronized else "free"
 
 
 def read_config(path: str | os.PathLike[str]) -> Configuration:
-    """The configuration in a file.
+    """Read the configuration in a file.
 
     Raises:
-        BadConfiguration: it cannot be read, or is not an `rhdconfig.xml`.
+        BadConfiguration: If the file cannot be read, or is not an `rhdconfig.xml`.
     """
-    if not isinstance(path, (str, os.PathLike)):  # open() would take a number for a descriptor
+    if not isinstance(path, (str, os.PathLike)):  # open() would interpret a number as a descriptor
         raise BadConfiguration(f"cannot read {path!r}: expected the path of an rhdconfig.xml")
     return parse_config(read_file(path), Path(path).name)
 
 
 def read_file(path: str | os.PathLike[str]) -> bytes:
-    """The bytes of a file; of one that is too large, as many as show that.
+    """Return the bytes of a file; of a file that is too large, only enough to detect that.
 
     Raises:
-        BadConfiguration: it cannot be read.
+        BadConfiguration: If the file cannot be read.
     """
     try:
         with open(path, "rb") as file:
@@ -259,38 +259,38 @@ def read_file(path: str | os.PathLike[str]) -> bytes:
 
 
 def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configuration:
-    """The configuration in a text.
+    """Parse the configuration in a text.
 
     Args:
-        data: XML.
-        source: what to call it in messages.
+        data: XML text.
+        source: Name used in messages.
 
     Raises:
-        BadConfiguration: it is not such XML, or beyond the limits of what is read.
+        BadConfiguration: If it is not such XML, or exceeds a limit.
     """
     root = parse_xml(data, source)
     if root.tag != "rhd":
-        root.reject("the file has to begin with <rhd>")
+        root.reject("the root element must be <rhd>")
     nothing = Element("rhd")
     scheduler = root.find("scheduler") or root.find("sheduler") or nothing
     server = root.find("server") or nothing
     default = Configuration()
-    # 2**31 us is 36 minutes; the original has an int.
+    # 2**31 us is 36 minutes; the original uses an int.
     period = scheduler.find("period") or nothing
     kind = scheduler.get("type", default.scheduler)
     if kind not in _TYPES:
-        (scheduler.find("type") or scheduler).reject(f"value={kind!r} is none of {', '.join(_TYPES)}")
+        (scheduler.find("type") or scheduler).reject(f"value={kind!r}; expected one of {', '.join(_TYPES)}")
     clients = server.find("clients") or nothing
     mode = server.get("mode")
     if mode not in (None, "normal", "synchronized"):
-        server.reject(f"mode {mode!r} is neither normal nor synchronized")
+        server.reject(f"mode {mode!r} is invalid; expected normal or synchronized")
     width = server.find("width") or nothing
     words = width.integer("value", default.width)
     if words not in WIDTHS:
-        width.reject("a time stamp has 2 or 4 words")
+        width.reject("a time stamp must have 2 or 4 words")
     resend = server.get("resend", default.resend)
     if resend not in get_args(Resend):
-        (server.find("resend") or server).reject(f"value={resend!r} is none of {', '.join(get_args(Resend))}")
+        (server.find("resend") or server).reject(f"value={resend!r}; expected one of {', '.join(get_args(Resend))}")
     plugins = root.find("plugins") or nothing
     priority = scheduler.find("realtimepriority")
     return Configuration(
@@ -312,14 +312,14 @@ def parse_config(data: bytes | str, source: str = "rhdconfig.xml") -> Configurat
 
 
 def parse_xml(data: bytes | str, source: str) -> Element:
-    """The outermost element of a text.
+    """Parse the outermost element of a text.
 
     Args:
-        data: XML.
-        source: what to call it in messages.
+        data: XML text.
+        source: Name used in messages.
 
     Raises:
-        BadConfiguration: it is not such XML, or beyond the limits of what is read.
+        BadConfiguration: If it is not such XML, or exceeds a limit.
     """
     return _Tree(source).parse(data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data)
 
@@ -334,20 +334,20 @@ def _entry(element: Element) -> PluginEntry:
     is_enabled = element.attributes.get("enable") == "true"
     lib = element.attributes.get("lib", "")
     if is_enabled and not lib:
-        element.reject('it is enabled, but no lib="package.module:Class" says what it is')
+        element.reject('it is enabled, but has no lib; add lib="package.module:Class"')
     return PluginEntry(
         name=element.tag,
         lib=lib,
         is_enabled=is_enabled,
         is_critical=element.attributes.get("critical") == "true",
-        # Only the attribute: a plugin may have an element of that name of its own.
+        # Only the attribute counts, because a plugin may have its own element of that name.
         safety=replace(element, children=()).integer("safety", 0, least=0, most=127),
         config=element,
     )
 
 
 class _Open:
-    """An element whose end has not come."""
+    """An element whose end has not been parsed yet."""
 
     def __init__(self, attributes: dict[str, str], line: int) -> None:
         self.attributes = attributes
@@ -357,7 +357,7 @@ class _Open:
 
 
 class _Tree:
-    """Builds the elements of one file, and stops at the first thing that has no business in it."""
+    """Builds the elements of one file, and stops at the first invalid part."""
 
     def __init__(self, source: str) -> None:
         self._source = source
@@ -368,17 +368,17 @@ class _Tree:
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
         parser.CharacterDataHandler = self._data
-        # Refusing the document type refuses every entity, since they are declared in it: no bombs, nothing fetched.
+        # Entities are declared in the document type, so rejecting it prevents entity bombs and external references.
         parser.StartDoctypeDeclHandler = self._refuse
 
     def parse(self, data: bytes) -> Element:
         if len(data) > LARGEST:
-            raise BadConfiguration(f"{self._source} is larger than {LARGEST} bytes")
+            raise BadConfiguration(f"{self._source} is too large; the maximum is {LARGEST} bytes")
         try:
             self._parser.Parse(data, True)
         except expat.ExpatError as error:
             text = expat.errors.messages.get(error.code, str(error))
-            raise BadConfiguration(f"{_place(self._source, error.lineno)}this is not XML: {text}") from None
+            raise BadConfiguration(f"{_place(self._source, error.lineno)}invalid XML: {text}") from None
         except (LookupError, ValueError) as error:
             if isinstance(error, BadConfiguration):
                 raise
@@ -389,14 +389,14 @@ class _Tree:
         raise BadConfiguration(f"{_place(self._source, self._parser.CurrentLineNumber)}{reason}")
 
     def _refuse(self, *_: object) -> NoReturn:
-        self._fail("a document type is not accepted here")
+        self._fail("a document type is not accepted")
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._elements += 1
         if self._elements > MOST_ELEMENTS:
             self._fail(f"more than {MOST_ELEMENTS} elements")
         if len(self._open) >= DEEPEST:
-            self._fail(f"elements in more than {DEEPEST} levels")
+            self._fail(f"elements are nested in more than {DEEPEST} levels")
         self._open.append(_Open(attributes, self._parser.CurrentLineNumber))
 
     def _end(self, tag: str) -> None:

@@ -1,10 +1,10 @@
-"""`Host`: runs the plugins of a robot at each tick, and serves their variables to programs.
+"""`Host`: runs the plugins of a robot at each tick, and serves their variables to clients.
 
-One round, as in the original (docs/protocols/rhd.md, Server tick)::
+One tick, as in the original (docs/protocols/rhd.md, Server tick)::
 
-    periodic(tick) of every plugin -> wait, serving sockets -> tick += 1 -> take requests, answer them
+    periodic(tick) of every plugin -> wait, serve sockets -> tick += 1 -> take requests, answer them
 
-One thread does all of it and never waits for a client.
+One thread does all of this and never waits for a client.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-#: When the next tick comes: after a period, at once, or with the master's request.
+#: Time of the next tick: after a period, immediately, or with the master's request.
 Pacing = Literal["period", "free", "lockstep"]
 
-#: Seconds that `Host.close` waits for the host's thread.
+#: Timeout, in seconds, of `Host.close` for the end of the host's thread.
 _CLOSE_TIMEOUT = 10.0
 
 
 class HostFailed(LocalError):
-    """A host has ended by an unexpected exception, which is its `__cause__`.
+    """A host has ended because of an unexpected exception, which is its `__cause__`.
 
-    Its plugins have been terminated in order.
+    Its plugins have been terminated properly.
     """
 
 
 class PluginFailed(HostFailed):
-    """A critical plugin raised, and the host has ended in order; `__cause__` says what was raised.
+    """A critical plugin raised an exception, and the host has ended properly; `__cause__` is the exception.
 
     Attributes:
-        plugin: its name.
+        plugin: Name of the plugin.
     """
 
     def __init__(self, plugin: str, doing: str, error: BaseException) -> None:
@@ -66,22 +66,22 @@ class PluginFailed(HostFailed):
 
 @dataclass(frozen=True)
 class HostStatistics:
-    """A host's counters at one moment.
+    """Counters of a host at one moment.
 
     Attributes:
-        ticks: rounds so far.
-        overruns: ticks that came more than a period late.
-        skipped: periods without a tick, because of those.
-        late_median: s by which a tick came after it was due; of the last 4096, without lockstep and free running.
-        late_p99: likewise, exceeded by one in a hundred.
-        late_worst: of all.
-        clients: connected, and granted access.
-        writers: those of them that may write.
-        refused_clients: connections for which there was no slot.
-        evicted_clients: idle readers whose slot was given to a newcomer.
-        refused_writes: values from clients that may not write.
-        bad_clients: connections closed for what they sent.
-        failed_plugins: names of the plugins that were disabled.
+        ticks: Number of ticks so far.
+        overruns: Number of ticks that were more than a period late.
+        skipped: Number of periods without a tick, because of overruns.
+        late_median: Median delay of the last 4096 ticks, in s; lockstep and free-running ticks do not count.
+        late_p99: Delay, in s, that one in a hundred of these ticks exceeds.
+        late_worst: Longest delay of all ticks, in s.
+        clients: Number of connected clients that were granted access.
+        writers: Number of these clients that may write.
+        refused_clients: Number of connections without a free slot.
+        evicted_clients: Number of idle readers whose slot was given to a new client.
+        refused_writes: Number of values from clients that may not write.
+        bad_clients: Number of connections that were closed because of invalid data.
+        failed_plugins: Names of the plugins that were disabled.
     """
 
     ticks: int
@@ -100,43 +100,48 @@ class HostStatistics:
 
 
 class Host(StrictAttributes, Runnable):
-    """Runs plugins, and serves their variables to programs that know RHD, those of the original among them.
+    """Runs plugins, and serves their variables to RHD clients, including programs made for the original.
 
     ::
 
         with Host([Turtle()], period=0.01, port=24902) as host:
             ...
 
-    It runs once: in the thread that calls `run`, or, with `start` or as a context manager, in one of its own.
+    A host runs only once: in the thread that calls `run`, or, with `start` or as a context manager, in its own thread.
 
     Args:
-        plugins: are initialised in this order, and run in the reverse order, as in the original.
-        period: of the tick, s.
-        port: TCP port, 0 for a free one.
-        address: to listen on; "" for every IPv4 address of this computer. Every client that can connect can drive
-            the robot, so by default only this machine can.
-        clients: how many may be connected.
-        allwriters: whether every client may write, rather than the first that asks.
-        synchronized: whether each tick waits for the request of the one writer, at most one period more.
-        pacing: "period"; "free" for one tick after the other; "lockstep" for one with each request of the one writer,
-            or of any client while there is none: deterministic, and as fast as the client.
-        resend: "changed" sends a client what was set since its last reply; "original" all that was ever set.
-        width: words of a time stamp, 2 or 4, as the clients have it.
-        limits: what a client may ask for.
-        client_timeout: seconds that a client may leave a request half sent, or a reply unread, before it is closed.
-        inactivity_timeout: seconds without a request after which a reader may lose its slot, when all slots are taken
-            and somebody else connects. The master keeps its slot.
+        plugins: Plugins, initialised in this order, and run in the reverse order, as in the original.
+        period: Period of the tick, in s.
+        port: TCP port; 0 for a free one.
+        address: Address to listen on; "" for every IPv4 address of this computer. Every client that can connect can
+            drive the robot, so by default only clients on this computer can connect.
+        clients: Maximum number of connected clients.
+        allwriters: Whether every client may write, rather than only the first one that asks.
+        synchronized: Whether each tick waits for the request of the only writer, for at most one additional period.
+        pacing: When ticks occur. "period" makes them at a fixed period, "free" one after the other. "lockstep" makes
+            one with each request of the only writer, or of any client while there is no writer: deterministic, and as
+            fast as the client.
+        resend: Variables sent to a client: "changed" for those that were set since its last reply, "original" for all
+            that were ever set.
+        width: Words of a time stamp, 2 or 4, as the clients have it.
+        limits: Limits of the requests of clients.
+        client_timeout: Time, in seconds, that a client may leave a request incomplete or a reply unread. Then its
+            connection is closed.
+        inactivity_timeout: Time without a request, in seconds, after which a reader may lose its slot. It loses the
+            slot if all slots are taken and another client connects. The master keeps its slot.
 
     Attributes:
-        database: the variables; more can be made until the host runs.
-        period: as given.
-        tick: the number of the round, as clients receive it.
-        failure: why it ended by itself, or None.
+        database: Variables; more can be created until the host runs.
+        period: See the argument `period`.
+        tick: Number of the tick, as clients receive it.
+        failure: Error that ended the host, or None.
 
     Raises:
-        BadValue: an argument that cannot be, such as a plugin without `periodic`. When it is run: PluginFailed, a
-            critical plugin raised; BadAddress, the port cannot be listened on; LocalError, plugins declare what cannot
-            be together; HostFailed, it ended because of an unexpected exception.
+        BadValue: If an argument is invalid, such as a plugin without `periodic`.
+        PluginFailed: If a critical plugin raises an exception while the host runs.
+        BadAddress: If the host cannot listen on the port when it starts.
+        LocalError: If the declarations of plugins conflict when the host starts.
+        HostFailed: If the running host ends because of an unexpected exception.
     """
 
     def __init__(
@@ -170,8 +175,8 @@ class Host(StrictAttributes, Runnable):
         self._serving = functools.partial(
             Service, clients=clients, allwriters=allwriters, resend=resend, width=width, limits=limits
         )
-        # What cannot be served fails here; later a service can fail only because of what plugins declare. Until the
-        # host runs, this one says that there are no clients.
+        # A service that cannot be provided fails here. Later it can fail only because of the plugins' declarations.
+        # Until the host runs, this service reports that there are no clients.
         self._service = self._serving(Database())
         self._place = (address, port)
         self._client_timeout, self._inactivity_timeout = client_timeout, inactivity_timeout
@@ -187,14 +192,14 @@ class Host(StrictAttributes, Runnable):
 
     @classmethod
     def from_config(cls, config: Configuration | str | os.PathLike[str], **options: object) -> Self:
-        """A host as an `rhdconfig.xml` describes it.
+        """Return a host as described by an `rhdconfig.xml`.
 
         Args:
-            config: the file, or what was read from one.
-            options: arguments of `Host` that are to have the last word over the file.
+            config: Path of the file, or the configuration read from it.
+            options: Arguments of `Host` that override the file.
 
         Raises:
-            BadConfiguration: the file, or a plugin in it, cannot be used.
+            BadConfiguration: If the file, or a plugin in it, is not valid.
         """
         if not isinstance(config, Configuration):
             config = read_config(config)
@@ -204,7 +209,7 @@ class Host(StrictAttributes, Runnable):
                 continue
             plugin = entry.load()
             if not isinstance(plugin, Plugin):
-                entry.config.reject(f"{entry.lib} is no rhdlink.Plugin")
+                entry.config.reject(f"{entry.lib} is not an rhdlink.Plugin")
             try:
                 check_methods(plugin)
             except BadValue as error:
@@ -213,7 +218,7 @@ class Host(StrictAttributes, Runnable):
             plugins.append(plugin)
             elements[id(plugin)] = entry.config
         if config.realtime_priority:
-            _log.warning("real-time priority is asked for; this host runs without it")
+            _log.warning("real-time priority is requested, but not supported by this host")
         from_file: dict[str, object] = {
             "period": config.period,
             "port": config.port,
@@ -232,39 +237,41 @@ class Host(StrictAttributes, Runnable):
         host._configs = elements
         return host
 
-    # -- what it is -----------------------------------------------------------------------------------
+    # -- state ------------------------------------------------------------------------------------------
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """The plugins, in the order in which they were given."""
+        """Plugins, in the order in which they were given."""
         return tuple(self._plugins)
 
     @property
     def port(self) -> int:
-        """The port that it listens on.
+        """Port that the host listens on.
 
         Raises:
-            Closed: it does not run.
+            Closed: If the host is not running.
         """
         if self._server is None:
-            raise Closed("the host does not run")
+            raise Closed("the host is not running")
         return self._server.port
 
     @property
     def address(self) -> str:
-        """Where a program on this computer reaches it, as `rhdlink.connect` takes it; raises `Closed` if it does not
-        run.
+        """Address of the host for programs on this computer, as for `rhdlink.connect`.
+
+        Raises:
+            Closed: If the host is not running.
         """
         return str(Address(self._place[0] or "127.0.0.1", self.port))
 
     @property
     def writers(self) -> int:
-        """How many clients may write: 0 when the robot has lost its master."""
+        """Number of clients that may write; 0 if the robot has lost its master."""
         return self._service.writers
 
     @property
     def stats(self) -> HostStatistics:
-        """The counters at this moment."""
+        """Current counters."""
         service, schedule = self._service, self._schedule
         median, p99 = schedule.lateness()
         return HostStatistics(
@@ -294,7 +301,7 @@ class Host(StrictAttributes, Runnable):
             state = f"at {self.address}, tick {self.tick}, {clients} client{'' if clients == 1 else 's'}"
         return f"<{type(self).__name__} of {names}, {state}>"
 
-    # -- life ------------------------------------------------------------------------------------------
+    # -- beginning and end -----------------------------------------------------------------------------
 
     def _wake(self) -> None:
         server = self._server
@@ -302,7 +309,7 @@ class Host(StrictAttributes, Runnable):
             server.wake()
 
     def _begin(self) -> None:
-        # Id 0, as clients of the original expect (docs/protocols/rhd.md, Handshake).
+        # The variable needs id 0, as clients of the original expect (docs/protocols/rhd.md, Handshake).
         self.database.read.add("tick")
         if self._pacing == "lockstep":
             self.database.read.clock = self._simulated_time
@@ -310,7 +317,7 @@ class Host(StrictAttributes, Runnable):
         others = [plugin for plugin in self._plugins if plugin.safety <= 0]
         for plugin in [*others, *ranked]:
             self._init(plugin)
-        # In the reverse of the list that begins with the highest rank: the ranked come last
+        # Plugins run in the reverse order of a list that begins with the highest rank, so ranked plugins run last
         # (docs/protocols/rhd.md, Plugins).
         self._running = [plugin for plugin in reversed([*ranked, *others]) if plugin in self._begun]
         self._service = self._serving(self.database)
@@ -330,17 +337,17 @@ class Host(StrictAttributes, Runnable):
             bind(plugin, self.database)
             plugin.init(self._configs.get(id(plugin), Element(plugin.name)))
         except Exception as error:
-            # Not begun, so it is not terminated either: what it has opened so far, only itself can know.
+            # The plugin has not begun, so it is not terminated either: only the plugin itself knows what it opened.
             if plugin.is_critical:
                 raise PluginFailed(plugin.name, "init", error) from error
-            _log.exception("plugin %s failed in init; the host goes on without it", plugin.name)
+            _log.exception("plugin %s failed in init; the host continues without it", plugin.name)
             self._failed.append(plugin.name)
         else:
             self._begun.append(plugin)
 
     def _give_up(self) -> None:
-        # First the motors, then the news that we are gone. Whatever one plugin raises, a SystemExit among it, the
-        # others are terminated too.
+        # First the motors stop, then clients are disconnected. If a plugin raises any exception, even a SystemExit, the
+        # other plugins are still terminated.
         interrupted: BaseException | None = None
         for plugin in reversed(self._begun):
             try:
@@ -352,16 +359,16 @@ class Host(StrictAttributes, Runnable):
         if self._server is not None:
             self._server.close()
         if interrupted is not None and self._thread is None:
-            raise interrupted  # in the caller's thread it may be the user's Ctrl-C
+            raise interrupted  # in the caller's thread, this may be the user's Ctrl-C
 
-    # -- rounds ----------------------------------------------------------------------------------------
+    # -- ticks -----------------------------------------------------------------------------------------
 
     def _serve(self) -> None:
         service, server = self._service, self._server
         assert server is not None
         try:
             while True:
-                # First, also at the end: what was written last may be the command to stop.
+                # First, even at the end: the last written values may be the command to stop.
                 self._call_plugins()
                 if not self._stops():
                     self._wait_for_tick(service, server)
@@ -373,7 +380,7 @@ class Host(StrictAttributes, Runnable):
                     server.send(client, reply)
                 server.resume()
         except BaseException as error:
-            self.failure = HostFailed(f"the host ended by {type(error).__name__}: {error}")
+            self.failure = HostFailed(f"the host ended because of {type(error).__name__}: {error}")
             self.failure.__cause__ = error
             raise
         finally:
@@ -384,7 +391,7 @@ class Host(StrictAttributes, Runnable):
             try:
                 plugin.periodic(self.tick)
             except BaseException as error:
-                # In the caller's thread a KeyboardInterrupt or SystemExit may come from a signal handler.
+                # In the caller's thread, a KeyboardInterrupt or SystemExit may come from a signal handler.
                 if self._thread is None and not isinstance(error, Exception):
                     raise
                 self._fail(plugin, error)
@@ -393,18 +400,18 @@ class Host(StrictAttributes, Runnable):
 
     def _fail(self, plugin: Plugin, error: BaseException) -> None:
         self._failed.append(plugin.name)
-        # A new list, since the old one is just being gone through.
+        # A new list, because the caller is iterating over the old one.
         self._running = [other for other in self._running if other is not plugin]
         if plugin.is_critical:
             _log.exception("critical plugin %s failed in periodic; the host ends", plugin.name)
             self.failure = PluginFailed(plugin.name, "periodic", error)
             self._is_stopping = True
         else:
-            _log.exception("plugin %s failed in periodic; the host goes on without it", plugin.name)
+            _log.exception("plugin %s failed in periodic; the host continues without it", plugin.name)
 
     def _wait_for_tick(self, service: Service, server: Server) -> None:
         if self._pacing == "lockstep":
-            # No deadline: in lockstep time stands still until a request comes; `stop` wakes it.
+            # No deadline: in lockstep, time does not advance until a request arrives; `stop` wakes the host.
             server.serve(None, lambda: self._is_stopping or service.is_asked)
             return
         if self._pacing == "free":
@@ -415,8 +422,8 @@ class Host(StrictAttributes, Runnable):
         server.serve(due, self._stops)
         if self._synchronized and not self._stops():
             began = clock.now()
-            # The one writer is waited for one period at most; the original waits a thousand (docs/protocols/rhd.md,
-            # Defects, 9).
+            # Wait for the only writer for at most one period. The original waits for a thousand periods
+            # (docs/protocols/rhd.md, Defects, 9).
             server.serve(due + self.period, lambda: self._is_stopping or service.writers != 1 or service.is_asked)
             schedule.postpone(clock.now() - began)
         schedule.came(clock.now())
@@ -425,22 +432,22 @@ class Host(StrictAttributes, Runnable):
         return self._is_stopping
 
     def _simulated_time(self) -> TimeStamp:
-        """The time in lockstep: that of the ticks."""
+        """Return the time in lockstep, which is derived from the ticks."""
         return TimeStamp(*divmod(round(self.tick * self.period * 1e6), 1_000_000))
 
 
 def _checked(plugins: Iterable[Plugin]) -> list[Plugin]:
-    """The plugins as a list, each of them one, and none twice."""
+    """Check that each item is a plugin and that none is given twice; return the plugins as a list."""
     if isinstance(plugins, Plugin):
-        raise BadValue(f"plugins={plugins!r}; expected a list of them: [{type(plugins).__name__}(...)]")
+        raise BadValue(f"plugins={plugins!r}; expected a list of plugins: [{type(plugins).__name__}(...)]")
     try:
         checked = list(plugins)
     except TypeError:
         raise BadValue(f"plugins={plugins!r}; expected a list of plugins") from None
     for plugin in checked:
         if not isinstance(plugin, Plugin):
-            raise BadValue(f"{plugin!r} is no plugin; expected instances of classes that derive from rhdlink.Plugin")
+            raise BadValue(f"{plugin!r} is not a plugin; expected instances of classes derived from rhdlink.Plugin")
         check_methods(plugin)
     if len(set(map(id, checked))) != len(checked):
-        raise BadValue("a plugin is given twice")
+        raise BadValue("plugins contains a plugin twice; expected each plugin once")
     return checked

@@ -15,16 +15,16 @@ from .config import Element
 
 #: Methods that a host calls.
 _CALLED = ("init", "periodic", "terminate")
-#: Similarity, 0 to 1, from which on the name of a method is taken for a misspelt one of `Plugin`.
+#: Similarity, 0 to 1, above which the name of a method counts as a misspelling of a method of `Plugin`.
 _MISSPELT = 0.75
 
 
 class PluginHost(Protocol):
-    """What runs a plugin, as the plugin sees it: a `Host`, or a mission that runs plugins without one."""
+    """Interface of the object that runs a plugin: a `Host`, or a mission that runs plugins without a host."""
 
     @property
     def database(self) -> Database:
-        """The variables of all plugins."""
+        """Variables of all plugins."""
 
     @property
     def period(self) -> float:
@@ -32,22 +32,22 @@ class PluginHost(Protocol):
 
     @property
     def tick(self) -> int:
-        """Number of the round, as clients receive it."""
+        """Number of the tick, as clients receive it."""
 
     @property
     def writers(self) -> int:
-        """How many clients may write: 0 when the robot has lost its master."""
+        """Number of clients that may write; 0 if the robot has lost its master."""
 
     @property
     def plugins(self) -> Sequence[Plugin]:
-        """The plugins that it runs, in the order in which they are initialised."""
+        """Plugins that it runs, in the order of initialisation."""
 
     def stop(self) -> object:
-        """End in order, after the tick that is running."""
+        """End properly, after the current tick."""
 
 
 class Plugin(Declarations):
-    """A part of a robot; subclass it::
+    """A part of a robot. To define one, derive a class::
 
         class Battery(Plugin):
             battcapacity = Read(Int32, unit="mAh")
@@ -58,17 +58,20 @@ class Plugin(Declarations):
                 if self.is_updated(Battery.calibratebattery):
                     calibrate()
 
-    The variables are declared as a program declares them, seen from there: `Read` ones are set here and `Write` ones
-    read. Those that another plugin has made already are shared with it. They are for the three methods below, which the
-    host calls in its own thread, one plugin after another; each call holds up the tick, so what takes long belongs in a
-    thread of the plugin's own. A plugin must have `periodic`, even if that does nothing; the other two are optional.
+    The variables are declared as in a client program, and seen from there: the plugin sets `Read` variables and reads
+    `Write` variables. If another plugin has already created a variable, both plugins share it.
+
+    The host calls the three methods below in its own thread, one plugin after the other, and only they may use the
+    variables. Each call delays the tick, so long tasks need a separate thread of the plugin. A plugin must have
+    `periodic`, even if that does nothing; the other two methods are optional.
 
     Attributes:
-        name: for messages; by default that of the class in small letters, and in a file that of the element.
-        is_critical: whether the host ends, in order, when the plugin raises, or goes on without it.
-        safety: 0, or a rank. Plugins with a rank are initialised last, and run last, the highest after all others, so
-            that they have the last word on what the others have set.
-        host: that runs it, from `init` on.
+        name: Name used in messages; by default the class name in lower case, or in a file the name of the element.
+        is_critical: Whether the host ends, properly, when the plugin raises an exception. Otherwise the host continues
+            without the plugin.
+        safety: Rank, or 0. Plugins with a rank are initialised last. They also run last, the highest rank at the very
+            end, so that they can override the values that other plugins have set.
+        host: Host that runs the plugin, available in `init` and later.
     """
 
     name: str = ""
@@ -81,30 +84,30 @@ class Plugin(Declarations):
         refuse_hiding(cls, Plugin)
 
     def init(self, config: Element) -> None:
-        """Begin: open devices, set first values. Further variables can be made in `host.database` here and only here.
+        """Begin: open devices, set first values. Only here can the plugin create more variables in `host.database`.
 
         Args:
-            config: the plugin's element of `rhdconfig.xml`; an empty one if it comes from no file.
+            config: Element of the plugin in `rhdconfig.xml`; an empty element if there is no file.
         """
 
     def periodic(self, tick: int) -> None:
-        """Read what the program has written, and set what it is to know.
+        """Read the variables that programs have written, and set the variables for them.
 
         Args:
-            tick: the number of the round that clients were sent last; 0 in the first call.
+            tick: Number of the last tick that was sent to clients; 0 in the first call.
         """
 
     def terminate(self) -> None:
-        """End: stop the motors, close devices. Called once for each plugin whose `init` returned, last one first."""
+        """End: stop the motors, close devices. Called once for each plugin whose `init` returned, in reverse order."""
 
     def is_updated(self, declaration: Declaration[Any, Any]) -> bool:
-        """Whether a program has written the variable, be it the same value, since the last `periodic`.
+        """Whether a program has written the variable since the last `periodic`, even with the same value.
 
         Args:
-            declaration: of this class: ``self.is_updated(Battery.calibratebattery)``.
+            declaration: Declaration of this class: ``self.is_updated(Battery.calibratebattery)``.
 
         Raises:
-            NotThere: an optional one that there is not.
+            NotThere: If the variable is optional and does not exist.
         """
         table, identity = self._place(declaration)
         return bool(table.updated[identity])

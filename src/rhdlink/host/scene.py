@@ -1,8 +1,8 @@
-"""The objects in a turtle's world: tape on the floor, which line sensors see, and walls.
+"""Objects in a turtle's world: walls, and tape on the floor that line sensors see.
 
-Both are made of straight pieces. They come from points, or from an SVG drawing: its lines, polylines, polygons,
-rectangles and paths are tape as wide as their strokes, black or white by the stroke's colour; those whose `class`
-contains "wall" are walls.
+Both consist of straight pieces. They are defined by points, or by an SVG drawing. Lines, polylines, polygons,
+rectangles and paths of a drawing are tape of the width of their strokes, and the colour of the stroke makes it black or
+white. Elements whose `class` contains "wall" are walls.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from .config import Element, parse_xml, read_file
 
 Point = tuple[float, float]
 
-#: Pieces of tape and of walls; beyond it no step would take less than a tick.
+#: Maximum number of pieces of tape and walls; with more, a step would take longer than a tick.
 MOST_PIECES = 5000
-#: Walls up to which one after the other is quicker than all at once.
+#: Number of walls up to which a loop is faster than arrays.
 _FEW = 20
-#: m across the spot that a line sensor sees.
+#: Diameter of the spot that a line sensor sees, in m.
 _SPOT = 0.01
-#: Straight pieces that a curve is cut into.
+#: Number of straight pieces that replace a curve.
 _CURVE = 24
-#: m, width of a tape by default: the usual insulating tape is twice 19 mm. Line sensors are 2 cm apart.
+#: Default width of a tape, in m: the usual insulating tape is twice 19 mm. Line sensors are 2 cm apart.
 _WIDTH = 0.038
 
 
@@ -41,9 +41,9 @@ class Tape:
     """A line on the floor.
 
     Attributes:
-        points: its middle, m; at least two.
-        width: m.
-        brightness: 0 for black, 1 for white.
+        points: Points on its centre line, in m; at least two.
+        width: Width in m.
+        brightness: Brightness from 0 for black to 1 for white.
     """
 
     points: tuple[Point, ...]
@@ -54,7 +54,9 @@ class Tape:
         if len(self.points) < 2:
             raise BadValue("a tape needs at least two points")
         if not (0.0 < self.width < math.inf and 0.0 <= self.brightness <= 1.0):
-            raise BadValue(f"a tape of {self.width} m and brightness {self.brightness}; expected > 0 and 0 to 1")
+            raise BadValue(
+                f"a tape has width {self.width} m and brightness {self.brightness}; expected > 0 m, and 0 to 1"
+            )
         _check(self.points)
 
 
@@ -62,12 +64,12 @@ class Scene:
     """Tape on the floor, and walls.
 
     Args:
-        tapes: each lies on those before it.
-        walls: lines of points, m.
-        floor: brightness of the floor.
+        tapes: Tapes; each one covers the tapes before it.
+        walls: Lines of points, in m.
+        floor: Brightness of the floor.
 
     Raises:
-        BadValue: points that are not numbers, or too many pieces.
+        BadValue: If points are not numbers, or there are too many pieces.
     """
 
     def __init__(
@@ -79,12 +81,12 @@ class Scene:
         for wall in self.walls:
             _check(wall)
         if sum(len(each) for each in (*self.walls, *(tape.points for tape in self.tapes))) > MOST_PIECES:
-            raise BadValue(f"more than {MOST_PIECES} pieces of tape and walls")
+            raise BadValue(f"too many pieces of tape and walls; the maximum is {MOST_PIECES}")
         self._pieces = [_Segments([tape.points]) for tape in self.tapes]
         self._walls = _Segments(self.walls)
 
     def brightness(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """The brightness that a line sensor sees at each of some points, shape (n, 2): 0 for black, 1 for white."""
+        """Return the brightness that a line sensor sees at points of shape (n, 2): 0 for black, 1 for white."""
         seen = np.full(len(points), self.floor)
         for tape, pieces in zip(self.tapes, self._pieces, strict=True):
             inside = tape.width / 2 - pieces.distance(points)
@@ -93,34 +95,35 @@ class Scene:
         return seen
 
     def wall(self, x: float, y: float, angle: float) -> float:
-        """Metres from a place to the next wall in a direction; inf where there is none."""
+        """Return the distance in metres from a place to the next wall in a direction; inf if there is none."""
         return self._walls.hit(x, y, math.cos(angle), math.sin(angle))
 
     def blocked(self, x: float, y: float, dx: float, dy: float) -> float:
-        """The part of a path that can be driven before a wall, or more than 1."""
+        """Return the fraction of a path that can be driven before a wall is met; it may exceed 1."""
         return self._walls.hit(x, y, dx, dy)
 
     @classmethod
     def from_svg(cls, path: str | os.PathLike[str], size: float = 11.0) -> Scene:
-        """The scene of a drawing.
+        """Return the scene of a drawing.
 
         Args:
-            path: an SVG file. Its view box becomes the world: as wide as `size`, and its lower left corner the origin.
-            size: m.
+            path: Path of an SVG file. Its view box becomes the world, with the width `size` and the origin in its lower
+                left corner.
+            size: Width of the world, in m.
 
         Raises:
-            BadValue: it cannot be read, is not a drawing, or has too many pieces.
+            BadValue: If the file cannot be read, is not a drawing, or has too many pieces.
         """
         return _drawn(parse_xml(read_file(path), Path(path).name), size)
 
 
 def _check(points: Sequence[Point]) -> None:
     if not all(math.isfinite(x) and math.isfinite(y) for x, y in points):
-        raise BadValue("a point that is no number")
+        raise BadValue("a point is not finite; expected finite numbers in m")
 
 
 class _Segments:
-    """Straight pieces, as arrays."""
+    """Straight pieces as arrays."""
 
     def __init__(self, lines: Iterable[Sequence[Point]]) -> None:
         pieces = [(a, b) for line in lines for a, b in pairwise(line)]
@@ -131,7 +134,7 @@ class _Segments:
         self._few = np.hstack((self._start, self._way))[:_FEW].tolist()
 
     def distance(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """From each of some points to the nearest piece, m."""
+        """Return the distance from each of some points to the nearest piece, in m."""
         to = points[:, None] - self._start
         part = np.clip((to * self._way).sum(axis=2) / self._squared, 0.0, 1.0)
         away = to - part[..., None] * self._way
@@ -139,7 +142,7 @@ class _Segments:
         return nearest
 
     def hit(self, x: float, y: float, dx: float, dy: float) -> float:
-        """How many times (dx, dy) can be gone from a place before a piece is met; inf where none is."""
+        """Return how often (dx, dy) can be added to a place before a piece is met; inf if there is none."""
         if len(self._few) == len(self._start):
             return self._hit_few(x, y, dx, dy)
         to_x, to_y = self._start[:, 0] - x, self._start[:, 1] - y
@@ -152,7 +155,7 @@ class _Segments:
         return float(met.min()) if len(met) else math.inf
 
     def _hit_few(self, x: float, y: float, dx: float, dy: float) -> float:
-        """As `hit`. Up to a score of pieces this is quicker than arrays."""
+        """Do the same as `hit`. For up to about 20 pieces, this is faster than arrays."""
         nearest = math.inf
         for start_x, start_y, way_x, way_y in self._few:
             across = dx * way_y - dy * way_x
@@ -166,15 +169,15 @@ class _Segments:
 
 
 def _drawn(root: Element, size: float) -> Scene:
-    """The scene of an SVG drawing."""
+    """Return the scene of an SVG drawing."""
     if root.tag.rpartition(":")[2] != "svg":
-        root.reject("a drawing begins with <svg>")
+        root.reject("the root element of a drawing must be <svg>")
     box = [float(each) for each in _NUMBER.findall(root.attributes.get("viewBox", ""))]
     if len(box) != 4:
         box = [0.0, 0.0, root.number("width", size), root.number("height", size)]
     left, top, width, height = box
     if not width > 0.0:
-        root.reject("its view box has no width")
+        root.reject("the view box has no width")
     scale = size / width
     tapes, walls = [], []
     for element in _all(root):
@@ -182,7 +185,7 @@ def _drawn(root: Element, size: float) -> Scene:
         for points in _shape(element):
             if len(points) < 2:
                 continue
-            # In a drawing y points down.
+            # In a drawing, y points down.
             placed = tuple(((x - left) * scale, (top + height - y) * scale) for x, y in points)
             if is_wall:
                 walls.append(placed)
@@ -203,7 +206,7 @@ def _all(element: Element) -> Iterator[Element]:
 
 
 def _style(element: Element, name: str) -> str:
-    """A property of an element, from its style or from an attribute; "" if there is neither."""
+    """Return a property of an element, from its style or from an attribute; "" if there is neither."""
     for entry in element.attributes.get("style", "").split(";"):
         key, _, value = entry.partition(":")
         if key.strip() == name:
@@ -215,7 +218,7 @@ def _width(element: Element, scale: float) -> float:
     text = _style(element, "stroke-width")
     found = _NUMBER.match(text)
     if text and found is None:
-        element.reject(f"its stroke-width {text!r} is no number")
+        element.reject(f"stroke-width={text!r} is not a number")
     width = float(found.group()) * scale if found else _WIDTH
     return width if width > 0.0 else _WIDTH
 
@@ -225,7 +228,7 @@ def _brightness(element: Element) -> float:
 
 
 def _shape(element: Element) -> Iterator[list[Point]]:
-    """The lines of an element; no lines of one that is not a shape."""
+    """Yield the lines of an element; none if it is not a shape."""
     tag = element.tag.rpartition(":")[2]
     if tag == "line":
         yield [(element.number(f"x{n}", 0.0), element.number(f"y{n}", 0.0)) for n in (1, 2)]
@@ -244,12 +247,12 @@ def _shape(element: Element) -> Iterator[list[Point]]:
         yield from _path(element)
 
 
-#: Numbers that each command of a path takes.
+#: Count of numbers that each command of a path takes.
 _TAKEN = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "Q": 4, "Z": 0}
 
 
 def _path(element: Element) -> Iterator[list[Point]]:
-    """The lines of a path: moves, straight lines and Bezier curves."""
+    """Yield the lines of a path: moves, straight lines and Bezier curves."""
     words = _COMMAND.findall(element.attributes.get("d", ""))
     line: list[Point] = []
     x = y = 0.0
@@ -259,17 +262,17 @@ def _path(element: Element) -> Iterator[list[Point]]:
             command = words[place]
             place += 1
         elif command.upper() in ("", "Z"):
-            element.reject("its path has numbers where a command is expected")
+            element.reject("the path contains numbers instead of a command")
         kind = command.upper()
         count = _TAKEN.get(kind)
         if count is None:
-            element.reject(f"its path has the command {command}; M, L, H, V, C, Q and Z can be read")
+            element.reject(f"the path contains the command {command}; expected one of M, L, H, V, C, Q and Z")
         try:
             numbers = [float(word) for word in words[place : place + count]]
         except ValueError:
             numbers = []
         if len(numbers) < count:
-            element.reject(f"its path ends within the command {command}")
+            element.reject(f"the path ends within the command {command}")
         place += count
         if command.islower():
             numbers = [number + (y if kind == "V" or index % 2 else x) for index, number in enumerate(numbers)]
@@ -293,7 +296,7 @@ def _path(element: Element) -> Iterator[list[Point]]:
 
 
 def _curve(controls: Sequence[Point]) -> Iterator[Point]:
-    """A Bezier curve behind its first point, by repeated interpolation."""
+    """Yield the points of a Bezier curve after its first point, by repeated interpolation."""
     for step in range(1, _CURVE + 1):
         part = step / _CURVE
         points = list(controls)

@@ -1,9 +1,10 @@
-"""The ticks of a host, when each is due and how late it came, and its connections, which are served between two ticks.
+"""Ticks of a host, when each is due and how late it is, and its connections, which are served between two ticks.
 
-What `service` decides goes over linkcore's selector loop, and never longer than to the next tick. Nothing here waits
-for a client. What a client has not read waits in memory, its handshake or one batch, since it is asked for no more
-until it has read that. A client has `client_timeout` seconds to complete what it has begun to send, and to read what
-was sent to it; more bytes of the same request do not buy it more time.
+The bytes of `service` are sent and received with linkcore's selector loop, at most until the next tick. No code here
+waits for a client. Data that a client has not read are kept in memory. These are at most its handshake or one batch,
+because no more requests of the client are processed until it has read them. A client has `client_timeout` seconds to
+complete a message that it has begun to send, and to read data sent to it. More bytes of the same request do not extend
+this time.
 """
 
 from __future__ import annotations
@@ -19,26 +20,26 @@ from linkcore.net.loop import Connection, Handler, SelectorLoop
 
 from .service import Client, Service
 
-#: Ticks whose lateness is remembered for its percentiles.
+#: Number of ticks whose delay is stored for the percentiles.
 _REMEMBERED = 4096
 
 
 class TickSchedule:
-    """Ticks at a period.
+    """Ticks at a fixed period.
 
-    Each is due at its own absolute time, so that lateness does not add up. A tick that comes more than a period late
-    is counted as an overrun; the whole periods that it missed are skipped and counted, and not made up for, since a
-    robot that gets three ticks in a row would take three steps at once.
+    Each tick is due at its own absolute time, so that delays do not add up. A tick that is more than a period late
+    counts as an overrun. The whole periods that it missed are skipped and counted, but not repeated, because a robot
+    that gets three ticks in a row would take three steps at once.
 
     Args:
-        period: seconds.
-        now: when it begins.
+        period: Period in seconds.
+        now: Time of the beginning.
 
     Attributes:
-        due: when the next tick is due.
-        overruns: ticks that came more than a period late.
-        skipped: periods without a tick.
-        worst: seconds by which the latest of all came after it was due.
+        due: Time when the next tick is due.
+        overruns: Number of ticks that were more than a period late.
+        skipped: Number of periods without a tick.
+        worst: Longest delay of a tick, in seconds.
     """
 
     def __init__(self, period: float, now: float) -> None:
@@ -50,16 +51,16 @@ class TickSchedule:
         self._late: deque[float] = deque(maxlen=_REMEMBERED)
 
     def advance(self) -> float:
-        """Go on to the next tick; when it is due."""
+        """Advance to the next tick, and return the time when it is due."""
         self.due += self._period
         return self.due
 
     def postpone(self, seconds: float) -> None:
-        """The tick is waited for by the host, and is not late because of that."""
+        """Postpone the tick, because the host waits for it on purpose; it does not count as late then."""
         self.due += max(seconds, 0.0)
 
     def came(self, now: float) -> None:
-        """The tick has come."""
+        """Record that the tick has come."""
         late = now - self.due
         self._late.append(late)
         self.worst = max(self.worst, late)
@@ -70,8 +71,8 @@ class TickSchedule:
             self.due += periods * self._period
 
     def lateness(self) -> tuple[float, float]:
-        """Seconds, of the last 4096 ticks: the median, and what one in a hundred exceeds. From any thread."""
-        # The host's thread may be adding to it. A deque is copied in one go, where going through it would fail then.
+        """Return the median and the 99th percentile of the last 4096 delays, in seconds. Callable from any thread."""
+        # The host's thread may be adding to the deque. Copying it is a single step, but iterating would fail then.
         late = list(self._late.copy())
         if not late:
             return 0.0, 0.0
@@ -81,26 +82,26 @@ class TickSchedule:
 
 _log = logging.getLogger(__name__)
 
-#: Connections that may be in the middle of their handshake; the oldest goes when there are more.
+#: Maximum number of connections in the middle of their handshake; if there are more, the oldest is closed.
 MOST_NEW = 32
 
 
 class Server:
-    """Listens, and carries bytes between the connections and a service.
+    """Listens on a port, and transfers bytes between connections and a service.
 
     Args:
-        service: what the bytes mean.
-        host: address to listen on.
-        port: number, or 0 for a free one.
-        client_timeout: seconds that a client may leave something half sent or unread.
-        inactivity_timeout: seconds without a request after which a reader may lose its slot to a newcomer.
+        service: Service that interprets the bytes.
+        host: Address to listen on.
+        port: Port number; 0 for a free one.
+        client_timeout: Time, in seconds, that a client may leave a message incomplete or unread.
+        inactivity_timeout: Time without a request, in seconds, after which a reader may lose its slot to a new client.
 
     Attributes:
-        port: the number listened on.
-        evicted: readers that lost their slot.
+        port: Port number that it listens on.
+        evicted: Number of readers that lost their slot.
 
     Raises:
-        BadAddress: that cannot be listened on.
+        BadAddress: If it cannot listen on the address.
     """
 
     def __init__(
@@ -113,8 +114,8 @@ class Server:
         self._inactivity_timeout = inactivity_timeout
         self._handlers: dict[Client, _ClientHandler] = {}
         self._loop = SelectorLoop()
-        # The service knows its slots and which clients idle. `_accept` refuses a client where no slot is free, and at
-        # most MOST_NEW are in their handshake: there are fewer connections than the limit, so the loop refuses none.
+        # The service counts its slots and knows idle clients. `_accept` refuses a client if no slot is free, and at
+        # most MOST_NEW clients are in their handshake. Therefore the loop's own limit is never reached.
         try:
             listening = self._loop.listen(
                 host,
@@ -130,28 +131,30 @@ class Server:
         self.port = listening.number
 
     def wake(self) -> None:
-        """End a `serve` that waits; from any thread, and from signal handlers."""
+        """End a waiting `serve`; callable from any thread, and from signal handlers."""
         self._loop.wake()
 
     def serve(self, until: float | None, is_enough: Callable[[], bool]) -> None:
-        """Serve sockets until the monotonic time `until`, or until it is enough, whichever comes first.
+        """Serve sockets until the monotonic time `until`, or until `is_enough` returns true, whichever comes first.
 
-        What has come already is looked at once in any case.
+        Data that have already arrived are processed once in any case.
         """
-        # First without waiting: it may be enough already, by a request that was sent ahead of the reply before it.
+        # First without waiting: a request that was sent ahead of the previous reply may already be enough.
         self._loop.serve_once(self._loop.time())
         while not is_enough() and (until is None or self._loop.time() < until):
             self._loop.serve_once(until)
 
     def send(self, client: Client, data: bytes) -> None:
-        """Send a reply, now what the connection takes, and later what it does not; `resume` has to follow."""
+        """Send a reply, immediately as far as the connection accepts it, and the rest later; then call `resume`."""
         handler = self._handlers.get(client)
         if handler is not None:
             handler.send(data)
 
     def resume(self) -> None:
-        """After a sync and its replies: read again from clients that had sent ahead, give time to those that did not
-        read, and close those that sent invalid data.
+        """Update all clients after a sync and its replies.
+
+        Read again from clients that had sent ahead, restart the time of clients that did not read, and close clients
+        that sent invalid data.
         """
         for handler in list(self._handlers.values()):
             handler.update()
@@ -166,15 +169,15 @@ class Server:
             self._evict()
         client = self._service.connect(connection.name)
         if client is None:
-            # Closed at once and without a byte, as the original does (docs/protocols/rhd.md, Handshake).
+            # Closed immediately and without a byte, as in the original (docs/protocols/rhd.md, Handshake).
             return None
         new = [handler for handler in self._handlers.values() if handler.client.access is None]
         if len(new) >= MOST_NEW:
-            new[0].close("too many in the middle of a handshake")
+            new[0].close("too many clients in the middle of a handshake")
         return _ClientHandler(self, connection, client)
 
     def _evict(self) -> None:
-        """Take the slot of the reader whose last request is the longest ago, if that is long enough."""
+        """Free the slot of the reader with the oldest last request, if that request is old enough."""
         readers = [handler for client, handler in self._handlers.items() if client.access == "r"]
         if not readers:
             return
@@ -182,14 +185,14 @@ class Server:
         idle = self._loop.time() - idlest.asked
         if idle >= self._inactivity_timeout:
             self.evicted += 1
-            idlest.close(f"asked for nothing for {idle:.0f} s, and its slot is needed")
+            idlest.close(f"sent no request for {idle:.0f} s, and its slot is needed")
 
 
 class _ClientHandler(Handler):
-    """One connection.
+    """Handler of one connection.
 
     Attributes:
-        asked: when its newest request, or its handshake, was complete, on the loop's clock; not before its handshake.
+        asked: Time of its last complete request, or of its handshake, on the loop's clock; unset before the handshake.
     """
 
     asked: float
@@ -223,10 +226,10 @@ class _ClientHandler(Handler):
     def send(self, data: bytes) -> None:
         self.connection.write(data)
         if self.connection.pending:
-            self.client.is_reading = False  # the service asks for no more while this waits
+            self.client.is_reading = False  # the service asks for no more while data are pending
 
     def update(self) -> None:
-        """Do what the client's state asks for: close it, read from it or not, let its time run or not."""
+        """Act on the client's state: close it, read from it or not, and start or stop its timeout."""
         client, connection = self.client, self.connection
         if not connection.is_open:
             return
@@ -237,10 +240,10 @@ class _ClientHandler(Handler):
         if client.requests != self._requests:
             self._requests, self.asked = client.requests, self._time()
         lacking = (
-            "did not read" if not client.is_reading else "left something half sent" if client.is_incomplete else ""
+            "did not read" if not client.is_reading else "left a message incomplete" if client.is_incomplete else ""
         )
-        # Time begins with the first byte of a request, and bytes that follow do not begin it anew: a client that sends
-        # one byte now and then would hold its connection for ever.
+        # The time starts with the first byte of a request, and later bytes do not restart it. Otherwise a client that
+        # sends one byte from time to time would keep its connection forever.
         if lacking == self._lacking:
             return
         self._lacking = lacking
@@ -251,11 +254,11 @@ class _ClientHandler(Handler):
             connection.clear_deadline()
 
     def close(self, reason: str) -> None:
-        """Close the connection, and give its slot to others at once."""
+        """Close the connection, and release its slot immediately."""
         self.connection.close(reset=True, reason=reason)
         self.leave()
 
     def leave(self) -> None:
-        """The client is gone. Idempotent."""
+        """Remove the client, which has disconnected. Idempotent."""
         if self._server._handlers.pop(self.client, None) is not None:
             self._server._service.disconnect(self.client)

@@ -1,8 +1,8 @@
-"""A variable database served to many clients, sans-IO: which of them may write, and what each is sent.
+"""A variable database served to many clients, sans-IO: which clients may write, and what each client is sent.
 
-`Server` brings the bytes of each connection and takes the replies away. A request is answered at the next `sync`, as by
-the original: what it writes is seen by the plugins in the round that follows, and what they set then goes out with the
-reply after it (docs/protocols/rhd.md, Server tick).
+`Server` delivers the bytes of each connection and sends the replies. A request is answered at the next `sync`, as in
+the original. Plugins see the written values in the tick that follows, and the values that they set then are part of the
+next reply (docs/protocols/rhd.md, Server tick).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from ..wire.schema import WORD
 
 _log = logging.getLogger(__name__)
 
-#: The read variables in a reply: those set since the client's last one, or, as in the original, all that
-#: were ever set.
+#: Read variables in a reply: variables that were set since the client's last reply, or, as in the original, all
+#: variables that were ever set.
 Resend = Literal["changed", "original"]
 
-#: Bytes kept of a client that sends ahead of the replies.
+#: Maximum number of bytes stored for a client that sends ahead of the replies.
 AHEAD = 4096
 
 
@@ -36,16 +36,16 @@ class Client:
     """One client.
 
     Attributes:
-        name: address and port, for messages.
-        slot: number of its slot, None until access has been granted and after it has gone.
-        access: "r" or "w" once it has been granted.
-        request: what it asks for, until the next sync; None if nothing is complete.
-        requests: how many requests it has completed.
-        refused_writes: values that it sent without the right to.
-        failure: why its connection is to be closed, or None.
-        is_reading: whether it has taken all that was sent to it; until then it gets no more.
-        dirty_read: the read variables that it has not been sent yet; there once access has been granted.
-        dirty_write: likewise the write variables, set by others.
+        name: Address and port, used in messages.
+        slot: Number of its slot; None until access has been granted, and after it has disconnected.
+        access: Granted access, "r" or "w"; None before.
+        request: Request for the next sync; None if no request is complete.
+        requests: Number of requests that it has completed.
+        refused_writes: Number of values that it sent without permission to write.
+        failure: Reason why its connection must be closed, or None.
+        is_reading: Whether it has read all sent data; if not, nothing more is sent.
+        dirty_read: Read variables that it has not been sent yet; exists after access has been granted.
+        dirty_write: The same for write variables that other clients have set.
     """
 
     dirty_read: DirtySet
@@ -64,7 +64,7 @@ class Client:
 
     @property
     def is_incomplete(self) -> bool:
-        """Whether a handshake or a request is begun and not complete."""
+        """Whether a handshake or a request has begun and is not complete."""
         return self.access is None or (self.request is None and self.decoder.waiting > 0)
 
     @property
@@ -74,7 +74,7 @@ class Client:
 
     @property
     def may_send(self) -> bool:
-        """Whether more of what it sends is to be read, with one request complete."""
+        """Whether more of its data should be read while one request is complete."""
         return self.request is None or self.decoder.waiting <= AHEAD
 
 
@@ -82,20 +82,20 @@ class Service:
     """Serves one database.
 
     Args:
-        database: the variables; frozen from now on.
-        clients: how many may be connected.
-        allwriters: whether every client that asks for it may write, rather than the first only.
-        resend: what of the read variables a reply holds.
-        width: words of a time stamp, 2 or 4; that of all clients, since their requests do not show it.
-        limits: what a client may ask for; by default no more than all write variables at once, and a little.
+        database: Variables; frozen from now on.
+        clients: Maximum number of connected clients.
+        allwriters: Whether every client that asks for it may write, rather than only the first one.
+        resend: Read variables in a reply: "changed" or "original".
+        width: Words of a time stamp, 2 or 4. It applies to all clients, because their requests do not show it.
+        limits: Limits of a request; by default slightly more than all write variables at once.
 
     Attributes:
-        refused_writes: values sent by clients that may not write, and not taken.
-        refused_clients: connections for which there was no slot.
-        bad_clients: connections closed because of what they sent.
+        refused_writes: Number of rejected values from clients that may not write.
+        refused_clients: Number of connections without a free slot.
+        bad_clients: Number of connections that were closed because of invalid data.
 
     Raises:
-        BadValue: no such width, or no slots.
+        BadValue: If the width is invalid, or there are no slots.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Service:
         self._allwriters = allwriters
         self._resend = resend
         self._width = width
-        # All variables once, and a kilobyte of empty packages: a longer batch is not needed, and not parsed.
+        # All variables once, and a kilobyte of empty packages. A longer batch is not needed, and is not parsed.
         layout = database.write.layout
         self._limits = limits or Limits(batch=WORD * (256 + layout.words + layout.count * (1 + width)))
         ClientDecoder(layout, width=width, limits=self._limits)
@@ -129,12 +129,12 @@ class Service:
 
     @property
     def clients(self) -> list[Client]:
-        """The clients that have been granted access, by slot."""
+        """Clients that have been granted access, in the order of their slots."""
         return [client for client in self._slots if client is not None]
 
     @property
     def slots(self) -> int:
-        """How many clients may be connected."""
+        """Maximum number of connected clients."""
         return len(self._slots)
 
     @property
@@ -144,17 +144,20 @@ class Service:
 
     @property
     def most_output(self) -> int:
-        """Bytes that can wait for one client: a handshake. No batch is longer, and none is made before it has gone."""
+        """Maximum number of pending bytes for one client: the size of a handshake.
+
+        No batch is longer, and no batch is made before the handshake is sent.
+        """
         return len(self._database.encode_handshake("r", self._width))
 
     @property
     def writers(self) -> int:
-        """How many of them may write: `isMasterAlive` of the original."""
+        """Number of clients that may write: `isMasterAlive` of the original."""
         return sum(client.access == "w" for client in self.clients)
 
     @property
     def is_asked(self) -> bool:
-        """Whether the sole writer asks for the next tick; or any client, while there is none."""
+        """Whether the only writer requests the next tick, or any client while there is no writer."""
         sole = self._sole_writer
         if sole is not None:
             return sole.is_asking
@@ -162,23 +165,23 @@ class Service:
 
     @property
     def _sole_writer(self) -> Client | None:
-        """The client that may write, if no other one may."""
+        """Client that may write, if no other client may."""
         writers = [client for client in self.clients if client.access == "w"]
         return writers[0] if len(writers) == 1 else None
 
     # -- connections -----------------------------------------------------------------------------------
 
     def connect(self, name: str) -> Client | None:
-        """A client has connected; None if there is no slot for it."""
+        """Return a new client for a connection; None if there is no slot for it."""
         if self.is_full:
             self.refused_clients += 1
             return None
         return Client(name, ClientDecoder(self._database.write.layout, width=self._width, limits=self._limits))
 
     def receive(self, client: Client, data: bytes) -> bytes:
-        """Bytes have come from a client; what is to be sent to it at once: the handshake, or nothing.
+        """Process bytes of a client; return the immediate answer, which is the handshake or nothing.
 
-        Sets `failure` of the client where it is to be closed.
+        If the client must be closed, its `failure` is set.
         """
         decoder = client.decoder
         decoder.feed(data)
@@ -193,10 +196,10 @@ class Service:
         return b""
 
     def disconnect(self, client: Client) -> None:
-        """A client is gone. What it had written completely still counts: it may be the command to stop."""
+        """Remove a client. Its complete requests still count, because one may be the command to stop."""
         if client.slot is None:
             return
-        # The slot is free at once; in the original it is at the next tick (docs/rhd-differences.md).
+        # The slot is free immediately; in the original it is free at the next tick (docs/rhd-differences.md).
         self._slots[client.slot] = None
         client.slot = None
         while client.failure is None and client.access == "w" and client.request is not None:
@@ -211,12 +214,12 @@ class Service:
             self.refused_clients += 1
             client.failure = "all slots were taken meanwhile"
             return b""
-        # A second writer becomes a reader and is sent that; the original leaves the answer out (docs/protocols/rhd.md,
+        # A second writer becomes a reader and is notified of that. The original does not answer (docs/protocols/rhd.md,
         # Defects, 7).
         client.access = "w" if wanted == "w" and (self._allwriters or not self.writers) else "r"
-        # What was set before now is news to the others only: this client gets all that with its handshake.
+        # Values set before now are news only to the other clients: this client gets all of them with its handshake.
         self._spread_dirty()
-        # The lowest free one, as in the original: replies of a round go out in the order of slots.
+        # The lowest free slot, as in the original: replies of a tick are sent in the order of slots.
         client.slot = self._slots.index(None)
         self._slots[client.slot] = client
         database = self._database
@@ -229,19 +232,19 @@ class Service:
         if request is not None:
             client.requests += 1
             if request.ready == "w" and client.access != "w":
-                # As the original does (docs/protocols/rhd.md, Access).
-                self._fail(client, "asks as a writer without being one")
+                # The original also closes the connection (docs/protocols/rhd.md, Access).
+                self._fail(client, "requests as a writer without permission to write")
 
     def _fail(self, client: Client, reason: str) -> None:
         client.failure = reason
         self.bad_clients += 1
 
-    # -- one round ------------------------------------------------------------------------------------
+    # -- one tick -------------------------------------------------------------------------------------
 
     def sync(self) -> list[tuple[Client, bytes]]:
-        """Take what clients have written, and answer one request of each client."""
+        """Take the values that clients have written, and answer one request of each client."""
         database = self._database
-        # What was written in the round before is news to the plugins no longer (docs/protocols/rhd.md, Server tick).
+        # Values written in the previous tick are no longer news to the plugins (docs/protocols/rhd.md, Server tick).
         database.write.begin_round()
         written: list[tuple[Client | None, DataPackage]] = []
         for data in self._final_writes:
@@ -251,11 +254,11 @@ class Service:
         for client in self.clients:
             if client.request is None or not client.is_reading or client.failure is not None:
                 continue
-            # One request of each client in a round: what it has sent ahead is taken in the next (Sync cycle).
+            # One request of each client per tick: requests sent ahead are taken in the next tick (Sync cycle).
             request, client.request = client.request, None
             taken.append(client)
             if request.data:
-                # Whether it asks as a reader or as a writer does not matter: a writer may ask with `rr`.
+                # It does not matter whether it requests as a reader or a writer, because a writer may send `rr`.
                 if client.access == "w":
                     for data in request.data:
                         self._write(client, data, written)
@@ -267,12 +270,12 @@ class Service:
         sole = self._sole_writer
         for author, data in written:
             for client in self.clients:
-                # The sole writer knows what it wrote (docs/protocols/rhd.md, Sync cycle).
+                # The only writer knows its own values (docs/protocols/rhd.md, Sync cycle).
                 if not (client is author and client is sole):
                     client.dirty_write.add_many(data.ids, ordered=data.selection.is_ordered)
         replies = self._replies(ready, sole)
         for client in taken:
-            # It may have sent ahead.
+            # The client may have sent ahead.
             if client.decoder.waiting:
                 try:
                     self._take_request(client)
@@ -288,12 +291,12 @@ class Service:
 
     def _refuse(self, client: Client, count: int) -> None:
         if not client.refused_writes:
-            _log.warning("%s may only read, and sends values: they are not taken", client.name)
+            _log.warning("%s: values rejected: the client may only read", client.name)
         client.refused_writes += count
         self.refused_writes += count
 
     def _spread_dirty(self) -> None:
-        """Variables that the robot has set are to be sent to every client."""
+        """Mark the variables that the robot has set as unsent for every client."""
         dirty = self._database.read.dirty.take()
         for client in self.clients:
             client.dirty_read.add_many(dirty, ordered=True)
@@ -304,7 +307,7 @@ class Service:
         ever_set = np.flatnonzero(read.updated) if self._resend == "original" else None
         replies = []
         for client in ready:
-            # What others had written before it became the sole writer waits until it is not the only one.
+            # Values that others wrote before it became the only writer stay pending until it is no longer the only one.
             own = b"" if client is sole else packages.of(write, client.dirty_write.take())
             news = client.dirty_read.take()
             ids = news if ever_set is None else ever_set
@@ -313,7 +316,7 @@ class Service:
 
 
 class _Packages:
-    """The data packages of one round, each made once, however many clients are sent it."""
+    """Data packages of one tick. Each is made only once, however many clients receive it."""
 
     def __init__(self, width: int) -> None:
         self._width = width

@@ -1,7 +1,7 @@
-"""A walled square with one robot in it: where the robot is, how it moves, the path it took, and a picture of it.
+"""A walled square with one robot in it: position and motion of the robot, its path, and a picture of it.
 
-x points to the right, y up, theta is counter-clockwise, and all are metres and radians. A picture is SVG from here,
-PNG where matplotlib is installed.
+x points to the right, y points up, and theta is counter-clockwise, in metres and radians. Pictures are written as SVG,
+or as PNG if matplotlib is installed.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from linkcore.errors import BadValue
 
 from .scene import Scene
 
-#: m that a robot keeps from a wall within the square.
+#: Distance, in m, that a robot keeps from a wall within the square.
 _GAP = 1e-4
-#: Points of the path that are kept; beyond it every other one is forgotten.
+#: Maximum number of stored points of the path; above it, every second point is deleted.
 _MOST_POINTS = 1 << 15
 
 
 class Pose(NamedTuple):
-    """A place and a heading: m, m, rad. The heading is not wrapped: two turns to the left are 4 pi."""
+    """Position and heading, in m, m and rad. The heading is not wrapped: two turns to the left are 4 pi."""
 
     x: float
     y: float
@@ -34,12 +34,12 @@ class Pose(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """What one step did.
+    """Result of one step.
 
     Attributes:
-        distance: driven forward, m; less than asked for where a wall was in the way.
-        angle: turned to the left, rad.
-        is_blocked: whether a wall was in the way.
+        distance: Distance driven forward, in m; less than requested if a wall was in the way.
+        angle: Angle turned to the left, in rad.
+        is_blocked: Whether a wall was in the way.
     """
 
     distance: float
@@ -48,25 +48,25 @@ class Moved(NamedTuple):
 
 
 class World:
-    """A square with walls, and one robot, a point, in it.
+    """A square with walls, and one robot in it, which is a point.
 
-    The step is that of the midpoint: the robot drives straight along the heading that it has half-way through the turn.
-    With it the recorded drives of the original programs are reproduced to the last digit.
+    Steps follow the midpoint rule: the robot drives straight along the heading that it has half-way through the turn.
+    With this rule, the recorded drives of the original programs are reproduced to the last digit.
 
     Args:
-        size: length of a wall, m.
-        start: where the robot stands; the middle, heading along x, by default.
-        scene: what lies and stands in it; nothing by default.
+        size: Length of a wall, in m.
+        start: Start of the robot, in m, m and rad; by default in the middle, heading along x.
+        scene: Objects in the square; none by default.
 
     Attributes:
-        size: length of a wall, m.
-        scene: what lies and stands in it.
-        start: where the robot stood.
-        odometry: where it is, seen from its start but not turned: m, m, rad; exactly zero there.
-        blocked: steps in which a wall was in the way.
+        size: See the argument `size`.
+        scene: See the argument `scene`.
+        start: Pose of the robot at the start.
+        odometry: Pose relative to the start position, without rotation, in m, m and rad; exactly zero at the start.
+        blocked: Number of steps in which a wall was in the way.
 
     Raises:
-        BadValue: no such square, or a start outside it.
+        BadValue: If the size is invalid, or the start is outside the square.
     """
 
     def __init__(
@@ -81,22 +81,22 @@ class World:
         except (TypeError, ValueError):
             raise BadValue(f"start={start!r}; expected x (m), y (m) and theta (rad)") from None
         if not all(0.0 <= place <= size for place in self.start[:2]) or not math.isfinite(self.start.theta):
-            raise BadValue(f"a start at {tuple(self.start)} is not within {size:g} x {size:g} m")
+            raise BadValue(f"start={tuple(self.start)} is not within the square of {size:g} x {size:g} m")
         self.odometry = Pose(0.0, 0.0, 0.0)
         self.blocked = 0
         self._points = [(self.start.x, self.start.y)]
-        # Metres between two points of the path: half a pixel of a picture.
+        # Distance between two points of the path, in metres: half a pixel of a picture.
         self._spacing = size / 4000.0
 
     @property
     def pose(self) -> Pose:
-        """Where the robot is in the square."""
+        """Pose of the robot in the square."""
         at, start = self.odometry, self.start
         return Pose(start.x + at.x, start.y + at.y, start.theta + at.theta)
 
     @property
     def path(self) -> npt.NDArray[np.float64]:
-        """The path that it drove, shape (n, 2), m; the first point is the start, the last where it is."""
+        """Path of the robot, shape (n, 2), in m; the first point is the start, and the last is the current position."""
         here = self.pose[:2]
         points = self._points if self._points[-1] == here else [*self._points, here]
         return np.array(points, dtype=np.float64)
@@ -117,16 +117,16 @@ class World:
         return Moved(distance, angle, free < 1.0)
 
     def wall(self, direction: float) -> float:
-        """Metres from the robot to the wall in `direction`, rad to the left of its heading."""
+        """Return the distance in metres to the wall in `direction`, in rad to the left of the heading."""
         here = self.pose
         angle = here.theta + direction
         free = min(_until(here.x, math.cos(angle), self.size), _until(here.y, math.sin(angle), self.size))
         return free if self.scene is None else min(free, self.scene.wall(here.x, here.y, angle))
 
     def brightness(self, ahead: float, aside: Sequence[float]) -> npt.NDArray[np.float64]:
-        """The brightness of the floor `ahead` m before the robot, at each of some places `aside` m to its left.
+        """Return the brightness of the floor `ahead` m before the robot, at places `aside` m to its left.
 
-        0 for black, 1 for white, as a line sensor sees it.
+        A line sensor sees 0 for black and 1 for white.
         """
         if self.scene is None:
             return np.ones(len(aside))
@@ -137,12 +137,12 @@ class World:
         return self.scene.brightness(places)
 
     def _free(self, dx: float, dy: float) -> float:
-        """The part of a path that is free of walls, 0..1."""
+        """Return the fraction of a path that is free of walls, 0 to 1."""
         here = self.pose
         free = min(1.0, _until(here.x, dx, self.size), _until(here.y, dy, self.size))
         if self.scene is None or not (dx or dy):
             return free
-        # It stops short of a wall: who stood on one would be through it with the next step.
+        # Stop short of a wall: a robot exactly on a wall would pass through it with the next step.
         until_wall = self.scene.blocked(here.x, here.y, dx, dy) - _GAP / math.hypot(dx, dy)
         return min(free, max(until_wall, 0.0))
 
@@ -158,8 +158,8 @@ class World:
 
 
 def _until(place: float, speed: float, size: float) -> float:
-    """The time until a coordinate leaves 0..size."""
-    # Who drives along a wall has a cosine of 6e-17 towards it, and is not to stick to it.
+    """Return the time until a coordinate leaves the range from 0 to `size`."""
+    # A robot that drives along a wall has a cosine of about 6e-17 towards it, and must not get stuck at it.
     if abs(speed) < 1e-12:
         return math.inf
     return max((size - place) / speed if speed > 0.0 else -place / speed, 0.0)
@@ -171,9 +171,9 @@ _PAPER, _WALL, _GRID, _PATH, _ROBOT = "#ffffff", "#37474f", "#eceff1", "#1565c0"
 
 
 def svg(world: World, title: str = "") -> str:
-    """The square, the path and the robot as an SVG document; a grid line each metre.
+    """Draw the square, the path and the robot as an SVG document, with a grid line for each metre.
 
-    The same path gives the same text, so that a picture can be compared and kept under version control.
+    The same path gives the same text, so that pictures can be compared and kept under version control.
     """
     scale = _PIXELS / world.size
     whole = _PIXELS + 2 * _MARGIN
@@ -181,7 +181,7 @@ def svg(world: World, title: str = "") -> str:
     def place(x: float, y: float) -> str:
         return f"{_MARGIN + x * scale:.1f},{_MARGIN + (world.size - y) * scale:.1f}"
 
-    # A grid of more lines than pixels shows nothing.
+    # A grid with more lines than pixels shows nothing.
     step = 10.0 ** max(math.ceil(math.log10(world.size / 50.0)), 0)
     marks = np.arange(0.0, world.size, step)[1:]
     lines = "".join(
@@ -211,7 +211,7 @@ def svg(world: World, title: str = "") -> str:
 
 
 def _scene(world: World, place: Callable[[float, float], str], scale: float) -> str:
-    """The tape and the walls, if there are any."""
+    """Draw the tape and the walls, if there are any."""
     if world.scene is None:
         return ""
     lines = []
@@ -227,10 +227,10 @@ def _scene(world: World, place: Callable[[float, float], str], scale: float) -> 
 
 
 def save(world: World, path: str | os.PathLike[str], title: str = "") -> None:
-    """Write the picture to a file, in the format that its suffix names: ``.svg`` or ``.png``.
+    """Write the picture to a file, in the format of its suffix: ``.svg`` or ``.png``.
 
     Raises:
-        BadValue: another suffix, a PNG without matplotlib, or a file that cannot be written.
+        BadValue: If the suffix is different, matplotlib is missing for a PNG, or the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -240,18 +240,18 @@ def save(world: World, path: str | os.PathLike[str], title: str = "") -> None:
         elif suffix == ".png":
             _save_png(world, path, title)
         else:
-            raise BadValue(f"{path}: a picture is an .svg or a .png")
+            raise BadValue(f"unknown suffix of {path}; expected .svg or .png")
     except OSError as error:
         raise BadValue(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def _save_png(world: World, path: Path, title: str) -> None:
     try:
-        # Not pyplot: it would choose a window system for the whole program.
+        # pyplot is not used, because it would choose a window system for the whole program.
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
-        raise BadValue(f"{path}: a PNG needs matplotlib (pip install matplotlib); an .svg does not") from None
+        raise BadValue(f"{path}: a PNG needs matplotlib; run pip install matplotlib, or write an .svg") from None
     figure = Figure(figsize=(5.3, 5.3), dpi=100)
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()

@@ -1,7 +1,7 @@
 """Arm files: the identified properties of one arm, for the simulator (`sim://ur5e?like=arm.json`).
 
-The file is JSON. Each number has its value and the interval that holds it with 99 %; in place of what the recording
-does not show stands the motion that would show it, and the simulator takes what is known of the model.
+The file is JSON. Each number has a value and the interval that contains it with a probability of 99 %. If the recording
+does not show a number, the file names the motion that would show it, and the simulator uses the value of the model.
 """
 
 from __future__ import annotations
@@ -30,18 +30,19 @@ MOTORS = {
 }
 
 
-#: Standard deviations to either side, within which 99 % of a normal distribution are.
+#: Number of standard deviations on each side that contain 99 % of a normal distribution.
 SIDES = 2.576
 
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """One number, or nothing if the recording does not show it.
+    """One number with its interval, or the motion that is needed to find it.
 
     Attributes:
-        value: nan if it is not known.
-        low, high: the interval that holds it with 99 %, if what the model leaves is noise.
-        needs: the motion that would show it; "" if it is known.
+        value: Value of the number; nan if unknown.
+        low: Lower end of the interval that contains the number with 99 %, if the residuals of the model are noise.
+        high: Upper end of this interval.
+        needs: Motion that would show the number; "" if it is known.
     """
 
     value: float
@@ -51,30 +52,31 @@ class Estimate:
 
     @classmethod
     def around(cls, value: float, deviation: float) -> Estimate:
-        """By its standard deviation."""
+        """Return an estimate from a value and its standard deviation."""
         return cls(value, value - SIDES * deviation, value + SIDES * deviation)
 
     @classmethod
     def unknown(cls, needs: str) -> Estimate:
-        """Of what the recording does not show; `needs`: the motion that would."""
+        """Return an estimate of a number that the recording does not show; `needs` is the motion that would show it."""
         return cls(math.nan, math.nan, math.nan, needs)
 
     @property
     def is_known(self) -> bool:
-        """Whether the recording shows it."""
+        """Whether the recording shows the number."""
         return not self.needs
 
 
 @dataclasses.dataclass(frozen=True)
 class ArmFile:
-    """What was identified of one arm.
+    """Identified properties of one arm.
 
     Attributes:
-        model: name of the arm.
-        estimates: name, as in `urlink.arm.parameters`, -> one estimate, or one for each joint or axis.
-        calibration: the DH table; None if the recording does not show it.
-        tcp: (6,) of the tool, with the calibration.
-        torque_r2, current_r2: (6,) the part of the variance that the model explains.
+        model: Name of the arm.
+        estimates: Name, as in `urlink.arm.parameters`, -> one estimate, or one for each joint or axis.
+        calibration: DH table; None if the recording does not show it.
+        tcp: Pose of the tool that belongs to the calibration, shape (6,).
+        torque_r2: Fraction of the variance of the torques that the model explains, shape (6,).
+        current_r2: Fraction of the variance of the currents that the model explains, shape (6,).
     """
 
     model: str
@@ -86,7 +88,7 @@ class ArmFile:
 
     @property
     def motors(self) -> Motors:
-        """Those of the model, with what is known of this arm in their place."""
+        """Motors of the model, with the known values of this arm."""
         known = motors_of(self.model)
         changed = {
             field: tuple(
@@ -99,7 +101,7 @@ class ArmFile:
         return dataclasses.replace(known, **changed)
 
     def known(self, name: str) -> float | None:
-        """The value of a parameter that is one number; None if it is not known."""
+        """Return the value of a parameter that is one number; None if it is unknown."""
         found = self.estimates.get(name, ())
         return found[0].value if len(found) == 1 and found[0].is_known else None
 
@@ -107,7 +109,7 @@ class ArmFile:
         """Write the file.
 
         Raises:
-            LocalError: it cannot be written.
+            LocalError: If the file cannot be written.
         """
         table = self.calibration
         text = {
@@ -126,17 +128,17 @@ class ArmFile:
 
 
 def read_arm_file(path: str | os.PathLike[str]) -> ArmFile:
-    """Read what `urlink identify` has written.
+    """Read a file that `urlink identify` has written.
 
     Raises:
-        BadValue: no such file, or not one of these: the message says what of it.
+        BadValue: If the file does not exist or is not an arm file. The message names the invalid part.
     """
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise BadValue(f"{path} cannot be read as an arm: {error}") from None
+        raise BadValue(f"cannot read {path} as an arm file: {error}") from None
     if not isinstance(found, dict) or (found.get("kind"), found.get("version")) != (_KIND, _VERSION):
-        raise BadValue(f"{path} is no arm that was identified; `urlink identify RECORDING --out {path}` writes one")
+        raise BadValue(f"{path} is not an arm file; `urlink identify RECORDING --out {path}` writes one")
     try:
         name = models.model(found["model"]).name
         estimates = {str(key): tuple(map(_estimate, value)) for key, value in found["parameters"].items()}
@@ -152,7 +154,7 @@ def read_arm_file(path: str | os.PathLike[str]) -> ArmFile:
         return ArmFile(name, estimates, table, tcp, *r2)
     except (KeyError, TypeError, ValueError) as error:
         said = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise BadValue(f"{path} is not a whole arm: {said}") from None
+        raise BadValue(f"the arm file {path} is invalid: {said}") from None
 
 
 def _plain(each: Estimate) -> dict[str, Any]:
@@ -166,14 +168,14 @@ def _estimate(found: Mapping[str, Any]) -> Estimate:
         return Estimate.unknown(str(found["needs"]))
     value, low, high = (float(found[key]) for key in ("value", "low", "high"))
     if not all(map(math.isfinite, (value, low, high))):
-        raise BadValue(f"{value!r} from {low!r} to {high!r} is no estimate")
+        raise BadValue(f"{value!r} from {low!r} to {high!r} is not an estimate; expected finite numbers")
     return Estimate(value, low, high)
 
 
 def _six(values: Any, name: str) -> tuple[float, ...]:
     numbers = tuple(map(float, values))
     if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
-        raise BadValue(f"{name} must be six finite numbers, not {values!r}")
+        raise BadValue(f"{name} is {values!r}; expected six finite numbers")
     return numbers
 
 

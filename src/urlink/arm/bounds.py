@@ -1,7 +1,7 @@
-"""The largest values that a tool or a joint may be asked for, and checks of poses and tool speeds.
+"""Largest allowed values for a tool or a joint, and checks of poses and tool speeds.
 
-A value beyond them has the wrong unit: millimetres or degrees. They hold for every arm; what one arm can do is less,
-and is checked where the arm is known (`urlink.models`, `urlink.kinematics`).
+A larger value probably has the wrong unit, such as millimetres or degrees. The bounds apply to every arm. The limits of
+one arm are smaller, and are checked where the arm is known (`urlink.models`, `urlink.kinematics`).
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from .vectors import FloatArray, six
 
 
 class Bound(NamedTuple):
-    """The range of a quantity.
+    """Range of a quantity.
 
     Attributes:
-        most, least: the largest and the smallest value.
-        unit: of both.
+        most: Largest value.
+        unit: Unit of both values.
+        least: Smallest value.
     """
 
     most: float
@@ -33,54 +34,56 @@ class Bound(NamedTuple):
     least: float = 0.0
 
     def check(self, value: object, name: str, most: float | None = None, limit_of: str = "") -> float:
-        """A number within the range.
+        """Check that a number is within the range, and return it.
 
         Args:
-            value: what the caller was given.
-            name: what the caller calls it.
-            most: a smaller largest value; None for `Bound.most`.
-            limit_of: whose that is, for the message.
+            value: Value from the caller.
+            name: Name of the argument, used in the message.
+            most: Largest value, if it is smaller than `Bound.most`; None for `Bound.most`.
+            limit_of: Owner of that limit, used in the message.
 
         Raises:
-            BadValue: see `linkcore.arguments.check_number`.
+            BadValue: See `linkcore.arguments.check_number`.
         """
         return check_number(value, name, self.least, self.most if most is None else most, self.unit, limit_of)
 
 
-#: Slower and weaker than this is a mistake.
+#: Lower bound. A slower or weaker value is an error.
 _LEAST = 1e-3
 
-#: The largest limit of the tool's speed that the safety configuration takes (the vendor's manuals, Robot limits). Data
-#: sheets have typical speeds of 1 to 2 m/s, which are not limits.
+#: Largest limit of the tool speed that the safety configuration accepts (the vendor's manuals, Robot limits). Data
+#: sheets contain typical speeds of 1 to 2 m/s, which are not limits.
 TOOL_SPEED = Bound(5.0, "m/s", _LEAST)
-#: A guess: more than any wrist turns, at 6.3 rad/s.
+#: Assumed: faster than any wrist, at 6.3 rad/s.
 TOOL_TURN = Bound(number("largest_tool_turn"), "rad/s", _LEAST)
-#: A guess: the largest acceleration of a joint that a controller reports, at 1 m from the joint.
+#: Assumed: the largest acceleration of a joint that a controller reports, at 1 m from the joint.
 TOOL_ACCELERATION = Bound(number("largest_tool_acceleration"), "m/s²", _LEAST)
-#: The wrists of UR3 and UR3e, the fastest joints in `urlink.models`.
+#: Speed of the wrists of UR3 and UR3e, the fastest joints in `urlink.models`.
 JOINT_SPEED = Bound(math.tau, "rad/s", _LEAST)
-#: The largest in `urlink.models`, which controllers report.
+#: Largest acceleration in `urlink.models`, as controllers report it.
 JOINT_ACCELERATION = Bound(40.0, "rad/s²", _LEAST)
-#: From the base: the longest arm reaches 1.75 m, with a tool of `TOOL_LENGTH` not 10.
+#: Distance from the base. The longest arm reaches 1.75 m, so with a tool of `TOOL_LENGTH` it does not reach 10 m.
 POSITION = Bound(10.0, "m")
-#: A rotation vector of more than one turn is one in degrees. With room for a turn that was rounded to 6.2832.
+#: Length of a rotation vector. More than one turn means degrees. Includes a margin for a turn that was rounded to
+#: 6.2832.
 TURN = Bound(math.tau + _LEAST, "rad")
-#: From the flange to the TCP. A guess: no tool is longer.
+#: Distance from the flange to the TCP. Assumed: no tool is longer.
 TOOL_LENGTH = Bound(number("largest_tool"), "m")
-#: From the flange to the centre of gravity of a payload. A guess: none is further.
+#: Distance from the flange to the centre of gravity of a payload. Assumed: no payload is further away.
 COG = Bound(number("furthest_payload"), "m")
 
 
 def check_pose(values: ArrayLike, name: str, furthest: Bound = POSITION) -> FloatArray:
-    """A pose as (6,) numbers, read-only: m, and a rotation vector in rad.
+    """Check a pose in m and rad, and return it as a read-only array, shape (6,).
 
     Args:
-        values: what the caller was given.
-        name: what the caller calls it.
-        furthest: distance from the origin.
+        values: Pose from the caller: position and rotation vector.
+        name: Name of the argument, used in the message.
+        furthest: Bound of the distance from the origin.
 
     Raises:
-        BadValue: not six finite numbers, too far away, or a rotation vector of more than one turn.
+        BadValue: If `values` is not six finite numbers, the position is too far away, or the rotation vector is longer
+            than one turn.
     """
     pose = six(values, name)
     check_length(pose[:3].tolist(), f"the position in {name}", furthest)
@@ -89,10 +92,10 @@ def check_pose(values: ArrayLike, name: str, furthest: Bound = POSITION) -> Floa
 
 
 def check_speeds(values: ArrayLike, name: str) -> FloatArray:
-    """A velocity of a tool as (6,) numbers, read-only: m/s along, and rad/s about three axes.
+    """Check a tool velocity in m/s and rad/s, and return it as a read-only array, shape (6,).
 
     Raises:
-        BadValue: not six finite numbers, or beyond `TOOL_SPEED` or `TOOL_TURN`.
+        BadValue: If `values` is not six finite numbers, or exceeds `TOOL_SPEED` or `TOOL_TURN`.
     """
     speeds = six(values, name)
     check_length(speeds[:3].tolist(), f"the speed in {name}", TOOL_SPEED)
@@ -101,7 +104,7 @@ def check_speeds(values: ArrayLike, name: str) -> FloatArray:
 
 
 def check_rotations(poses: FloatArray, name: str) -> None:
-    """Raise `BadValue` if the rotation vector of one of the poses (n, 6) is of more than one turn."""
+    """Raise `BadValue` if the rotation vector of one of the poses, shape (n, 6), is longer than one turn."""
     turns = np.sqrt(np.einsum("ij,ij->i", poses[:, 3:], poses[:, 3:]))
     if (turns > TURN.most).any():
         row = int(np.argmax(turns > TURN.most))

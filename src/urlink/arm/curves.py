@@ -1,8 +1,8 @@
-"""Curves along which a tool goes from one pose to another: straight lines, and arcs of circles.
+"""Paths of a tool between two poses: straight lines and arcs of circles.
 
-On both the tool turns evenly about one axis, from its orientation at the beginning to that at the end, as it moves on.
-That a controller does the same between two poses is what its users see; that it does so on an arc, where the
-orientation of the point between does not count, is documented for ``movec`` with the mode 0, "unconstrained".
+On both paths, the tool turns uniformly about one axis, from its start orientation to its end orientation. Users of
+controllers observe the same between two poses. For an arc, where the orientation of the intermediate point is ignored,
+it is documented for ``movec`` with mode 0, "unconstrained".
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from linkcore.errors import BadValue
 
 from .poses import compose, invert
 
-# Of the distances between three points: closer to a straight line than that they are on no circle.
+# Relative to the distances between three points. Points closer to a straight line than this are not on a circle.
 _FLAT = 1e-6
 
 
 class Line:
-    """The tool goes straight from one pose to another.
+    """Straight path of the tool from one pose to another.
 
     Attributes:
-        start, end: the poses at both ends, m and rad.
-        length: of the path of the tool's centre, m.
-        turn: the angle by which the tool turns on the path, rad.
+        start: Pose at the beginning, in m and rad.
+        end: Pose at the end, in m and rad.
+        length: Length of the path of the tool centre, in m.
+        turn: Angle of the rotation of the tool on the path, in rad.
     """
 
     def __init__(self, start: Sequence[float], end: Sequence[float]) -> None:
@@ -35,12 +36,12 @@ class Line:
         self.turn = math.hypot(*self._rotation)
 
     def pose(self, part: float) -> list[float]:
-        """Where the tool is after a part of the path, 0 to 1: m, and rotation vector in rad."""
+        """Return the pose after a fraction of the path, 0 to 1: position in m, rotation vector in rad."""
         position = [a + part * way for a, way in zip(self.start[:3], self._way, strict=True)]
         return position + _rotated(self.start, self._rotation, part)
 
     def part(self, position: Sequence[float]) -> float:
-        """The part of the path at which the tool is closest to a position (3, m), 0 to 1."""
+        """Return the fraction of the path, 0 to 1, where the tool is closest to a position, shape (3,), in m."""
         if self.length == 0.0:
             return 0.0
         along = _dot(_minus(position[:3], self.start[:3]), self._way) / (self.length * self.length)
@@ -48,21 +49,23 @@ class Line:
 
 
 class Arc:
-    """The tool goes along the circle through three points; methods as those of `Line`.
+    """Path of the tool along the circle through three points. It has the methods of `Line`.
 
     Args:
-        start: the pose at the beginning.
-        via: a pose on the path, of which only the position counts.
-        end: the pose at the end.
-        is_fixed: the tool is held fast to the path and turns along with it. Then its orientation at the end follows
-            from that at the beginning, and that of `end` does not count.
+        start: Pose at the beginning.
+        via: Intermediate pose on the path; its orientation is ignored.
+        end: Pose at the end.
+        is_fixed: Whether the tool is fixed to the path and turns with it. Then the start orientation determines the end
+            orientation, and the orientation of `end` is ignored.
 
     Attributes:
-        start, end, length: as those of `Line`.
-        turn: as that of `Line`; not counted is how far the arc carries the tool along.
+        start: See `Line`.
+        end: See `Line`.
+        length: See `Line`.
+        turn: See `Line`. The turn of a tool that is fixed to the path is not included.
 
     Raises:
-        BadValue: the three points are on a straight line.
+        BadValue: If the three points are on a straight line.
     """
 
     def __init__(
@@ -73,7 +76,7 @@ class Arc:
         self._centre, normal = _circle(first, list(via[:3]), last)
         self._arm = _minus(first, self._centre)
         self._across = _cross(normal, self._arm)
-        # About this normal the three points follow each other within one turn.
+        # About this normal, the three points are in order within one turn.
         self._angle = self._angle_of(last)
         self.length = math.hypot(*self._arm) * self._angle
         self._carried = [self._angle * each for each in normal] if is_fixed else None
@@ -83,7 +86,7 @@ class Arc:
         self.turn = math.hypot(*self._rotation)
 
     def pose(self, part: float) -> list[float]:
-        """Where the tool is after a part of the path."""
+        """Return the pose after a fraction of the path, 0 to 1."""
         cosine, sine = math.cos(part * self._angle), math.sin(part * self._angle)
         position = [c + cosine * x + sine * y for c, x, y in zip(self._centre, self._arm, self._across, strict=True)]
         if self._carried is None:
@@ -93,30 +96,30 @@ class Arc:
         return position + turned[3:]
 
     def part(self, position: Sequence[float]) -> float:
-        """The part of the path at which the tool is closest to a position."""
+        """Return the fraction of the path where the tool is closest to a position."""
         angle = self._angle_of(position)
         if angle > self._angle:
-            # Beyond the end: the end that is closer.
+            # The position is beyond the end: use the closer one of both ends.
             return 1.0 if angle < 0.5 * (self._angle + math.tau) else 0.0
         return angle / self._angle
 
     def _angle_of(self, position: Sequence[float]) -> float:
-        """From the beginning to a position, about the axis: 0 to 2 pi."""
+        """Return the angle from the beginning to a position, about the axis: 0 to 2 pi."""
         chord = _minus(position[:3], self._centre)
         return math.atan2(_dot(chord, self._across), _dot(chord, self._arm)) % math.tau
 
 
-#: A path between two poses.
+#: Path between two poses.
 Curve = Line | Arc
 
 
 def _circle(first: list[float], between: list[float], last: list[float]) -> tuple[list[float], list[float]]:
-    """The centre of the circle through three points, and its axis, about which they follow each other."""
+    """Return the centre of the circle through three points, and its axis, about which the points are in order."""
     u, w = _minus(between, first), _minus(last, first)
     normal = _cross(u, w)
     uu, ww, squared = _dot(u, u), _dot(w, w), _dot(normal, normal)
     if squared <= _FLAT**2 * uu * ww:
-        raise BadValue("the start, the point between and the end of an arc are on no circle")
+        raise BadValue("the start, intermediate and end points are on a straight line; an arc needs three on a circle")
     p, q = _cross(w, normal), _cross(normal, u)
     centre = [f + (uu * a + ww * b) / (2.0 * squared) for f, a, b in zip(first, p, q, strict=True)]
     size = math.sqrt(squared)
@@ -124,13 +127,13 @@ def _circle(first: list[float], between: list[float], last: list[float]) -> tupl
 
 
 def _turn_between(first: Sequence[float], second: Sequence[float]) -> list[float]:
-    """The rotation vector, in the frame of the first pose, of the shortest turn to the second, rad."""
+    """Return the rotation vector of the shortest turn from the first pose to the second, in the first frame, in rad."""
     turn: list[float] = compose(invert(first), second).tolist()[3:]
     return turn
 
 
 def _rotated(pose: Sequence[float], turn: Sequence[float], part: float) -> list[float]:
-    """The rotation vector of a pose after part of a turn in its own frame."""
+    """Return the rotation vector of a pose after a fraction of a turn in its own frame."""
     if not any(turn):
         return list(pose[3:])
     x, y, z = turn

@@ -1,20 +1,21 @@
-"""The forces in an arm: mass matrix, Coriolis and gravity torques, and what a movement takes.
+"""Dynamics of an arm: mass matrix, Coriolis and gravity torques, and the torques of a motion.
 
     >>> from urlink.arm.dynamics import Dynamics
     >>> arm = Dynamics("UR5e", payload=2.0, payload_cog=(0, 0, 0.05))
     >>> arm.gravity_torque([0, -1.57, 1.57, -1.57, -1.57, 0]).round(1)[1:4].tolist()
     [-30.0, -29.9, -3.8]
 
-The equation of motion is `M(q) qdd + c(q, qd) + g(q) = torque`, with torques in Nm that are positive where the joint
-angle grows. It is computed in the base frame, with spatial vectors about its origin (Featherstone, "Rigid Body Dynamics
-Algorithms", 2008): forces link by link from the tool down, the mass matrix from the inertias of whatever a joint
-carries.
+The equation of motion is `M(q) qdd + c(q, qd) + g(q) = torque`. Torques are in Nm, and are positive in the direction of
+growing joint angles. The equation is computed in the base frame, with spatial vectors about its origin (Featherstone,
+"Rigid Body Dynamics Algorithms", 2008). Forces are computed link by link from the tool down to the base, and the mass
+matrix from the inertias of all bodies that a joint carries.
 
-**How good it is.** As good as the published masses and inertias (`urlink.models`), with which the gravity torques of
-simulated arms agree, those of a real UR3e within 2 mNm (with its calibration and payload), those of a real CB2 UR5
-within 1.4 Nm. With `rotors` it has the inertia of motors and gears (`urlink.arm.motors`) too, which nobody has
-published: a log of a UR3e shows it, and with it these are that controller's moments to 0.02 Nm. At the wrists it is far
-more than that of the links. Friction is not in it, as it is not in a controller's moments but in its currents.
+**Accuracy.** The results are as accurate as the published masses and inertias (`urlink.models`). The gravity torques of
+simulated arms agree with them. Those of a real UR3e agree within 2 mNm (with its calibration and payload), and those of
+a real CB2 UR5 within 1.4 Nm. With `rotors`, the inertia of motors and gears (`urlink.arm.motors`) is included. It is
+not published, but a log of a UR3e shows it. With it, the results equal the moments of that controller to 0.02 Nm. At
+the wrists, it is much larger than the inertia of the links. Friction is not included: a controller includes friction in
+its currents rather than in its moments.
 """
 
 from __future__ import annotations
@@ -38,36 +39,36 @@ from .vectors import FloatArray
 
 __all__ = ["GRAVITY", "Dynamics"]
 
-#: m/s². What a controller assumes until a program calls set_gravity.
+#: Gravity in m/s² that a controller assumes until a program calls set_gravity.
 GRAVITY = 9.82
 
-# Mass, centre of mass and inertia about it along the axes of the frame at the end of the link: xx xy xz yy yz zz.
+# Mass, centre of mass, and inertia about it along the axes of the frame at the end of the link: xx xy xz yy yz zz.
 _Body = tuple[float, tuple[float, float, float], tuple[float, float, float, float, float, float]]
 # Mass; mass times position; inertia about the origin of the base, xx xy xz yy yz zz. All in the base frame.
 _Inertia = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number, Number]
-# Angular over linear, at the origin of the base: a velocity, an acceleration, or a torque and a force.
+# Angular and linear part, at the origin of the base: a velocity, an acceleration, or a torque and a force.
 _Spatial = tuple[Number, Number, Number, Number, Number, Number]
 
 
 class Dynamics(StrictAttributes):
-    """The masses of one arm and of what it carries.
+    """Dynamics of one arm with its payload.
 
-    Every method takes one row of six, or any number of rows in an array (..., 6).
+    Every method accepts one row of six numbers, or any number of rows in an array, shape (..., 6).
 
     Args:
-        arm: an `Arm`, which may be calibrated, or the name of a model, or a `Model`.
-        payload: mass at the flange, kg.
-        payload_cog: (3,) its centre of mass in the frame of the flange, m.
-        payload_inertia: (6,) its inertia about the centre of mass along the axes of the flange, ixx, iyy, izz, ixy,
-            ixz, iyz in kg m²: the order of URScript's set_target_payload.
-        gravity: (3,) acceleration of free fall in the base frame, m/s². The default is that of an arm that stands
-            upright; one that hangs has (0, 0, 9.82).
-        rotors: whether the inertia of motors and gears counts, as it does for a controller; or (6,) that inertia, kg m²
-            at the joint, where it is known of this very arm.
+        arm: `Arm`, which may be calibrated, name of a model, or `Model`.
+        payload: Mass at the flange, in kg.
+        payload_cog: Centre of mass of the payload in the flange frame, shape (3,), in m.
+        payload_inertia: Inertia of the payload about its centre of mass along the axes of the flange, shape (6,), in
+            kg m². The order is ixx, iyy, izz, ixy, ixz, iyz, as in set_target_payload of URScript.
+        gravity: Gravitational acceleration in the base frame, shape (3,), in m/s². The default is for an upright arm.
+            A hanging arm has (0, 0, 9.82).
+        rotors: Whether to include the inertia of motors and gears, as a controller does. If this inertia is known for
+            the individual arm: its values at the joints, shape (6,), in kg m².
 
     Raises:
-        UnknownModel: no arm is called that.
-        BadValue: a payload that is not a mass, a negative inertia, or vectors of another size.
+        UnknownModel: If no arm has this name.
+        BadValue: If the payload is not a mass, an inertia is negative, or a vector has the wrong size.
     """
 
     __slots__ = ("_arm", "_bodies", "_gravity", "_rotors")
@@ -88,7 +89,7 @@ class Dynamics(StrictAttributes):
         else:
             self._rotors = tuple(rigid.floats(rotors, 6, "rotor inertias"))
             if min(self._rotors) < 0.0:
-                raise BadValue(f"a rotor inertia is zero or more, not {min(self._rotors)!r} kg m²")
+                raise BadValue(f"a rotor inertia is {min(self._rotors)!r} kg m²; expected zero or more")
         x, y, z = rigid.floats(gravity, 3, "a gravity")
         self._gravity = x, y, z
         payload = check_number(payload, "payload", 0.0, unit="kg")
@@ -96,7 +97,7 @@ class Dynamics(StrictAttributes):
         xx, yy, zz, xy, xz, yz = rigid.floats(payload_inertia, 6, "an inertia")
         model = self._arm.model
         masses, cogs, inertias = model.link_masses.copy(), model.link_cogs.copy(), model.link_inertias.copy()
-        # The payload is one with the last link.
+        # The payload and the last link form one body.
         both = masses[5] + payload
         middle = (masses[5] * cogs[5] + payload * cog) / both
         inertias[5] += np.array([(xx, xy, xz), (xy, yy, yz), (xz, yz, zz)])
@@ -109,36 +110,36 @@ class Dynamics(StrictAttributes):
 
     @property
     def arm(self) -> Arm:
-        """The kinematics that it is computed with."""
+        """Kinematics that the calculations use."""
         return self._arm
 
     def torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> FloatArray:
-        """The torques that a movement takes (inverse dynamics).
+        """Return the torques of a motion (inverse dynamics).
 
         Args:
-            q: (..., 6) joint positions, rad.
-            qd: (..., 6) joint speeds, rad/s.
-            qdd: (..., 6) joint accelerations, rad/s².
+            q: Joint positions, shape (..., 6), in rad.
+            qd: Joint speeds, shape (..., 6), in rad/s.
+            qdd: Joint accelerations, shape (..., 6), in rad/s².
 
         Returns:
-            (..., 6) Nm.
+            Torques, shape (..., 6), in Nm.
 
         Raises:
-            BadValue: not six finite numbers each, or shapes that do not broadcast.
+            BadValue: If an argument is not six finite numbers per row, or the shapes do not broadcast.
         """
         return self._torque(q, qd, qdd, self._gravity)
 
     def gravity_torque(self, q: ArrayLike) -> FloatArray:
-        """The torques that hold a resting arm against its own weight and that of its payload: g(q).
+        """Return the torques that hold an arm at rest against its weight and the weight of its payload: g(q).
 
         Args:
-            q: (..., 6) joint positions, rad.
+            q: Joint positions, shape (..., 6), in rad.
 
         Returns:
-            (..., 6) Nm.
+            Torques, shape (..., 6), in Nm.
 
         Raises:
-            BadValue: not joint positions.
+            BadValue: If `q` is not joint positions.
         """
         if rigid.is_single(q):
             return np.array(self._held(self._frames(q)))
@@ -146,31 +147,31 @@ class Dynamics(StrictAttributes):
         return np.stack(self._held(self._frames_of_rows(given.reshape(-1, 6))), axis=-1).reshape(given.shape)
 
     def coriolis_torque(self, q: ArrayLike, qd: ArrayLike) -> FloatArray:
-        """The Coriolis and centrifugal torques: what constant joint speeds take, weight left out; c(q, qd).
+        """Return the Coriolis and centrifugal torques: torques for constant joint speeds, without weight; c(q, qd).
 
         Args:
-            q: (..., 6) joint positions, rad.
-            qd: (..., 6) joint speeds, rad/s.
+            q: Joint positions, shape (..., 6), in rad.
+            qd: Joint speeds, shape (..., 6), in rad/s.
 
         Returns:
-            (..., 6) Nm.
+            Torques, shape (..., 6), in Nm.
 
         Raises:
-            BadValue: not six finite numbers each, or shapes that do not broadcast.
+            BadValue: If an argument is not six finite numbers per row, or the shapes do not broadcast.
         """
         return self._torque(q, qd, _ZERO, (0.0, 0.0, 0.0))
 
     def mass_matrix(self, q: ArrayLike) -> FloatArray:
-        """The joint-space inertia: times joint accelerations, the torques that they take, M(q).
+        """Return the joint-space inertia M(q). Its product with joint accelerations is the torque for them.
 
         Args:
-            q: (..., 6) joint positions, rad.
+            q: Joint positions, shape (..., 6), in rad.
 
         Returns:
-            (..., 6, 6) symmetric, kg m².
+            Symmetric matrices, shape (..., 6, 6), in kg m².
 
         Raises:
-            BadValue: not joint positions.
+            BadValue: If `q` is not joint positions.
         """
         if rigid.is_single(q):
             return np.array(self._mass_matrix(self._frames(q)))
@@ -182,31 +183,31 @@ class Dynamics(StrictAttributes):
         return matrices.reshape(*given.shape, 6)
 
     def acceleration(self, q: ArrayLike, qd: ArrayLike, torque: ArrayLike) -> FloatArray:
-        """How the joints accelerate under torques (forward dynamics).
+        """Return the joint accelerations under given torques (forward dynamics).
 
         Args:
-            q: (..., 6) joint positions, rad.
-            qd: (..., 6) joint speeds, rad/s.
-            torque: (..., 6) Nm.
+            q: Joint positions, shape (..., 6), in rad.
+            qd: Joint speeds, shape (..., 6), in rad/s.
+            torque: Torques, shape (..., 6), in Nm.
 
         Returns:
-            (..., 6) rad/s².
+            Accelerations, shape (..., 6), in rad/s².
 
         Raises:
-            BadValue: not six finite numbers each, or shapes that do not broadcast.
+            BadValue: If an argument is not six finite numbers per row, or the shapes do not broadcast.
         """
         given = rigid.rows(torque, (6,), "torques")
         left = given - self.torque(q, qd, _ZERO)
         return np.asarray(np.linalg.solve(self.mass_matrix(q), left[..., np.newaxis])[..., 0], dtype=np.float64)
 
-    # --- within ---
+    # --- internal ---
 
     def _frames(self, q: ArrayLike) -> list[Rigid[float]]:
-        """The ends of the links, at the joint positions of one row."""
+        """Return the frames at the ends of the links, for one row of joint positions."""
         return chain(self._arm.geometry, FLOATS, angles(rigid.floats(q, 6, "joint positions")))
 
     def _frames_of_rows(self, q: FloatArray) -> list[Rigid[FloatArray]]:
-        """The ends of the links, at joint positions (n, 6)."""
+        """Return the frames at the ends of the links, for joint positions of shape (n, 6)."""
         return chain(self._arm.geometry, ROWS, angles(np.ascontiguousarray(q.T)))
 
     def _torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, gravity: tuple[float, float, float]) -> FloatArray:
@@ -224,10 +225,10 @@ class Dynamics(StrictAttributes):
         return np.stack(torques, axis=-1).reshape(*shape, 6)
 
     def _held(self, frames: list[Rigid[Number]]) -> list[Number]:
-        """The gravity torques, from the weight of all that a joint carries: a fifth of the cost of `_newton_euler`."""
+        """Return the gravity torques from the weight on each joint, at a fifth of the cost of `_newton_euler`."""
         gx, gy, gz = self._gravity
         none = 0.0 * frames[0][9]
-        # Of what is carried: mass, and mass times position.
+        # Mass of the carried bodies, and mass times position.
         mass, mx, my, mz = 0.0, none, none, none
         torques = []
         for joint in range(5, -1, -1):
@@ -248,12 +249,12 @@ class Dynamics(StrictAttributes):
     def _newton_euler(
         self, frames: list[Rigid[Number]], qd: list[Number], qdd: list[Number], gravity: tuple[float, float, float]
     ) -> list[Number]:
-        """Velocities and accelerations from the base to the tool, forces from the tool to the base."""
+        """Compute velocities and accelerations from the base to the tool, and forces from the tool to the base."""
         none = 0.0 * qd[0]
         inertias = self._inertias(frames)
         velocity: _Spatial[Number] = (none, none, none, none, none, none)
         gx, gy, gz = gravity
-        # An arm in a field of gravity is pressed as one whose base accelerates in the opposite direction.
+        # Gravity has the same effect as an acceleration of the base in the opposite direction.
         acceleration: _Spatial[Number] = (none, none, none, none - gx, none - gy, none - gz)
         forces = []
         axes = _axes(frames)
@@ -271,7 +272,7 @@ class Dynamics(StrictAttributes):
         return [torque + j * rate for torque, j, rate in zip(torques[::-1], self._rotors, qdd, strict=True)]
 
     def _mass_matrix(self, frames: list[Rigid[Number]]) -> list[list[Number]]:
-        """Row by row, from the inertia of all that a joint carries (composite rigid bodies)."""
+        """Compute the matrix row by row from the inertia of all bodies of a joint (composite rigid bodies)."""
         axes = _axes(frames)
         table: list[list[Number]] = [[axes[0][0]] * 6 for _ in range(6)]
         carried = accumulate(reversed(self._inertias(frames)), _added)
@@ -283,7 +284,7 @@ class Dynamics(StrictAttributes):
         return table
 
     def _inertias(self, frames: list[Rigid[Number]]) -> list[_Inertia[Number]]:
-        """Of each link about the origin of the base."""
+        """Return the inertia of each link about the origin of the base."""
         return [_inertia(frame, body) for frame, body in zip(frames, self._bodies, strict=True)]
 
 
@@ -291,12 +292,12 @@ _ZERO = np.zeros(6)
 
 
 def _away(mass: float, off: FloatArray) -> FloatArray:
-    """What the inertia of a mass gains at a distance from its centre (parallel axes)."""
+    """Return the additional inertia of a mass at a distance from its centre (parallel axes)."""
     return np.asarray(mass * (off @ off * np.eye(3) - np.outer(off, off)))
 
 
 def _axes(frames: list[Rigid[Number]]) -> list[_Spatial[Number]]:
-    """The velocity that 1 rad/s of each joint is, at the origin of the base."""
+    """Return the velocity at the origin of the base for 1 rad/s of each joint."""
     none = 0.0 * frames[0][9]
     found: list[_Spatial[Number]] = [(none, none, none + 1.0, none, none, none)]
     for _, _, zx, _, _, zy, _, _, zz, px, py, pz in frames[:5]:
@@ -311,7 +312,7 @@ def _inertia(frame: Rigid[Number], body: _Body) -> _Inertia[Number]:
     x = r00 * cx + r01 * cy + r02 * cz + px
     y = r10 * cx + r11 * cy + r12 * cz + py
     z = r20 * cx + r21 * cy + r22 * cz + pz
-    # Rows of the rotation times the tensor, then times the rotation's transpose.
+    # Rows of the rotation times the tensor, then times the transpose of the rotation.
     ax, ay, az = r00 * ixx + r01 * ixy + r02 * ixz, r00 * ixy + r01 * iyy + r02 * iyz, r00 * ixz + r01 * iyz + r02 * izz
     bx, by, bz = r10 * ixx + r11 * ixy + r12 * ixz, r10 * ixy + r11 * iyy + r12 * iyz, r10 * ixz + r11 * iyz + r12 * izz
     dx, dy, dz = r20 * ixx + r21 * ixy + r22 * ixz, r20 * ixy + r21 * iyy + r22 * iyz, r20 * ixz + r21 * iyz + r22 * izz
@@ -370,7 +371,7 @@ def _momentum(inertia: _Inertia[Number], velocity: _Spatial[Number]) -> _Spatial
 
 
 def _cross(velocity: _Spatial[Number], other: _Spatial[Number]) -> _Spatial[Number]:
-    """How a velocity changes that moves with another one."""
+    """Return the rate of change of a velocity vector that moves with another velocity."""
     wx, wy, wz, vx, vy, vz = velocity
     ax, ay, az, bx, by, bz = other
     return (
@@ -384,7 +385,7 @@ def _cross(velocity: _Spatial[Number], other: _Spatial[Number]) -> _Spatial[Numb
 
 
 def _cross_force(velocity: _Spatial[Number], force: _Spatial[Number]) -> _Spatial[Number]:
-    """How a momentum changes that moves with a velocity."""
+    """Return the rate of change of a momentum that moves with a velocity."""
     wx, wy, wz, vx, vy, vz = velocity
     nx, ny, nz, fx, fy, fz = force
     return (

@@ -1,9 +1,9 @@
-"""An arm as MJCF, the description that the physics engine MuJoCo reads.
+"""Conversion of an arm to MJCF, the description format of the physics engine MuJoCo.
 
-Links and joints have the names and frames of `urlink.urdf`, whose geometry, limits, masses and inertias are here too.
-What URDF has no place for comes with it: the inertia of each rotor, as `armature`, and the friction of motors and gears
-(`urlink.arm.motors`), as `frictionloss` and `damping`. Shapes are those of URDF: they follow the geometry and are not
-likeness of the arm, nor a hull of it.
+Links and joints have the names and frames of `urlink.urdf`, with the same geometry, limits, masses and inertias. MJCF
+also contains values for which URDF has no place: the inertia of each rotor, as `armature`, and the friction of motors
+and gears (`urlink.arm.motors`), as `frictionloss` and `damping`. The shapes are those of URDF: they follow the
+geometry, but are neither a likeness nor a hull of the arm.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def to_mjcf(
 
 
 def _add_shapes(body: ElementTree.Element, end: Rigid[float]) -> None:
-    """A sphere at the beginning of a link, and a capsule to its end."""
+    """Add a sphere at the beginning of a link, and a capsule to its end."""
     ElementTree.SubElement(body, "geom", type="sphere", size=numbers(RADIUS))
     if math.hypot(*end[9:]) >= RADIUS:
         way = numbers(0.0, 0.0, 0.0, *end[9:])
@@ -89,7 +89,7 @@ def _add_joint(body: ElementTree.Element, model: Model, motors: Motors, i: int) 
 
 
 def _add_inertial(body: ElementTree.Element, model: Model, i: int, end: Rigid[float]) -> None:
-    # Masses are given in the frame at the end of the link; the tensor is wanted along the axes of the body.
+    # Masses are given in the frame at the end of the link. MJCF needs the tensor along the axes of the body.
     turn = np.array(end[:9]).reshape(3, 3)
     x, y, z = (turn @ model.link_cogs[i] + np.array(end[9:])).tolist()
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn @ model.link_inertias[i] @ turn.T).tolist()

@@ -1,30 +1,29 @@
-"""The arms: geometry, limits and masses of every model, as the vendor publishes them, in the table `arms.tsv`.
+"""Arm models: geometry, limits and masses of every model, as the vendor publishes them, in the table `arms.tsv`.
 
-Which figure comes from where:
+The sources of the numbers are:
 
-- **DH rows**: the vendor's article "DH parameters for calculations of kinematics and dynamics"; for UR15 and
-  UR30 the `default_kinematics.yaml` of the vendor's ROS description (`ur_description`). The rows of UR5 and
-  UR5e also stand in the configuration packets of controllers. A real arm differs from its row by a factory
-  calibration of up to a few millimetres, which it sends in its kinematics packet.
-- **Position and speed limits**: the user manuals, through `joint_limits.yaml` of `ur_description`, without
-  that file's narrower elbow, which is a planner's choice and not a property of the arm.
-- **Link masses and centres of mass**: the same article; for UR15, UR18, UR30 and wrist 3 of UR20 the
-  `physical_parameters.yaml` of `ur_description`. Those of UR3e and UR5e explain the currents that simulated controllers
-  report.
+- **DH rows**: the vendor's article "DH parameters for calculations of kinematics and dynamics". For UR15 and UR30: the
+  `default_kinematics.yaml` of the vendor's ROS description (`ur_description`). The configuration packets of controllers
+  also contain the rows of UR5 and UR5e. A real arm differs from its row by a factory calibration of up to a few
+  millimetres, which it sends in its kinematics packet.
+- **Position and speed limits**: the user manuals, through `joint_limits.yaml` of `ur_description`. The narrower elbow
+  of that file is not used, because it is a choice for planners and not a property of the arm.
+- **Link masses and centres of mass**: the same article. For UR15, UR18, UR30 and wrist 3 of UR20: the
+  `physical_parameters.yaml` of `ur_description`. The masses of UR3e and UR5e explain the currents that simulated
+  controllers report.
 - **Inertias of the links**: the same file of `ur_description`, 2.4.5 and later; see the comments of the table.
 - **Joint torques**: the vendor's article "Max. joint torques" and `joint_limits.yaml`.
-- **Payload and reach**: the vendor's data sheets. Where a payload was raised during a model's life, it is the
-  newest.
-- **Acceleration limits** are not published. The figures are what controllers report in their configuration
-  packet: a CB2 UR5 for the CB arms, a simulated UR5e for the others. For any model but those two they are an
-  approximation.
-- **UR7e and UR12e** have the lengths and masses of UR5e and UR10e. They are reported to have the robot types of those,
-  so an arm cannot be distinguished from its successor by what it sends.
-- **UR18 and UR8 Long**: the lengths are those that the package ur-analytic-ik (0.1.0.post3) computes with. UR8 Long
-  has no `physical_parameters.yaml`: shoulder and wrists are those of UR15, whose meshes it is drawn with, and the arm
-  links are those of the vendor's ur10g-1750, which is drawn with the meshes of UR8 Long.
+- **Payload and reach**: the vendor's data sheets. If a payload was raised during the life of a model, the newest value
+  is used.
+- **Acceleration limits** are not published. The values are those that controllers report in their configuration packet:
+  a CB2 UR5 for the CB arms, a simulated UR5e for the others. For all other models, they are an approximation.
+- **UR7e and UR12e** have the lengths and masses of UR5e and UR10e. They are reported to have the same robot types, so
+  the packets of an arm do not distinguish it from its successor.
+- **UR18 and UR8 Long**: the package ur-analytic-ik (0.1.0.post3) computes with these lengths. UR8 Long has no
+  `physical_parameters.yaml`. Its shoulder and wrists have the values of UR15, with whose meshes it is drawn. Its arm
+  links have the values of the vendor's ur10g-1750, which is drawn with the meshes of UR8 Long.
 
-What is not published for a model but taken over from another one stands in its `guesses`.
+The attribute `guesses` of a model lists the values that are not published for it, but are taken from another model.
 """
 
 from __future__ import annotations
@@ -61,48 +60,48 @@ _SHAPES: Mapping[str, tuple[int, ...]] = {
 
 _HALF_PI = math.pi / 2.0
 _ALPHA = np.array([_HALF_PI, 0.0, 0.0, _HALF_PI, -_HALF_PI, 0.0])
-# The axis of each link's cylinder in the DH frame at its end: the arm links lie along x, the other joints along y, and
-# the flange along z.
+# Axis of the cylinder of each link in the DH frame at its end: arm links lie along x, the flange along z, and the other
+# joints along y.
 _AXES = (1, 0, 0, 1, 1, 2)
 
 
 class UnknownModel(LocalError, ValueError):
-    """A name that no arm in `MODELS` has."""
+    """Error for a name that no arm in `MODELS` has."""
 
-    __module__ = "urlink"  # where users import it from, and what a traceback shows
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """One arm model in its nominal geometry. All arrays are read-only float64, joints from base to wrist 3.
+    """One arm model with its nominal geometry. All arrays are read-only float64, joints from base to wrist 3.
 
-    Two models are equal only if they are the same object: the table below holds each once.
+    Two models are equal only if they are the same object. `MODELS` contains each model once.
 
     Attributes:
-        name: as the vendor writes it, such as `"UR5e"`.
-        generation: `"CB"` (CB2 and CB3) or `"e"` (e-Series and the arms that came after it, up to UR30).
-        robot_type: the number in the configuration packet; a CB arm and its successors share it.
-        dh_a: (6,) link lengths, m. The arm lengths are negative, as the vendor writes them.
-        dh_d: (6,) link offsets, m.
-        dh_alpha: (6,) link twists, rad.
-        dh_theta: (6,) joint offsets, rad.
-        position_limits: (6, 2) lowest and highest position, rad; infinite where the joint turns without end.
-            What a controller reports is 3 degrees wider on the e-Series (its safety tolerance).
-        max_speed: (6,) rad/s. What a controller reports is 0.2 rad/s higher on the e-Series (its safety
-            tolerance).
-        max_acceleration: (6,) rad/s². Not published; see the module's text.
-        payload: largest payload, kg.
-        reach: as on the data sheet, m.
-        link_masses: (6,) mass of the link behind each joint, kg; the base does not move and is left out.
-        link_cogs: (6, 3) its centre of mass in the DH frame at the end of the link, m.
-        link_inertias: (6, 3, 3) its inertia about the centre of mass along the axes of that frame, kg m².
-        max_torque: (6,) Nm.
-        guesses: names of those of these attributes that are not known of this model, but of one that is like it.
+        name: Name by the vendor, such as `"UR5e"`.
+        generation: Generation: `"CB"` (CB2 and CB3) or `"e"` (e-Series and later arms, up to UR30).
+        robot_type: Number in the configuration packet. A CB arm and its successors share it.
+        dh_a: Link lengths, shape (6,), in m. The arm lengths are negative, as the vendor writes them.
+        dh_d: Link offsets, shape (6,), in m.
+        dh_alpha: Link twists, shape (6,), in rad.
+        dh_theta: Joint offsets, shape (6,), in rad.
+        position_limits: Lowest and highest positions, shape (6, 2), in rad; infinite for a joint that turns without
+            limit. On the e-Series, a controller reports limits that are 3 degrees wider (its safety tolerance).
+        max_speed: Maximum joint speeds, shape (6,), in rad/s. On the e-Series, a controller reports speeds that are
+            0.2 rad/s higher (its safety tolerance).
+        max_acceleration: Maximum joint accelerations, shape (6,), in rad/s². Not published; see the text of the module.
+        payload: Maximum payload, in kg.
+        reach: Reach according to the data sheet, in m.
+        link_masses: Mass of the link after each joint, shape (6,), in kg. The base does not move, and is not included.
+        link_cogs: Centre of mass of each link in the DH frame at its end, shape (6, 3), in m.
+        link_inertias: Inertia of each link about its centre of mass along the axes of that frame, shape (6, 3, 3), in
+            kg m².
+        max_torque: Maximum joint torques, shape (6,), in Nm.
+        guesses: Names of the attributes that are not known for this model, but taken from a similar model.
 
     Raises:
-        BadValue: an array has the wrong shape, or the DH rows are not those of a nominal UR arm (a1, a4..a6,
-            d2, d3 and all theta zero, twists of exactly 0 or ±90 degrees), on which the closed-form
-            kinematics rest.
+        BadValue: If an array has the wrong shape, or the DH rows are not those of a nominal UR arm: a1, a4..a6, d2, d3
+            and all theta zero, and twists of exactly 0 or ±90 degrees. The closed-form kinematics require this.
     """
 
     name: str
@@ -127,7 +126,7 @@ class Model:
         for field, shape in _SHAPES.items():
             array = np.array(getattr(self, field), dtype=np.float64)
             if array.shape != shape:
-                raise BadValue(f"{self.name}: {field} must have shape {shape}, not {array.shape}")
+                raise BadValue(f"{self.name}: {field} has the shape {array.shape}; expected {shape}")
             array.flags.writeable = False
             object.__setattr__(self, field, array)
         nominal = (
@@ -137,7 +136,7 @@ class Model:
             and bool((self.dh_alpha == _ALPHA).all())
         )
         if not nominal:
-            raise BadValue(f"{self.name}: the DH rows are not those of a nominal UR arm")
+            raise BadValue(f"{self.name}: the DH rows are not those of a nominal UR arm; see the class Model")
 
     def check_joints(self, q: FloatArray) -> None:
         """Raise `BadValue` unless joint positions (6, rad) are within the position limits."""
@@ -148,7 +147,7 @@ class Model:
 def _arm(name: str, row: Mapping[str, str]) -> Model:
     a2, a3 = _numbers(row["a2 a3"])
     d1, d4, d5, d6 = _numbers(row["d1 d4 d5 d6"])
-    shoulder, elbow, wrists = _numbers(row["torque"])  # base and shoulder have motors of one size, as have the wrists
+    shoulder, elbow, wrists = _numbers(row["torque"])  # base and shoulder have equal motors, and so have the wrists
     turn = 2.0 * math.pi
     limits = np.array([[-turn, turn]] * 6)
     if row.get("position_limits") == "endless wrist":
@@ -183,7 +182,10 @@ def _numbers(text: str) -> list[float]:
 
 
 def _tensor(numbers: Sequence[float], axis: int) -> FloatArray:
-    """(3, 3) out of ixx, ixy, ixz, iyy, iyz, izz; or, of a cylinder, of those across its axis and about it."""
+    """Return a (3, 3) tensor from ixx, ixy, ixz, iyy, iyz, izz, or from the two inertias of a cylinder.
+
+    The inertias of a cylinder are those across its axis and about its axis.
+    """
     if len(numbers) == 2:
         return np.diag([numbers[each == axis] for each in range(3)])
     xx, xy, xz, yy, yz, zz = numbers
@@ -191,7 +193,7 @@ def _tensor(numbers: Sequence[float], axis: int) -> FloatArray:
 
 
 def _read_arms() -> Iterator[Model]:
-    """The arms of the table. What begins with # is a comment; "as UR5" stands for the value of the UR5."""
+    """Yield the arms of the table. Lines that begin with # are comments; "as UR5" means the value of the UR5."""
     arms: dict[str, dict[str, str]] = {}
     for line in Path(__file__).with_name("arms.tsv").read_text(encoding="utf-8").splitlines()[1:]:
         if not line.startswith("#"):
@@ -201,36 +203,40 @@ def _read_arms() -> Iterator[Model]:
     return (_arm(name, row) for name, row in arms.items())
 
 
-#: Every arm that is known, by the name the vendor gives it.
+#: All known arms, by the name that the vendor uses.
 MODELS: Mapping[str, Model] = MappingProxyType({arm.name: arm for arm in _read_arms()})
 
 _BY_FOLDED_NAME = {
     spelling: arm for name, arm in MODELS.items() for spelling in (name.casefold(), name.casefold().replace(" ", ""))
 }
-# The arm that a number was first given to: UR7e and UR12e report those of UR5e and UR10e.
+# First arm with each number: UR7e and UR12e report the numbers of UR5e and UR10e.
 _BY_ROBOT_TYPE = {(arm.robot_type, arm.generation): arm for arm in reversed(list(MODELS.values()))}
 
 
 def model(name: str) -> Model:
-    """The arm called `name`, in upper or lower case; the space in "UR8 Long" may be left out.
+    """Return the arm with this name, in upper or lower case. The space in "UR8 Long" is optional.
 
     Raises:
-        UnknownModel: no arm is called that; the message lists those that are.
+        UnknownModel: If no arm has this name. The message lists the known arms.
 
     >>> model("ur5e").name, model("UR10").generation
     ('UR5e', 'CB')
     """
     try:
         return _BY_FOLDED_NAME[name.casefold()]
-    except (AttributeError, KeyError):  # not a text, or not one of these
-        raise UnknownModel(f"no arm is called {name!r}; known are {', '.join(MODELS)}") from None
+    except (AttributeError, KeyError):  # not a string, or an unknown name
+        raise UnknownModel(f"no arm is called {name!r}; expected one of {', '.join(MODELS)}") from None
 
 
 def model_of(robot_type: int, e_series: bool) -> Model | None:
-    """The arm of a robot type (from a configuration packet) on a controller with software 5 or later, or not.
+    """Return the arm of a robot type (from a configuration packet) and a generation of controllers.
 
-    None for a number that stands for no known arm, or for one that was never made in that generation. UR7e and UR12e
-    report the numbers of UR5e and UR10e and are taken for these.
+    The result is None if the number belongs to no known arm, or to an arm that was never made in this generation. UR7e
+    and UR12e report the numbers of UR5e and UR10e, so the result is the latter.
+
+    Args:
+        robot_type: Number in the configuration packet.
+        e_series: Whether the software of the controller is version 5 or later.
 
     >>> model_of(1, e_series=False).name, model_of(1, e_series=True).name, model_of(4, e_series=False)
     ('UR5', 'UR5e', None)
@@ -239,7 +245,7 @@ def model_of(robot_type: int, e_series: bool) -> Model | None:
 
 
 def indistinguishable(arm: Model) -> tuple[Model, ...]:
-    """The arms that report the same robot type as `arm`, itself among them: a UR7e is taken for a UR5e.
+    """Return all arms that report the same robot type as `arm`, including itself. A UR7e looks like a UR5e.
 
     >>> [each.name for each in indistinguishable(model("UR5e"))]
     ['UR5e', 'UR7e']

@@ -4,12 +4,12 @@
     >>> motors_of("UR10e").rotor_inertias
     (5.9, 5.9, 1.862, 0.587, 0.587, 0.587)
 
-Joints are made in sizes, and what is known of one arm holds for the joints of the same size in others. What backs each
-number, and how far it may be off, is in `urlink.arm.parameters`; arms that nobody has logged stand by analogy there.
+Joints are made in sizes, so known values of one arm also apply to joints of the same size in other arms. The evidence
+and the possible error of each number are in `urlink.arm.parameters`. Arms without a log use values by analogy there.
 
-The torque of a joint is that of the rigid bodies (`urlink.dynamics`) plus the inertia of its rotor times the
-acceleration, and nothing else: what controllers show as `target_moment`. The current is that torque over the torque
-constant, plus friction: `target_current`, and `joint_control_output` too.
+The torque of a joint is the torque of the rigid bodies (`urlink.dynamics`) plus the inertia of its rotor times the
+acceleration. Controllers show exactly this sum as `target_moment`. The current is this torque divided by the torque
+constant, plus friction. Controllers show it as `target_current`, and as `joint_control_output`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .vectors import FloatArray
 
 __all__ = ["FULL_SPEED", "Motors", "force_size", "friction", "joint_sizes", "motors_of"]
 
-#: rad/s up to which Coulomb friction grows with the speed.
+#: Speed in rad/s up to which Coulomb friction grows with the speed.
 FULL_SPEED = number("friction_full_speed")
 
 
@@ -61,7 +61,7 @@ class Motors:
         ]
 
     def friction_torque(self, qd: Sequence[float]) -> tuple[FloatArray, FloatArray]:
-        """The torque of friction at these speeds, rad/s, and how it changes with them: (6,) Nm and Nm s/rad."""
+        """Return the friction torques and their slopes over speed, shape (6,), in Nm and Nm s/rad; speeds in rad/s."""
         constants = np.array(self.torque_constants)
         rub = [friction(c, b, v) for c, b, v in zip(self.coulomb, self.viscous, qd, strict=True)]
         rises = np.abs(qd) < FULL_SPEED
@@ -70,19 +70,19 @@ class Motors:
 
 
 def friction(coulomb: float, viscous: float, qd: float) -> float:
-    """The current of friction in a joint at a speed in rad/s, A: as controllers compute it, with none at rest."""
+    """Return the friction current of a joint in A, as controllers compute it; zero at rest. The speed is in rad/s."""
     return coulomb * min(max(qd / FULL_SPEED, -1.0), 1.0) + viscous * qd
 
 
 def joint_sizes(name: str) -> list[str]:
-    """The sizes of the joints of an arm, as the table of parameters names them: "size 3", or "433 Nm"."""
+    """Return the sizes of the joints of an arm, by their names in the table of parameters: "size 3", or "433 Nm"."""
     return [
         f"size {size}" if len(size) == 1 else f"{size} Nm" for size in parameters()["joint_sizes", name].value.split()
     ]
 
 
 def force_size(name: str) -> str:
-    """The size of the base of an arm, of which the noise of its force is known: "size 4" for those that are larger."""
+    """Return the size of the base joint for which the noise of the force is known; "size 4" for larger ones."""
     size = joint_sizes(name)[0]
     return size if ("force_noise", size) in parameters() else "size 4"
 

@@ -1,16 +1,17 @@
-"""Unpublished numbers of robots, each with its evidence: the table `parameters.tsv`.
+"""Unpublished numbers of robots, each with its evidence, from the table `parameters.tsv`.
 
-A row has the name, what it is of (an arm, a size of joint, or nothing in particular), the value, the interval in which
-it lies for all that is known, the unit, the evidence, the source as text, and the module that stands on it:
+Each row has a name, the object it applies to (an arm, a joint size, or ""), the value, the interval that contains it
+according to all evidence, the unit, the evidence, the source as text, and the module that uses it. The kinds of
+evidence are:
 
-- **log**: bytes or a log of a real or of the vendor's simulated arm show it;
-- **document**: the vendor says so;
-- **thread**: users or the authors of other software report it;
-- **analogy**: it is that of something like it of which it is known;
-- **guess**: nothing but judgement. The interval says how far it may be off.
+- **log**: bytes or a log of a real arm, or of the vendor's simulated arm, show it;
+- **document**: a document of the vendor states it;
+- **thread**: users, or authors of other software, report it;
+- **analogy**: it is the known value of a similar object;
+- **guess**: only judgement. The interval shows how large the error can be.
 
-A value of "assumed" is not a number but how something behaves, which the name and the source say. Modules read their
-numbers here, so that each stands in one place.
+The value "assumed" is not a number: it stands for a behaviour, which the name and the source describe. All modules read
+their numbers here, so that each number is defined in one place.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from linkcore.errors import BadValue
 
 __all__ = ["Evidence", "Parameter", "is_assumed", "number", "numbers", "parameters"]
 
-#: What backs a value; see the text of the module.
+#: Kind of evidence for a value; see the text of the module.
 Evidence = Literal["log", "document", "thread", "analogy", "guess"]
 
 _TABLE = Path(__file__).with_name("parameters.tsv")
@@ -32,17 +33,18 @@ _TABLE = Path(__file__).with_name("parameters.tsv")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One row.
+    """One row of the table.
 
     Attributes:
-        name: unique with `of`.
-        of: the name of an arm, a size of joint, a generation, or "".
-        value: a number, six of them with blanks between, "yes" or "no", "as" something else, or "assumed".
-        low, high: the interval in which it lies; None where no number is known.
-        unit: "" for a ratio, and where there is none.
-        evidence: what backs it.
-        source: that as text.
-        used: the module below `urlink` that stands on it.
+        name: Name, unique together with `of`.
+        of: Name of an arm, joint size or generation, or "".
+        value: One number, six numbers separated by blanks, "yes" or "no", "as" something else, or "assumed".
+        low: Lower end of the interval of the value; None if no number is known.
+        high: Upper end of this interval; None if no number is known.
+        unit: Unit; "" for a ratio, or if there is none.
+        evidence: Kind of evidence.
+        source: Source of the value, as text.
+        used: Module below `urlink` that uses the value.
     """
 
     name: str
@@ -58,7 +60,7 @@ class Parameter:
 
 @cache
 def parameters() -> dict[tuple[str, str], Parameter]:
-    """The table, by name and by what each is of."""
+    """Return the table, by the names of the parameters and of the objects that they apply to."""
     found: dict[tuple[str, str], Parameter] = {}
     for line in _TABLE.read_text(encoding="utf-8").splitlines()[1:]:
         name, of, value, low, high, unit, evidence, source, used = line.split("\t")
@@ -68,10 +70,10 @@ def parameters() -> dict[tuple[str, str], Parameter]:
 
 
 def number(name: str, of: str = "") -> float:
-    """The value of a parameter that is one number.
+    """Return the value of a parameter that is one number.
 
     Raises:
-        BadValue: no such parameter.
+        BadValue: If the parameter does not exist.
 
     >>> number("rotor_inertia", "size 2")
     0.587
@@ -80,19 +82,19 @@ def number(name: str, of: str = "") -> float:
 
 
 def numbers(name: str, of: str = "") -> tuple[float, ...]:
-    """The values of a parameter that is several numbers, or one: of six joints from base to wrist 3, say.
+    """Return the values of a parameter with one or more numbers, for example of six joints from base to wrist 3.
 
     Raises:
-        BadValue: no such parameter.
+        BadValue: If the parameter does not exist.
     """
     return tuple(map(float, _value(name, of).split()))
 
 
 def is_assumed(name: str) -> bool:
-    """The value of a parameter that is "yes" or "no".
+    """Return the value of a parameter that is "yes" or "no".
 
     Raises:
-        BadValue: no such parameter.
+        BadValue: If the parameter does not exist.
     """
     return _value(name, "") == "yes"
 
@@ -101,4 +103,4 @@ def _value(name: str, of: str) -> str:
     try:
         return parameters()[name, of].value
     except KeyError:
-        raise BadValue(f"no parameter is called {name!r}{f' of {of!r}' if of else ''}") from None
+        raise BadValue(f"unknown parameter {name!r}{f' of {of!r}' if of else ''}; see parameters.tsv") from None

@@ -12,13 +12,13 @@ pose, shape (6,), or any number of poses, shape (..., 6). They broadcast like nu
 
 Rotations convert from and to rotation vectors:
 
-- **Matrices** are (3, 3), columns are the axes of the turned frame.
+- **Matrices** have the shape (3, 3). Their columns are the axes of the turned frame.
 - **Quaternions** are x, y, z, w, as in ROS and scipy. Many texts write w first.
-- **rpy** is roll, pitch and yaw, rad: turned about the fixed x, then the fixed y, then the fixed z axis, as
-  `rpy2rotvec` of URScript and URDF have it.
+- **rpy** is roll, pitch and yaw in rad: rotations about the fixed x axis, then the fixed y axis, then the fixed z axis,
+  as in `rpy2rotvec` of URScript and in URDF.
 
-A rotation vector that comes out has an angle of 0 to pi. At exactly pi both directions of its axis are the same
-rotation; of a matrix or a pose, the one whose largest component is positive comes out.
+The angle of a returned rotation vector is 0 to pi. At exactly pi, both directions of the axis are the same rotation.
+For a matrix or a pose, the direction whose largest component is positive is returned.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ __all__ = [
     "transform",
 ]
 
-#: How far the columns of a rotation matrix may be from orthonormal. Matrices of float32 are 1e-7 off.
+#: Maximum deviation of the columns of a rotation matrix from orthonormal. Matrices of float32 deviate by 1e-7.
 _ORTHONORMAL = 1e-4
-# Where the x axis points up or down as closely as this, roll and yaw turn about the same axis.
+# If the x axis points up or down more closely than this, roll and yaw turn about the same axis.
 _GIMBAL_LOCK = 1e-14
 
 
@@ -250,7 +250,7 @@ def quaternion_to_rotvec(quaternion: ArrayLike) -> FloatArray:
         raise BadValue(f"a quaternion of length 0 is not a rotation; at {list(np.argwhere(largest[..., 0] == 0.0)[0])}")
     x, y, z, w = (given / largest).reshape(-1, 4).T
     length = np.sqrt(x * x + y * y + z * z)
-    # Of the two quaternions of a rotation, the one whose angle is at most pi.
+    # A rotation has two quaternions. Use the one whose angle is at most pi.
     scale = 2.0 * np.arctan2(length, np.abs(w)) / np.where(length > 0.0, length, 1.0) * np.where(w < 0.0, -1.0, 1.0)
     return np.stack((scale * x, scale * y, scale * z), axis=-1).reshape(*given.shape[:-1], 3)
 
@@ -312,7 +312,7 @@ def _rotations(rotvecs: FloatArray) -> Rigid[FloatArray]:
 
 
 def _check_rotations(matrices: FloatArray) -> None:
-    """Raise BadValue if a matrix is not a rotation."""
+    """Raise `BadValue` if a matrix is not a rotation."""
     off = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(axis=(-1, -2))
     wrong = (off > _ORTHONORMAL) | (np.linalg.det(matrices) < 0.0)
     if wrong.any():

@@ -1,12 +1,12 @@
 """Rigid transforms as twelve numbers, for poses, kinematics and dynamics.
 
-A transform is a tuple of twelve: the rows of the rotation matrix, then the position in m. Each of the twelve is either
-a float or an array of n floats, one for each of n transforms. The same formulas serve both: one transform costs no
-call into numpy, which would take longer than the arithmetic, and a thousand cost as many calls as one.
+A transform is a tuple of twelve numbers: the rows of the rotation matrix, then the position in m. Each number is a
+float, or an array of n floats for n transforms. The same formulas serve both cases. One transform needs no call into
+numpy, which would take longer than the arithmetic, and a thousand transforms need as many calls as one.
 
-Rotations come in and go out as rotation vectors, as Universal Robots writes them: the direction is the axis, the length
-is the angle in rad. Conversions go through the unit quaternion, taken from its largest component, so that they keep
-their precision at every angle, 0 and pi included.
+Rotations are given and returned as rotation vectors, as Universal Robots writes them: the direction is the axis, and
+the length is the angle in rad. Conversions use the largest component of the unit quaternion, so they keep their
+precision at every angle, including 0 and pi.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Rigid = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Nu
 Six = tuple[Number, Number, Number, Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
 
-# What most callers give comes first: whether a list is a `Sequence` takes ten times as long to find out.
+# The most frequent types come first, because the check whether a list is a `Sequence` takes ten times as long.
 _LISTS = (list, tuple, Sequence)
 _ROWS = (*_LISTS, np.ndarray)
 
@@ -39,14 +39,14 @@ IDENTITY: Rigid[float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0,
 
 @dataclass(frozen=True)  # a NamedTuple cannot be generic before Python 3.11
 class MathFunctions(Generic[Number]):
-    """The functions that formulas need, for floats or for arrays."""
+    """Functions that formulas need, for floats or for arrays."""
 
     sin: Callable[[Number], Number]
     cos: Callable[[Number], Number]
     sqrt: Callable[[Number], Number]
     atan2: Callable[[Number | float, Number], Number]
     hypot: Callable[[Number, Number], Number]
-    #: at least zero: `max(x, 0)`
+    #: Number limited to at least zero: `max(x, 0)`.
     positive: Callable[[Number], Number]
 
 
@@ -59,10 +59,10 @@ ROWS: MathFunctions[FloatArray] = MathFunctions(
 
 
 def floats(values: ArrayLike, n: int, what: str) -> list[float]:
-    """`n` finite numbers as plain floats: arithmetic on numpy scalars costs several times as much.
+    """Convert `n` finite numbers to plain floats, because arithmetic on numpy scalars is several times as slow.
 
     Raises:
-        BadValue: they are not `n` finite numbers.
+        BadValue: If `values` is not `n` finite numbers.
     """
     try:
         plain = values.tolist() if isinstance(values, np.ndarray) else list(map(float, values))  # type: ignore[arg-type]
@@ -70,15 +70,15 @@ def floats(values: ArrayLike, n: int, what: str) -> list[float]:
     except (TypeError, ValueError):
         usable = False
     if not usable:
-        raise BadValue(f"{what} must be {n} finite numbers, not {values!r}")
+        raise BadValue(f"{what} must be {n} finite numbers; got {values!r}")
     return plain
 
 
 def rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
-    """An array of finite float64 whose last dimensions are `shape`.
+    """Convert `values` to an array of finite float64 whose last dimensions are `shape`.
 
     Raises:
-        BadValue: it has another shape, or holds what is not a finite number. The message names the first such row.
+        BadValue: If the shape is different, or an element is not a finite number. The message names the first such row.
     """
     expected = f"{what} must have the shape (..., {', '.join(map(str, shape))}) and hold finite numbers"
     try:
@@ -86,7 +86,7 @@ def rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     except (TypeError, ValueError) as error:
         raise BadValue(f"{expected} ({error})") from None
     if array.shape[array.ndim - len(shape) :] != shape or array.ndim < len(shape):
-        raise BadValue(f"{expected}, not the shape {array.shape}")
+        raise BadValue(f"{expected}; got the shape {array.shape}")
     finite = np.isfinite(array)
     if not finite.all():
         at = tuple(int(i) for i in np.argwhere(~finite)[0])
@@ -95,35 +95,35 @@ def rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
 
 
 def is_single(values: ArrayLike) -> bool:
-    """One row of numbers, rather than rows of them; what is neither is left to `floats` and `rows` to refuse."""
+    """Return whether this is one row of numbers. Invalid values are rejected later, by `floats` and `rows`."""
     if isinstance(values, np.ndarray):
         return values.ndim <= 1
-    # numpy would make an array of it first, for longer than the arithmetic takes.
+    # Converting to a numpy array first would take longer than the arithmetic.
     return not isinstance(values, _LISTS) or not len(values) or not isinstance(values[0], _ROWS)
 
 
 def aligned(*arrays: FloatArray) -> tuple[list[FloatArray], tuple[int, ...]]:
-    """The arrays with their leading dimensions broadcast and flattened to n rows, and what the dimensions were.
+    """Broadcast the leading dimensions of the arrays and flatten them to n rows; also return these dimensions.
 
     Raises:
-        BadValue: the leading dimensions do not broadcast.
+        BadValue: If the leading dimensions do not broadcast.
     """
     try:
         shape = np.broadcast_shapes(*(array.shape[:-1] for array in arrays))
     except ValueError:
         given = " and ".join(str(array.shape) for array in arrays)
-        raise BadValue(f"these shapes do not go together: {given}") from None
+        raise BadValue(f"the shapes {given} do not broadcast; expected equal leading dimensions, or 1") from None
     return [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in arrays], shape
 
 
 def row(of: Rigid[FloatArray], i: int) -> Rigid[float]:
-    """One of n transforms."""
+    """Return one of n transforms."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = (float(number[i]) for number in of)
     return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
 
 
 def take(of: Rigid[FloatArray], chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Rigid[FloatArray]:
-    """Some of n transforms, chosen as numpy does."""
+    """Return some of n transforms, selected by a numpy index."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = (number[chosen] for number in of)
     return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
 
@@ -132,7 +132,7 @@ def take(of: Rigid[FloatArray], chosen: NDArray[np.bool_] | NDArray[np.intp]) ->
 
 
 def product(first: Rigid[Number], second: Rigid[Number]) -> Rigid[Number]:
-    """`second`, given in the frame that `first` describes, in the frame that `first` is given in."""
+    """Transform `second` from the frame that `first` describes to the reference frame of `first`."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, ax, ay, az = first
     b00, b01, b02, b10, b11, b12, b20, b21, b22, bx, by, bz = second
     return (
@@ -152,7 +152,7 @@ def product(first: Rigid[Number], second: Rigid[Number]) -> Rigid[Number]:
 
 
 def invert(rigid: Rigid[Number]) -> Rigid[Number]:
-    """The transform that undoes `rigid`."""
+    """Return the inverse of the transform `rigid`."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = rigid
     x, y, z = r00 * px + r10 * py + r20 * pz, r01 * px + r11 * py + r21 * pz, r02 * px + r12 * py + r22 * pz
     return r00, r10, r20, r01, r11, r21, r02, r12, r22, -x, -y, -z
@@ -162,7 +162,7 @@ def invert(rigid: Rigid[Number]) -> Rigid[Number]:
 
 
 def _turned(px: Number, py: Number, pz: Number, x: Number, y: Number, z: Number, s: Number, v: Number) -> Rigid[Number]:
-    """Rodrigues' formula: about the unit axis x, y, z by the angle with the sine `s` and 1 - cosine `v`."""
+    """Return the rotation about the unit axis x, y, z (Rodrigues); `s` is the sine of the angle, `v` 1 - its cosine."""
     sx, sy, sz = s * x, s * y, s * z
     vx, vy, vz = v * x, v * y, v * z
     xx, yy, zz, xy, yz, zx = vx * x, vy * y, vz * z, vx * y, vy * z, vz * x
@@ -173,7 +173,7 @@ def _turned(px: Number, py: Number, pz: Number, x: Number, y: Number, z: Number,
 
 
 def from_pose(pose: Six[float] | list[float]) -> Rigid[float]:
-    """The transform of x, y, z in m and a rotation vector in rad."""
+    """Return the transform of a pose: x, y, z in m and a rotation vector in rad."""
     px, py, pz, rx, ry, rz = pose
     angle = math.hypot(rx, ry, rz)
     if angle == 0.0:
@@ -182,16 +182,16 @@ def from_pose(pose: Six[float] | list[float]) -> Rigid[float]:
 
 
 def from_poses(poses: FloatArray) -> Rigid[FloatArray]:
-    """The transforms of (n, 6) poses."""
+    """Return the transforms of poses, shape (n, 6)."""
     px, py, pz, rx, ry, rz = poses.T
     angle = np.hypot(np.hypot(rx, ry), rz)
-    # Without a rotation any axis will do, and 0, 0, 0 gives the identity.
+    # Without a rotation, any axis is correct, and 0, 0, 0 results in the identity.
     length = np.where(angle > 0.0, angle, 1.0)
     return _turned(px, py, pz, rx / length, ry / length, rz / length, np.sin(angle), 1.0 - np.cos(angle))
 
 
-# Of a unit quaternion, four times the products of one component with all of them: w, x, y, z. By the largest component,
-# these are as precise as the matrix.
+# Four times the products of one component of a unit quaternion with all components: w, x, y, z. For the largest
+# component, they are as precise as the matrix.
 def _by_w(r: Rigid[Number]) -> Quaternion[Number]:
     return 1.0 + r[0] + r[4] + r[8], r[7] - r[5], r[2] - r[6], r[3] - r[1]
 
@@ -209,17 +209,17 @@ def _by_z(r: Rigid[Number]) -> Quaternion[Number]:
 
 
 def _scaled_quaternion(rigid: Rigid[float]) -> Quaternion[float]:
-    """A positive multiple of the quaternion w, x, y, z with w at least 0, so that its angle is at most pi."""
+    """Return a positive multiple of the quaternion w, x, y, z with w at least 0, so that its angle is at most pi."""
     r00, r11, r22 = rigid[0], rigid[4], rigid[8]
     if r00 + r11 + r22 > 0.0:
         return _by_w(rigid)
     w, x, y, z = _by_x(rigid) if r00 >= r11 and r00 >= r22 else _by_y(rigid) if r11 >= r22 else _by_z(rigid)
-    # Both quaternions of a rotation do; this one has the smaller angle.
+    # Both quaternions describe the rotation. This one has the smaller angle.
     return (-w, -x, -y, -z) if w < 0.0 else (w, x, y, z)
 
 
 def _scaled_quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
-    """The same as (4, n)."""
+    """Return the same for n transforms, shape (4, n)."""
     r00, r11, r22 = rigid[0], rigid[4], rigid[8]
     by_y = (r11 >= r22) & (r11 > r00)
     by_x = (r00 >= r22) & (r00 >= r11)
@@ -234,10 +234,10 @@ def _scaled_quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
 
 
 def rotation_vector(rigid: Rigid[float]) -> tuple[float, float, float]:
-    """The rotation vector, of an angle of 0 to pi.
+    """Return the rotation vector, with an angle of 0 to pi.
 
-    At exactly pi both directions of the axis are the same rotation; the one whose largest component is positive is
-    given.
+    At exactly pi, both directions of the axis are the same rotation. The direction whose largest component is positive
+    is returned.
     """
     w, x, y, z = _scaled_quaternion(rigid)
     sine = math.hypot(x, y, z)
@@ -246,12 +246,12 @@ def rotation_vector(rigid: Rigid[float]) -> tuple[float, float, float]:
 
 
 def to_pose(rigid: Rigid[float]) -> Six[float]:
-    """x, y, z and the rotation vector."""
+    """Return x, y, z and the rotation vector."""
     return (*rigid[9:], *rotation_vector(rigid))
 
 
 def to_poses(rigid: Rigid[FloatArray]) -> FloatArray:
-    """(n, 6) poses."""
+    """Return poses, shape (n, 6)."""
     w, x, y, z = _scaled_quaternions(rigid)
     sine = np.hypot(np.hypot(x, y), z)
     scale = 2.0 * np.arctan2(sine, w) / np.where(sine > 0.0, sine, 1.0)
@@ -259,7 +259,7 @@ def to_poses(rigid: Rigid[FloatArray]) -> FloatArray:
 
 
 def quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
-    """(n, 4) unit quaternions x, y, z, w with w at least 0."""
+    """Return unit quaternions x, y, z, w with w at least 0, shape (n, 4)."""
     scaled = _scaled_quaternions(rigid)
     unit: FloatArray = (scaled / np.linalg.norm(scaled, axis=0)).T
     return unit[:, [1, 2, 3, 0]]
@@ -269,14 +269,14 @@ def quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
 
 
 def to_matrix(rigid: Rigid[float]) -> FloatArray:
-    """(4, 4) homogeneous matrix."""
+    """Return the homogeneous matrix, shape (4, 4)."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = rigid
     flat = (r00, r01, r02, px, r10, r11, r12, py, r20, r21, r22, pz, 0.0, 0.0, 0.0, 1.0)
     return np.array(flat).reshape(4, 4)
 
 
 def to_matrices(rigid: Rigid[FloatArray]) -> FloatArray:
-    """(n, 4, 4) homogeneous matrices."""
+    """Return homogeneous matrices, shape (n, 4, 4)."""
     parts = np.broadcast_arrays(*rigid)
     matrices = np.zeros((*parts[0].shape, 4, 4))
     matrices[..., :3, :3] = np.stack(parts[:9], axis=-1).reshape(*parts[0].shape, 3, 3)
@@ -286,12 +286,12 @@ def to_matrices(rigid: Rigid[FloatArray]) -> FloatArray:
 
 
 def from_matrix(matrix: FloatArray) -> Rigid[float]:
-    """The transform of a (4, 4) matrix; its last row is not looked at."""
+    """Return the transform of a matrix, shape (4, 4). Its last row is ignored."""
     (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = matrix[:3].tolist()
     return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
 
 
 def from_matrices(matrices: FloatArray) -> Rigid[FloatArray]:
-    """The transforms of (n, 4, 4) matrices."""
+    """Return the transforms of matrices, shape (n, 4, 4)."""
     (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = np.moveaxis(matrices[:, :3], 0, -1)
     return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz

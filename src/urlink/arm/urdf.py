@@ -1,12 +1,12 @@
-"""An arm as URDF, the robot description that most other software reads.
+"""Conversion of an arm to URDF, the robot description format that most other software reads.
 
-Links and joints have the names and frames of the vendor's ROS description (`ur_description`), so that what was written
-for that one finds its way: `base_link`, `shoulder_pan_joint`, `shoulder_link` and so on to `wrist_3_joint`,
-`wrist_3_link` and `tool0`, which is the flange as the controller reports it. Other than there, `base_link` is the
-controller's base frame and not turned by 180 degrees about z.
+Links and joints have the names and frames of the vendor's ROS description (`ur_description`), so that software for that
+description also works here: `base_link`, `shoulder_pan_joint`, `shoulder_link` and so on to `wrist_3_joint`,
+`wrist_3_link` and `tool0`, which is the flange as the controller reports it. There is one difference: `base_link` is
+the controller's base frame, and is not turned by 180 degrees about z.
 
-The geometry is that of the arm at hand, calibrated or not. Limits, masses and inertias are those of `urlink.models`,
-also for a calibrated arm. There are no shapes: the meshes belong to the vendor's description.
+The geometry is that of the given arm, calibrated or not. Limits, masses and inertias are those of `urlink.models`, even
+for a calibrated arm. Meshes are not included, because they belong to the vendor's description.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from .rigid import Rigid
 
 __all__ = ["JOINTS", "LINKS", "link_frames", "link_poses", "to_urdf"]
 
-#: Of the shapes that links are drawn with, m.
+#: Radius of the shapes of the links, in m.
 RADIUS = 0.05
 
-#: The links that move, from the shoulder on.
+#: Names of the moving links, starting at the shoulder.
 LINKS = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
-#: The joints, from the base on.
+#: Names of the joints, starting at the base.
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 
 
 def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = False) -> str:
-    """The arm as the text of a URDF file.
+    """Return the arm as the text of a URDF file.
 
     Args:
-        arm: an `Arm`, which may be calibrated, or the name of a model, or a `Model`.
-        name: of the robot in the file; by default that of the model, in lower case.
-        shapes: give the links cylinders and spheres, so that viewers have something to draw. They follow the geometry
-            and are not a likeness of the arm, nor a hull of it.
+        arm: Calibrated or published `Arm`, `Model`, or name of a model.
+        name: Name of the robot in the file; by default the name of the model in lower case.
+        shapes: Whether the links have cylinders and spheres, for viewers. They follow the geometry, but are neither a
+            likeness nor a hull of the arm.
 
     Returns:
         XML; write it to a file with the ending `.urdf`.
 
     Raises:
-        UnknownModel: no arm is called that.
+        UnknownModel: If no arm has this name.
 
     >>> text = to_urdf("UR5e")
     >>> text.splitlines()[1]
@@ -78,26 +78,27 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = F
 
 
 def link_frames(arm: Arm) -> Iterator[tuple[Rigid[float], Rigid[float]]]:
-    """Of each link, where it is in the link before when its joint stands at 0, and where its end is in itself.
+    """Yield two frames of each link: its beginning in the previous link at joint position 0, and its end in itself.
 
-    The joint turns about the z axis of the frame before the link. Along that axis a joint may sit anywhere: as in the
-    vendor's description, it sits where the link begins, at the link's offset d.
+    The joint turns about the z axis of the frame before the link, and can be at any position along this axis. As in the
+    vendor's description, it is at the beginning of the link, at the link offset d.
     """
     end = rigid.IDENTITY
     for link in arm.geometry.links:
-        # Where the joint of the link sits in the frame before, and how that is turned when the joint stands at 0.
+        # Position of the joint of the link in the previous frame, and its rotation at joint position 0.
         joint = rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset])
         begin = rigid.product(end, joint)
-        # In the frame that turns with the joint.
+        # End of the link in the frame that turns with the joint.
         ca, sa, cb, sb = link.turns
         end = (cb, 0.0, sb, sa * sb, ca, -sa * cb, -ca * sb, sa, ca * cb, link.a, 0.0, 0.0)
         yield begin, end
 
 
 def link_poses(arm: Arm, q: NDArray[np.float64]) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
-    """Where each frame of the URDF is in the one before it, for joint positions (n, 6), rad.
+    """Yield the pose of each URDF frame in the previous frame, for joint positions of shape (n, 6), in rad.
 
-    Yields the name of the frame before, the name of the frame, and its poses (n, 6): m, and rotation vector in rad.
+    Yields the name of the previous frame, the name of the frame, and its poses, shape (n, 6): position in m, and
+    rotation vector in rad.
     """
     frames, parent = list(link_frames(arm)), "base_link"
     for i, ((begin, _), child) in enumerate(zip(frames, LINKS, strict=True)):
@@ -124,7 +125,7 @@ def _add_joint(
 
 
 def _add_shapes(element: ElementTree.Element, end: Rigid[float]) -> None:
-    """A sphere at the beginning of a link, and a cylinder to its end."""
+    """Add a sphere at the beginning of a link, and a cylinder to its end."""
     x, y, z = end[9:]
     length = math.hypot(x, y, z)
     turned = (math.atan2(math.hypot(x, y), z), math.atan2(y, x))
@@ -141,7 +142,7 @@ def _add_shapes(element: ElementTree.Element, end: Rigid[float]) -> None:
 
 
 def _add_inertial(element: ElementTree.Element, model: Model, i: int, end: Rigid[float]) -> None:
-    # Masses are given in the frame at the end of the link.
+    # The centre of mass is given in the frame at the end of the link.
     cog = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *model.link_cogs[i].tolist())
     inertial = ElementTree.SubElement(element, "inertial")
     _add_origin(inertial, rigid.product(end, cog))
@@ -157,5 +158,5 @@ def _add_origin(element: ElementTree.Element, origin: Rigid[float]) -> None:
 
 
 def numbers(*values: float) -> str:
-    """With all their digits, and no -0."""
+    """Return the numbers with all digits, and without -0."""
     return " ".join(repr(value + 0.0) for value in values)

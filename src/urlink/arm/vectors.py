@@ -1,4 +1,4 @@
-"""Six numbers, one per joint or coordinate, as users give them."""
+"""Vectors of six numbers, one per joint or coordinate, from users."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 from linkcore.errors import BadValue
 
 FloatArray = NDArray[np.float64]
-#: A row of numbers as users give it: joints, a pose. Text is not one, which `numpy.typing.ArrayLike` would take.
+#: Row of numbers from a user: joints, or a pose. Excludes text, which `numpy.typing.ArrayLike` would accept.
 Numbers = Sequence[float] | NDArray[np.floating[Any]] | NDArray[np.integer[Any]]
 
-#: The joints by name, from base to wrist 3.
+#: Names of the joints, from base to wrist 3.
 JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 
 
 def numbers(values: ArrayLike, name: str) -> FloatArray:
-    """A copy of `values` as float64.
+    """Copy `values` to a float64 array.
 
     Raises:
-        BadValue: they are not numbers, or not a regular array of them.
+        BadValue: If `values` is not numbers, or not a regular array of numbers.
     """
     if isinstance(values, (str, bytes)):
         raise BadValue(f"{name} is {values!r}; expected numbers")
@@ -36,10 +36,10 @@ def numbers(values: ArrayLike, name: str) -> FloatArray:
 
 
 def six(values: ArrayLike, name: str) -> FloatArray:
-    """Six finite numbers as a read-only array; a copy.
+    """Copy six finite numbers to a read-only array.
 
     Raises:
-        BadValue: not six, not numbers, or not finite.
+        BadValue: If `values` is not six finite numbers.
 
     >>> six([0, 0, 0, 0, 0, 1], "q").tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -54,10 +54,10 @@ def six(values: ArrayLike, name: str) -> FloatArray:
 
 
 def six_limits(values: ArrayLike, name: str) -> FloatArray:
-    """One limit for each joint, of a number for all of them or of six.
+    """Return six limits from one number for all joints, or from six numbers.
 
     Raises:
-        BadValue: neither one nor six, or not finite and above zero.
+        BadValue: If `values` is not one or six finite numbers above zero.
 
     >>> six_limits(2, "speed").tolist()
     [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]

@@ -1,4 +1,4 @@
-"""The `urlink` command: one module per subcommand, and what they share."""
+"""The `urlink` command: one module per subcommand, and modules that several subcommands use."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from linkcore.cli.program import Plugin, program
 
 __all__ = ["main"]
 
-#: command -> the module of this folder that declares it, or the package that brings it, in the order of the help
+#: Module of this folder that declares each command, or package that provides it, in the order of the help.
 _COMMANDS: dict[str, str | Plugin] = {
     "monitor": "monitor",
     "echo": "echo",
@@ -16,7 +16,7 @@ _COMMANDS: dict[str, str | Plugin] = {
     "hz": "hz",
     "info": "info",
     "doctor": "doctor",
-    "accept": Plugin("urlink-accept", "prove a controller, and leave evidence"),
+    "accept": Plugin("urlink-accept", "test a controller and store the evidence"),
     "run": "run",
     "jog": "jog",
     "teach": "teach",
@@ -25,9 +25,9 @@ _COMMANDS: dict[str, str | Plugin] = {
     "replay": "replay",
     "plot": "plot",
     "export": "export",
-    "exercise": Plugin("urlink-accept", "a slow motion to record"),
-    "identify": Plugin("urlink-accept", "what a recording tells of its arm"),
-    "compare": Plugin("urlink-accept", "a recording beside the simulator"),
+    "exercise": Plugin("urlink-accept", "move each joint slowly, for a recording"),
+    "identify": Plugin("urlink-accept", "estimate the parameters of an arm from a recording"),
+    "compare": Plugin("urlink-accept", "compare a recording with the simulator"),
     "foxglove": Plugin("urlink-view[foxglove]", "serve a robot to Foxglove"),
     "view": Plugin("urlink-view", "show an arm in 3D in a browser"),
     "dissect": "dissect",
@@ -41,12 +41,12 @@ Read and command Universal Robots arms of every generation: real, simulated, or 
 
 _EPILOG = """\
 addresses:
-  192.168.56.101                   a controller, by name or number
-  ur://host?primary=40001          one on other ports
-  sim://                           a simulated UR5e; sim://ur10?firmware=3.4 another
+  192.168.56.101                   a controller, by host name or IP address
+  ur://host?primary=40001          a controller on other ports
+  sim://                           a simulated UR5e; sim://ur10?firmware=3.4 for another one
   replay:///tmp/run.urlog?rate=2   a recording"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status and never raises."""
+    """Run the command line and return the exit status; never raises."""
     return program("urlink", _COMMANDS, _DESCRIPTION, _EPILOG, argv)

@@ -1,4 +1,4 @@
-"""`urlink dashboard`: sends a command to the dashboard server, and reports whether the reply confirms it."""
+"""`urlink dashboard`: sends a command to the dashboard server, and shows whether the reply confirms it."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from .options import ADDRESS, connected
         "command",
         nargs="+",
         metavar="COMMAND",
-        help="the command, and its text where it takes one",
+        help="command, followed by its text if it takes one",
         words=lambda: ["start", *(word for name in COMMANDS for word in name.split())],
     ),
-    argument("--timeout", type=seconds, metavar="S", help="wait S seconds for the reply (5; start: 30)"),
+    argument("--timeout", type=seconds, metavar="S", help="wait S seconds for the reply (default: 5; start: 30)"),
     listing=lambda: "\n".join(f"  {name}" for name in COMMANDS),
 )
 def run(args: argparse.Namespace) -> int:
-    """Send a command to the dashboard server and print its reply; `start` powers the arm on, releases its brakes and
+    """Send a command to the dashboard server and print its reply. `start` switches the arm on, releases its brakes and
     waits until it runs. THE ARM MAY MOVE after `play`, `brake release` and `start`. The exit status is 1 if the reply
     does not confirm the command.
 
-    Commands, on the firmware that has them:
+    Commands, and the firmware that has them:
 
     examples:
       urlink dashboard 192.168.56.101 robotmode
@@ -41,11 +41,11 @@ def run(args: argparse.Namespace) -> int:
     """
     command = " ".join(args.command)
     if not command.strip():
-        raise LocalError("an empty command")
+        raise LocalError("the command is empty")
     with connected(args) as robot, ProgressBar(f"waiting for {command!r}", args.quiet):
         if command == "start":
             robot.dashboard.start(*([] if args.timeout is None else [args.timeout]))
-            print("the arm runs")
+            print("the arm is running")
         else:
             reply = robot.dashboard.send(command, args.timeout)
             print(printable(reply))
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _is_carried_out(command: str, reply: str) -> bool:
-    """Whether a reply confirms a command; of one that is not in the table, any does but that it is unknown."""
+    """Whether a reply confirms a command. For unknown commands, only the reply that it is unknown does not."""
     known = [each for each in COMMANDS.values() if f"{command} ".casefold().startswith(f"{each.name} ".casefold())]
     if not known:
         return not reply.casefold().startswith(COULD_NOT_UNDERSTAND)

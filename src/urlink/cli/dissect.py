@@ -1,4 +1,4 @@
-"""`urlink dissect`: every byte of a packet with its meaning, and the bytes between frames."""
+"""`urlink dissect`: shows every byte of a packet with its meaning, and the bytes between packets."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Stretch(NamedTuple):
     """A part of a stream of bytes.
 
     Attributes:
-        offset: in the stream.
-        data: the bytes.
-        is_packet: whether it is a whole packet; if not, its bytes belong to none.
-        expected: size of the packet that begins here and is cut off; None otherwise.
+        offset: Offset in the stream.
+        data: The bytes.
+        is_packet: Whether it is a whole packet; otherwise its bytes belong to no packet.
+        expected: Size of the packet that begins here and is cut off; None otherwise.
     """
 
     offset: int
@@ -58,9 +58,9 @@ class Stretch(NamedTuple):
 
 
 def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
-    """Every byte of `data`, in order, as whole packets and the bytes between, before and after them."""
+    """Yield every byte of `data`, in order: whole packets, and the bytes between, before and after them."""
     boundary = _BOUNDARIES["realtime" if interface == "realtime" else "primary"]()
-    framer = Framer(boundary, limit=None)  # no limit: all bytes are shown, whatever they are
+    framer = Framer(boundary, limit=None)  # no limit: all bytes are shown
     at = 0
     for frame in framer.feed(data) if data else ():
         start = data.index(frame, at)
@@ -74,7 +74,7 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
     if framer.rest:
         size, _ = boundary.declared(framer.rest, 0)
         if 0 < size <= len(framer.rest):
-            # Whole, but unusual: the framer would wait for the next header to confirm it.
+            # The packet is whole, but the framer would wait for the next header to confirm it.
             yield Stretch(rest, framer.rest[:size], is_packet=True)
             rest, size = rest + size, 0
         if rest < len(data):
@@ -82,15 +82,15 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
 
 
 def guess_interface(data: bytes) -> Interface | None:
-    """The interface whose packets fill most of `data`; None if no packet of any is in it."""
+    """Return the interface whose packets fill most of `data`; None if it contains no packet of any interface."""
     found = {interface: _filled(data, interface) for interface in _BOUNDARIES}
-    # The primary interface is preferred if both are possible: its packets have more marks than their size.
+    # The primary interface is preferred if both are possible, because its packets have more marks than their size.
     best = max(found, key=lambda interface: found[interface])
     return best if found[best] else None
 
 
 def _filled(data: bytes, interface: Interface) -> int:
-    """Bytes in whole packets, or in the beginning of the one packet that `data` is."""
+    """Return the number of bytes in whole packets, or in a packet that is cut off."""
     try:
         Framer(_BOUNDARIES[interface]()).feed(data)
     except WrongPeer:
@@ -108,21 +108,21 @@ def _firmware(text: str) -> Firmware:
 @command(
     "dissect",
     "show the bytes of packets, field by field",
-    argument("file", metavar="FILE", help="raw bytes, hex text or a recording; - for stdin"),
-    argument("--interface", choices=INTERFACES, help="interface that the bytes come from (guessed)"),
-    argument("--firmware", type=_firmware, metavar="X.Y", help="firmware that sent them (guessed)"),
+    argument("file", metavar="FILE", help="file with raw bytes or hex text, or a recording; - for stdin"),
+    argument("--interface", choices=INTERFACES, help="interface that sent the bytes (default: detected)"),
+    argument("--firmware", type=_firmware, metavar="X.Y", help="firmware that sent the bytes (default: detected)"),
     *SHOWN,
 )
 def run(args: argparse.Namespace) -> int:
     """Show every packet in a file, field by field: offset, bytes in hex, name, value, unit, meaning.
 
-    FILE holds raw bytes, as cut from a network capture, or hex digits, or is a recording; with - the bytes or hex
-    digits are read from stdin. Robot states are shown sub-package by sub-package. Bytes that no known layout explains
-    are shown as `tail`, packets that cannot be decoded with the reason. Bytes outside packets, and packets that are
-    cut off, are shown too: nothing is hidden.
+    FILE contains raw bytes, for example from a network capture, or hex digits, or is a recording. With -, the bytes or
+    hex digits are read from stdin. Robot states are shown by sub-package. Bytes that no known layout explains are
+    shown as `tail`. Packets that cannot be decoded are shown with the reason. Bytes outside packets, and packets that
+    are cut off, are shown too: nothing is hidden.
 
-    Offsets count from the beginning of the file's bytes; in a recording from the first byte of the connection.
-    The layout of a packet is found from its size, unless --firmware is given.
+    Offsets count from the beginning of the bytes in the file; in a recording, from the first byte of the connection.
+    The size of a packet determines its layout, unless --firmware is given.
 
     examples:
       urlink dissect packet.bin
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
       urlink dissect packet.bin --interface realtime --firmware 3.4 --json
       echo '00 00 00 05 10' | urlink dissect - --interface primary
     """
-    # On a terminal this is shown only while no packet is printed.
+    # On a terminal, this is shown only until the first packet is printed.
     with ProgressBar(f"dissecting {args.file}", args.quiet) as progress:
         pieces = itertools.starmap(_shown, enumerate(_pieces(args, progress), 1))
         return print_pieces(pieces, args, f" of {args.interface}" if args.interface else "")
@@ -152,7 +152,7 @@ def _pieces(args: argparse.Namespace, progress: Progress) -> Iterator[PacketPiec
 
 
 def _sources(name: str, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
-    """The bytes in a file or on stdin, connection by connection, and the interface that each came over."""
+    """Yield the interface and the bytes of each connection in a file or on stdin."""
     data = input_bytes(name)
     if data.startswith(MAGIC):
         yield from _recorded(RecordingFile(Path(name)), wanted)
@@ -160,7 +160,7 @@ def _sources(name: str, wanted: Interface | None) -> Iterator[tuple[Interface, b
     interface = wanted or guess_interface(data)
     if interface is None and data:
         raise BadRecording(
-            f"no packet of any interface is in {named(name)}; with --interface its bytes are shown anyway"
+            f"{named(name)} contains no packet of any interface; use --interface to show its bytes anyway"
             + text_hint(data)
         )
     if interface is not None and data:
@@ -169,7 +169,7 @@ def _sources(name: str, wanted: Interface | None) -> Iterator[tuple[Interface, b
 
 def _recorded(recording: RecordingFile, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
     if wanted is not None:
-        recording.channel(wanted)  # raises at once, and names the interfaces that there are
+        recording.channel(wanted)  # raises immediately, with the names of the recorded interfaces
     for number, info in recording.channels.items():
         name = info["name"]
         if name not in INTERFACES or wanted not in (None, name):
@@ -189,16 +189,16 @@ def _recorded(recording: RecordingFile, wanted: Interface | None) -> Iterator[tu
 
 @dataclass
 class PacketPiece:
-    """A packet, a sub-package, or a stretch of bytes that is neither.
+    """A packet, a sub-package, or other bytes.
 
     Attributes:
-        offset: of its first byte.
-        data: its bytes.
-        title: class of the packet, or what the bytes are.
-        layout: first firmware that sends this layout; None if there is none.
-        rows: the fields; their offsets count from the beginning of the piece.
-        parts: the sub-packages.
-        error: why it could not be decoded completely; None if it could.
+        offset: Offset of its first byte.
+        data: Its bytes.
+        title: Class of the packet, or description of the bytes.
+        layout: First firmware that sends this layout; None if there is no layout.
+        rows: Fields; their offsets count from the beginning of the piece.
+        parts: Sub-packages.
+        error: Reason why it could not be decoded completely; None if it could.
     """
 
     offset: int
@@ -210,7 +210,7 @@ class PacketPiece:
     error: str | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return the piece as values for JSON."""
         answer: dict[str, Any] = {
             "offset": self.offset,
             "size": len(self.data),
@@ -237,7 +237,7 @@ class PacketPiece:
         return answer
 
     def lines(self, number: int | None = None) -> Iterator[str]:
-        """For people."""
+        """Yield the piece as lines of text."""
         layout = f", layout of firmware {self.layout} and later" if self.layout is not None else ""
         count = "" if number is None else f"#{number} "
         yield f"{count}{self.title}: {len(self.data)} bytes at {self.offset}{layout}"
@@ -252,7 +252,7 @@ class PacketPiece:
 
 
 def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Iterator[PacketPiece]:
-    """Every byte of `data`, in order."""
+    """Yield every byte of `data`, in order."""
     said = firmware
     for stretch in cut(data, interface):
         if not stretch.is_packet:
@@ -262,13 +262,13 @@ def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Ite
         else:
             piece, state = _package(stretch.data, stretch.offset, said)
             if isinstance(state, VersionMessage) and firmware is None:
-                # The packets after it have the layouts of the firmware that the controller has sent.
+                # Later packets have the layouts of the firmware that the controller has reported.
                 said = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
             yield piece
 
 
 def _stray(stretch: Stretch, interface: Interface, firmware: Firmware | None) -> PacketPiece:
-    """Bytes that are not a whole packet."""
+    """Return bytes that are not a whole packet."""
     if stretch.expected is None:
         return PacketPiece(stretch.offset, stretch.data, "no packet", error="these bytes belong to no packet")
     cut_off = f"cut off: expected {stretch.expected} bytes, got {len(stretch.data)}"
@@ -298,7 +298,7 @@ def _package(data: bytes, offset: int, firmware: Firmware | None) -> tuple[Packe
 
 
 def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> PacketPiece:
-    """A robot state, decoded one sub-package at a time, so that a bad one does not hide the others."""
+    """Decode a robot state one sub-package at a time, so that an invalid one does not hide the others."""
     piece = PacketPiece(offset, data, RobotState.__name__)
     decoder = PackageDecoder(firmware)
     piece.rows = list(header_rows(PACKAGE, data))

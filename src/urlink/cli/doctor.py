@@ -1,4 +1,4 @@
-"""`urlink doctor`: checks a controller, the network and this computer, and says what to do about problems."""
+"""`urlink doctor`: checks a controller, the network and this computer, and suggests how to fix problems."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..session.address import RecordingAddress, RobotAddress, SimulatorAddress, 
 from .options import ADDRESS
 from .packet_stream import Tap
 
-#: What each port is for, if it should be open.
+#: Purpose of each port that should be open.
 _PORTS = {
     "primary": "states, messages, programs",
     "secondary": "states, programs",
@@ -37,15 +37,15 @@ _PORTS = {
     "dashboard": "power, brakes, installed programs",
 }
 
-#: Seconds by which this computer may wake up late. A servo loop at 500 Hz has 2 ms.
+#: Acceptable and bad delay of a wake-up of this computer, in seconds. A servo loop at 500 Hz has 2 ms.
 _LATE_OK, _LATE_BAD = 0.001, 0.01
 
-#: Periods by which the longest gap between packets may exceed the mean.
+#: Limit of the longest gap between packets, in periods above the mean.
 _JITTER = 1.5
 
 
 class Finding(NamedTuple):
-    """One line: state, what was checked, what was seen, and what to do about it."""
+    """One line of output: state, checked item, observation, and remedy."""
 
     state: str  # "ok", "look" or "BAD"
     topic: str
@@ -57,15 +57,15 @@ class Finding(NamedTuple):
     "doctor",
     "check a robot, the network and this computer",
     *ADDRESS,
-    argument("--duration", type=seconds, default=2.0, metavar="S", help="listen to packets for S seconds (2)"),
-    argument("--json", action="store_true", help="one JSON object a line"),
+    argument("--duration", type=seconds, default=2.0, metavar="S", help="receive packets for S seconds (default: 2)"),
+    argument("--json", action="store_true", help="print one JSON object per line"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Check a controller, the network to it and this computer, and say what is wrong.
+    """Check a controller, the network to it and this computer, and print problems.
 
-    One line for each check: "ok", "look" for what may be intended, "BAD" for what keeps something from working,
-    with what to do about it. Nothing is moved or switched. Each free RTDE input is claimed for some milliseconds
-    to see whether another client holds it; a client that claims it at that moment is refused.
+    Each check prints one line: "ok", "look" for something that may be intended, or "BAD" for something that does not
+    work, with a remedy. Nothing is moved or switched. Each free RTDE input is claimed for some milliseconds to find
+    out whether another client holds it. If another client claims it at that moment, its claim is refused.
 
     examples:
       urlink doctor 192.168.56.101
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 def _findings(address: str, timeout: float, duration: float, progress: ProgressBar) -> Iterator[Finding]:
     place = parse_address(address)
     if isinstance(place, RecordingAddress):
-        raise BadValue(f"{address} is a recording; doctor checks a controller that is running")
+        raise BadValue(f"{address} is a recording; doctor needs a running controller")
     yield _scheduling()
     progress(text=f"connecting to {address}")
     if isinstance(place, SimulatorAddress):
@@ -100,7 +100,7 @@ def _findings(address: str, timeout: float, duration: float, progress: ProgressB
     try:
         open_ports = list(_ports(place, timeout, progress))
     except ConnectFailed as error:
-        remedy = "check the spelling and the network's name server, or use the IP address that the pendant shows"
+        remedy = "check the spelling and the network's name server, or use the IP address shown on the pendant"
         reason = getattr(error.__cause__, "strerror", None) or error.__cause__
         yield Finding("BAD", "host", f"{place.host} is unknown ({reason})", remedy)
         return
@@ -109,9 +109,9 @@ def _findings(address: str, timeout: float, duration: float, progress: ProgressB
         robot = connect(address, timeout=timeout)
     except RemoteError as error:
         yield from open_ports
-        remedy = "is the controller on, and is this its address?"
+        remedy = "check that the controller is on, and that this is its address"
         if any(finding.state == "ok" for finding in open_ports):
-            remedy = "the primary or secondary interface has to be open: it says which controller this is"
+            remedy = "the primary or secondary interface must be open, because it identifies the controller"
         yield Finding("BAD", "controller", str(error), remedy)
         return
     with robot:
@@ -120,7 +120,7 @@ def _findings(address: str, timeout: float, duration: float, progress: ProgressB
 
 
 def _expected(ports: Iterable[Finding], robot: Robot) -> Iterator[Finding]:
-    """The findings about ports; a port that this generation does not have may be closed."""
+    """Yield the findings about ports. A port that this generation does not have may be closed."""
     for finding in ports:
         if finding.state == "BAD" and finding.seen.startswith("rtde") and not _has_rtde(robot):
             yield Finding("ok", finding.topic, "rtde: closed; controllers before 3.3 have none")
@@ -151,19 +151,19 @@ def _topic(look: Callable[[Robot], Iterator[Finding]]) -> str:
 
 
 def _scheduling() -> Finding:
-    """How late this computer wakes a thread that sleeps for 1 ms, which a loop at 500 Hz depends on."""
+    """Measure the delay of waking a thread that sleeps for 1 ms; a loop at 500 Hz depends on it."""
     late = []
     for _ in range(200):
         due = clock.now() + 0.001
         clock.sleep(0.001)
         late.append(clock.now() - due)
     worst, median = max(late), statistics.median(late)
-    seen = f"woken {median * 1e3:.2f} ms late as a rule, {worst * 1e3:.2f} ms at worst (200 sleeps)"
+    seen = f"woken {median * 1e3:.2f} ms late (median), {worst * 1e3:.2f} ms at worst (200 sleeps)"
     if clock.RESOLUTION > _LATE_OK:
-        return Finding("BAD", "computer", "its clock is coarser than 1 ms", "timing cannot be trusted here")
+        return Finding("BAD", "computer", "the clock is coarser than 1 ms", "timing is not reliable on this computer")
     if worst > _LATE_BAD:
         return Finding(
-            "look", "computer", seen, "set-points may come late: stop other programs, or use a servo rate of 125 Hz"
+            "look", "computer", seen, "set-points may be late: stop other programs, or use a servo rate of 125 Hz"
         )
     return Finding("ok", "computer", seen)
 
@@ -172,7 +172,7 @@ def _scheduling() -> Finding:
 
 
 def _ports(place: RobotAddress, timeout: float, progress: ProgressBar) -> Iterator[Finding]:
-    """Whether each port is open.
+    """Check whether each port is open.
 
     Raises:
         ConnectFailed: If the host is unknown.
@@ -185,11 +185,11 @@ def _ports(place: RobotAddress, timeout: float, progress: ProgressBar) -> Iterat
         try:
             transport.open(timeout)
         except LinkTimeout:
-            yield Finding("BAD", f"port {port}", f"{name}: no answer", "a firewall, a wrong address, or no route")
+            yield Finding("BAD", f"port {port}", f"{name}: no answer", "check the address, the route and firewalls")
         except ConnectFailed as error:
             if is_unknown_host(error):
                 raise  # every port would report the same
-            remedy = f"needed for {purpose}: is the service switched off (Settings, Security, Services)?"
+            remedy = f"needed for {purpose}; check whether the service is switched off (Settings, Security, Services)"
             yield Finding("BAD", f"port {port}", f"{name}: {error}", remedy)
         else:
             took = clock.now() - began
@@ -203,18 +203,18 @@ def _ports(place: RobotAddress, timeout: float, progress: ProgressBar) -> Iterat
 
 def _identity(robot: Robot) -> Iterator[Finding]:
     identity = robot.identity
-    seen = f"{identity.model or 'an arm that it does not name'}, firmware {identity.firmware}"
+    seen = f"{identity.model or 'unknown arm'}, firmware {identity.firmware}"
     if not identity.said_so:
         yield Finding("look", "controller", seen, "the firmware is inferred from the sizes of its packages")
     elif identity.firmware[:2] > (newest := _newest(identity.firmware))[:2]:
-        remedy = f"newer than {newest}, the newest that is known: what it adds is kept, but not decoded"
+        remedy = f"newer than {newest}, the newest known firmware: added data are kept, but not decoded"
         yield Finding("look", "controller", seen, remedy)
     else:
         yield Finding("ok", "controller", seen)
 
 
 def _newest(firmware: Firmware) -> Firmware:
-    """The newest known firmware of the same generation that is not newer than `firmware`."""
+    """Return the newest known firmware of the same generation that is not newer than `firmware`."""
     return [row.since for row in RELEASES if row.since.major <= firmware.major][-1]
 
 
@@ -224,7 +224,7 @@ def _modes(robot: Robot) -> Iterator[Finding]:
     if modes.robot_mode == running:
         yield Finding("ok", "robot mode", modes.robot_mode.name)
     else:
-        remedy = "robot.dashboard.start() switches it on, or the pendant"
+        remedy = "switch it on with robot.dashboard.start(), or at the pendant"
         yield Finding("look", "robot mode", modes.robot_mode.name, remedy)
     state = robot.realtime.wait(2.0)
     safety = state.safety_mode if state.safety_status is None else state.safety_status
@@ -234,20 +234,20 @@ def _modes(robot: Robot) -> Iterator[Finding]:
     elif safety in (SafetyMode.NORMAL, SafetyMode.REDUCED):
         yield Finding("ok", "safety", safety.name)
     else:
-        yield Finding("BAD", "safety", safety.name, "the arm does not move until a person has cleared this")
+        yield Finding("BAD", "safety", safety.name, "the arm cannot move until a person has cleared this")
     if modes.is_program_running:
-        yield Finding("look", "program", "one is running", "a motion from here would end it")
+        yield Finding("look", "program", "a program is running", "a motion from this computer would end it")
     else:
-        yield Finding("ok", "program", "none is running")
+        yield Finding("ok", "program", "no program is running")
 
 
 def _remote_control(robot: Robot) -> Iterator[Finding]:
     if not robot.firmware.is_e_series:
-        yield Finding("ok", "control", "this generation takes commands without being in remote control")
+        yield Finding("ok", "control", "this generation accepts commands without remote control")
     elif robot.dashboard.is_in_remote_control():
-        yield Finding("ok", "control", "remote: it takes programs and commands")
+        yield Finding("ok", "control", "remote: programs and commands are accepted")
     else:
-        remedy = "programs and commands are ignored silently: switch to remote control at the pendant"
+        remedy = "programs and commands are ignored without an error: switch to remote control on the pendant"
         yield Finding("BAD", "control", "local", remedy)
 
 
@@ -256,7 +256,7 @@ def _inputs(robot: Robot) -> Iterator[Finding]:
         return
     held = sorted(name for name, why in robot.rtde.who_holds().items() if why == "in use")
     if held:
-        remedy = "another RTDE client, a URCap or a fieldbus: it must release them before they can be written from here"
+        remedy = "another RTDE client, a URCap or a fieldbus must release them before this computer can write them"
         names = ", ".join(held if len(held) <= 6 else [*held[:3], "...", *held[-2:]])
         yield Finding("look", "inputs", f"{len(held)} in use: {names}", remedy)
     else:
@@ -297,8 +297,8 @@ def _packets(robot: Robot, duration: float, progress: ProgressBar) -> Iterator[F
                 "BAD", f"{name} data", seen, "packets are missing: the network, or this computer, is too slow"
             )
         elif missed:
-            yield Finding("look", f"{name} data", seen, "the controller did not send them, or the network held it up")
+            yield Finding("look", f"{name} data", seen, "the controller did not send them, or the network was delayed")
         elif longest > mean + _JITTER * max(1 / rate, 0.01):
-            yield Finding("look", f"{name} data", seen, "gaps like that make streamed set-points late")
+            yield Finding("look", f"{name} data", seen, "such gaps make streamed set-points late")
         else:
             yield Finding("ok", f"{name} data", seen)

@@ -12,12 +12,13 @@ from .packet_printing import PRINTED, kind_of, print_packets, shower
 
 @command("echo", "print packets, one line each", *ADDRESS, *PRINTED)
 def run(args: argparse.Namespace) -> int:
-    """Print packets, one line each: every packet, in order.
+    """Print every packet in order, one line each.
 
-    Without a FIELD a line has all of them. A field of the real-time interface is named as it is, q_actual; one of
-    robot states (--interface primary) comes after its sub-package, joint_data.q_actual. --type selects
-    sub-packages, messages or other packages by their class. A field that the controller does not send is "-",
-    in JSON null. If the output is too slow, packets are dropped, and counted on stderr at the end.
+    Without FIELD, a line contains all fields. Fields of the real-time interface are named directly, for example
+    q_actual. Fields of robot states (--interface primary) follow the name of their sub-package, for example
+    joint_data.q_actual. --type selects sub-packages, messages or other packages by class. A field that the controller
+    does not send is printed as "-", and as null in JSON. If the output is too slow, packets are dropped. Their number
+    is printed on stderr at the end.
 
     examples:
       urlink echo 192.168.56.101 q_actual tcp_force

@@ -15,20 +15,20 @@ from .rate_measurement import measure
 
 @command(
     "hz",
-    "measure how regularly states come",
+    "measure the rate and jitter of incoming states",
     *ADDRESS,
     interface_of(INTERFACES),
-    argument("--window", type=positive_int, default=1000, metavar="N", help="periods to look back on (1000)"),
+    argument("--window", type=positive_int, default=1000, metavar="N", help="number of last periods (default: 1000)"),
     DURATION,
 )
 def run(args: argparse.Namespace) -> int:
-    """Measure how regularly states come, by the times at which their bytes arrived here.
+    """Measure the rate and jitter of incoming states, based on the times at which their bytes arrive.
 
-    One line a second: the rate, the shortest, mean and longest period and its standard deviation over the
-    last --window periods, and what the stream has counted since the start; missed is what never came, and
-    duplicates what came twice, by the controller's own clock. States that arrive in one segment have a period
-    of zero between them. On e-Series the real-time interface sends 500 states a second, on CB2 and CB3 125,
-    the primary and secondary interface 10.
+    Each second, one line is printed: the rate, the shortest, mean and longest period, and the standard deviation of
+    the period over the last --window periods. The counters of the stream since the start follow. `missed` counts
+    states that never arrived, and `duplicates` counts states that arrived twice, based on the controller's clock.
+    States that arrive in one segment have a period of zero between them. The real-time interface sends 500 states a
+    second on e-Series and 125 on CB2 and CB3. The primary and secondary interfaces send 10.
 
     examples:
       urlink hz 192.168.56.101

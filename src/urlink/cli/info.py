@@ -1,4 +1,4 @@
-"""`urlink info`: identifies a controller, and shows what is known of its firmware."""
+"""`urlink info`: identifies a controller, and shows known facts about its firmware."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .options import ADDRESS, connected
 
 
 @command(
-    "info", "say which controller this is", *ADDRESS, argument("--json", action="store_true", help="one JSON object")
+    "info", "identify a controller", *ADDRESS, argument("--json", action="store_true", help="print one JSON object")
 )
 def run(args: argparse.Namespace) -> int:
-    """Say which controller this is: firmware and arm, and what this library knows of that firmware.
+    """Identify a controller: its firmware and arm, and what this library knows about that firmware.
 
-    Sizes and rates are those of the row of the firmware table that holds for it; `evidence` says what backs that
-    row. If a controller does not send its version, the firmware is the oldest that sends packages of the same
-    sizes, and is said to be inferred. Of a recording it says what is missing in it.
+    Sizes and rates are from the matching row of the firmware table; `evidence` is the source of that row. If a
+    controller does not send its version, the firmware is the oldest that sends packages of the same sizes, and is
+    marked as inferred. For a recording, the output also lists what is missing in it.
 
     examples:
       urlink info 192.168.56.101
@@ -38,12 +38,12 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(strict_json(answer))
         return 0
-    source = "said by the controller" if answer["firmware_is_said"] else "inferred from the sizes of its packages"
+    source = "reported by the controller" if answer["firmware_is_said"] else "inferred from the sizes of its packages"
     sizes = answer["sizes"]
     parts = ", ".join(f"{name} {size}" for name, size in sizes["sub_packages"].items())
     print(f"address     {printable(answer['address'])}")
     print(f"firmware    {answer['firmware']} ({source})")
-    print(f"model       {printable(answer['model'] or 'not said by the controller')}")
+    print(f"model       {printable(answer['model'] or 'not reported by the controller')}")
     print(f"real-time   {sizes['realtime']} bytes, {answer['realtime_rate']} Hz")
     print(f"state       {sizes['first_state']} bytes, the first of a connection; then {sizes['state']} bytes, 10 Hz")
     print(textwrap.fill(parts, 100, initial_indent=" " * 12, subsequent_indent=" " * 12))
@@ -80,7 +80,7 @@ def _facts(robot: Robot, quiet: bool) -> dict[str, Any]:
 
 
 def _missing(robot: Robot, quiet: bool) -> tuple[str, ...]:
-    """What a recording lacks; nothing of a controller, which has not been listened to."""
+    """Return what is missing in a recording; empty for a controller, whose data was not received here."""
     place = parse_address(robot.address)
     if not isinstance(place, RecordingAddress):
         return ()
@@ -89,7 +89,7 @@ def _missing(robot: Robot, quiet: bool) -> tuple[str, ...]:
 
 
 def _name(kind: int, size: int) -> str:
-    """The name of a sub-package; if its number has two meanings, the size decides."""
+    """Return the name of a sub-package. If its number has two meanings, the size decides."""
     for part in SUB_PACKAGES[kind]:
         if size >= min(layout.size for layout in part.LAYOUTS.all):
             return part.__name__

@@ -1,4 +1,4 @@
-"""`urlink jog`: a person moves the arm by the keys of a terminal."""
+"""`urlink jog`: moves the arm with the keys of a terminal."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from ..robot import Robot
 from .options import ADDRESS, connected
 from .packet_fields import joints_text
 
-#: Keys that move each of the six one way, and the other way.
+#: Keys that move each of the six axes forward, and backward.
 _FORWARD, _BACKWARD = b"123456", b"qwerty"
-#: Fractions of full speed: the slowest; the factor of each + and -.
+#: Smallest fraction of full speed; factor of each + and -.
 _SLOWEST, _FACTOR = 0.01, 1.5
-#: Bytes that end it: x, Ctrl-C if the terminal sends it as a byte, Ctrl-D.
+#: Bytes that end the command: x, Ctrl-C if the terminal sends it as a byte, Ctrl-D.
 _END = b"x\x03\x04"
 
 
@@ -31,7 +31,7 @@ def _part(text: str) -> float:
     try:
         part = float(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
     if not _SLOWEST <= part <= 1.0:
         raise argparse.ArgumentTypeError(f"{text} is not from {_SLOWEST:g} to 1")
     return part
@@ -45,24 +45,24 @@ def _hold(text: str) -> float:
 
 @command(
     "jog",
-    "move the arm by keys",
+    "move the arm with the keys of a terminal",
     *ADDRESS,
-    argument("--frame", choices=get_args(FrameName), default="joints", help="what keys move at first (joints)"),
-    argument("--speed", type=_part, default=0.2, metavar="PART", help="part of full speed, 0.01 to 1 (0.2)"),
-    argument("--hold", type=_hold, default=0.6, metavar="S", help="move for S seconds after each key (0.6)"),
+    argument("--frame", choices=get_args(FrameName), default="joints", help="initial frame (default: joints)"),
+    argument("--speed", type=_part, default=0.2, metavar="PART", help="part of full speed, 0.01 to 1 (default: 0.2)"),
+    argument("--hold", type=_hold, default=0.6, metavar="S", help="move for S seconds after each key (default: 0.6)"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Move the arm by the keys of a terminal. THE ARM MOVES while a key is held, and brakes when it is released.
+    """Move the arm with the keys of a terminal. THE ARM MOVES while a key is held, and brakes when it is released.
 
-      1 2 3 4 5 6   joints 1 to 6 one way; in a frame of the tool: along x, y, z and about x, y, z
-      q w e r t y   the other way
-      f             from joints to the base frame, to the tool frame, and back
-      + -           faster, slower
+      1 2 3 4 5 6   move joints 1 to 6 forward; in a tool frame: along x, y, z and about x, y, z
+      q w e r t y   move backward
+      f             change from joints to the base frame, to the tool frame, and to joints again
+      + -           move faster, slower
       space         brake
       x, Ctrl-C     end
 
-    A terminal reports a held key by sending it again and again, the second time after a pause. --hold says for how
-    long the arm moves after each of them: if this is shorter than the pause, the arm stutters at first.
+    A terminal reports a held key by sending it repeatedly; it pauses before the first repetition. --hold sets how long
+    the arm moves after each key. If this is shorter than the pause, the arm stutters at first.
 
     examples:
       urlink jog 192.168.56.101
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Hand:
-    """What the keys have selected so far: frame and speed."""
+    """State that the keys have selected: frame and speed."""
 
     def __init__(self, robot: Robot, frame: FrameName, part: float, hold: float) -> None:
         self.goes_on = True
@@ -92,7 +92,7 @@ class _Hand:
         self._hold = hold
 
     def use(self, terminal: int, interruption: Interruption) -> None:
-        """Move in one frame, until a key selects another one or ends it."""
+        """Move in one frame, until a key selects another frame or ends the command."""
         frame = self._frame
         with self._robot.motion.jog(frame, timeout=self._hold, watchdog=self._hold) as jog:
             self._tell()
@@ -128,18 +128,18 @@ class _Hand:
 
 @contextlib.contextmanager
 def _keys() -> Iterator[int]:
-    """The terminal, set to send single keys without showing them; restored afterwards.
+    """Set the terminal to send single keys without showing them; restore it afterwards.
 
     Raises:
-        LocalError: stdin is not a terminal, or this system has no termios.
+        LocalError: If stdin is not a terminal, or this system has no termios.
     """
     try:
         import termios
         import tty
     except ImportError:
-        raise LocalError("this system has no terminal that sends single keys (termios)") from None
+        raise LocalError("this system has no terminal that can send single keys (termios)") from None
     if not sys.stdin.isatty():
-        raise LocalError("stdin is no terminal, and jog needs its keys")
+        raise LocalError("stdin is not a terminal; jog needs its keys")
     terminal = sys.stdin.fileno()
     before = termios.tcgetattr(terminal)
     tty.setcbreak(terminal)

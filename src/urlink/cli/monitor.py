@@ -39,15 +39,16 @@ if TYPE_CHECKING:
     argument("--plain", action="store_true", help="print one line per second, even on a terminal"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Watch a robot: joints, tool, modes, inputs and outputs, and how regularly its data arrives.
+    """Watch a robot: joints, tool, modes, inputs and outputs, and the rate of its data.
 
-    On a terminal the view is drawn ten times a second; elsewhere it is one line a second, as with --plain. It
-    shows SLOW if less than 95 % of the controller's states arrive. `missed` counts states that never arrived,
-    and `duplicates` those that arrived twice, based on the controller's clock. When the connection is lost, the
-    view shows LOST and the last values as old, and continues when the controller is back. The real-time
-    interface shows tool speed and force 125 or 500 times a second; the primary interface ten times a second,
-    with the analogue signals and the messages of the controller. At the end a summary and a next step are
-    printed on stderr.
+    On a terminal, the view is drawn ten times a second. Elsewhere, and with --plain, one line is printed per second.
+    The status is SLOW if less than 95 % of the controller's states arrive. `missed` counts states that never arrived,
+    and `duplicates` counts states that arrived twice, based on the controller's clock. When the connection is lost,
+    the view shows LOST and marks the last values as old. It continues when the controller is available again.
+
+    The real-time interface sends 125 or 500 states a second, with tool speed and force. The primary interface sends
+    ten states a second, with the analogue signals and the messages of the controller. At the end, a summary and a next
+    step are printed on stderr.
 
     examples:
       urlink monitor 192.168.56.101
@@ -57,12 +58,12 @@ def run(args: argparse.Namespace) -> int:
     with connected(args, with_motion(args.address)) as robot:
         views = watch(robot, args.interface)
         with ProgressBar(f"connecting to {args.address}", args.quiet):
-            next(views)  # connects: an error is printed before anything is drawn
+            next(views)  # this connects: an error is printed before anything is drawn
         begun = clock.now()
         with Interruption(args.duration) as interruption, drawing(args.plain, tell, _line, _panel) as (draw, pause):
             _await_first(views, interruption)
             while True:
-                # Once more at the end, so that the last values stay on the screen.
+                # Draw once more at the end, so that the last values stay on the screen.
                 is_over = interruption.is_over
                 view = next(views)
                 draw(view)
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
                 interruption.wait(pause)
         if view.reading is None and interruption.number is None:
             raise LinkTimeout(
-                f"{args.address}: no state came"
+                f"{args.address}: no state arrived"
                 + ("" if args.duration is None else f" within {args.duration:g} s")
                 + ("" if view.trouble is None else f" ({view.trouble})")
             )
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def summary(view: MonitorView, seconds: float) -> str:
-    """What the monitor has received within so many seconds, as a line."""
+    """Return the monitor's statistics of the last `seconds` as a line."""
     stats = view.stats
     rate = f", {stats.received / seconds:.1f} Hz on average" if seconds >= 1.0 else ""
     longest = f", longest gap {stats.longest_gap:.3f} s" if stats.gaps else ""
@@ -89,18 +90,18 @@ def summary(view: MonitorView, seconds: float) -> str:
 
 
 def next_step(view: MonitorView, address: str) -> str:
-    """A command that continues from what the monitor has shown, and what the command does."""
+    """Suggest a command that continues from the view, and describe the command."""
     place, quoted = parse_address(address), shlex.quote(address)
     if isinstance(place, RecordingAddress):
-        return f"next: urlink replay {shlex.quote(str(place.path))} summarises the recording"
+        return f"next: urlink replay {shlex.quote(str(place.path))} to summarise the recording"
     is_regular = view.status is StreamStatus.CONNECTED and not view.stats.missed and not view.stats.reconnects
     if not is_regular:
-        return f"next: urlink doctor {quoted} looks for the cause of missing states"
-    return f"next: urlink record {quoted} run.urlog records what the robot sends"
+        return f"next: urlink doctor {quoted} to find the cause of missing states"
+    return f"next: urlink record {quoted} run.urlog to record what the robot sends"
 
 
 def with_motion(address: str) -> str:
-    """The address; that of a simulated arm which says nothing of its motion with the demonstration, to have a view."""
+    """Return the address; for a simulated arm without a motion, add the demonstration motion."""
     place = parse_address(address)
     if not isinstance(place, SimulatorAddress) or place.motion is not None:
         return address
@@ -108,7 +109,7 @@ def with_motion(address: str) -> str:
 
 
 def _await_first(views: Iterator[MonitorView], interruption: Interruption) -> None:
-    """Wait briefly for the first state, so that the first picture has values."""
+    """Wait briefly for the first state, so that the first view has values."""
     deadline = clock.now() + 0.5
     while clock.now() < deadline:
         view = next(views)
@@ -117,10 +118,10 @@ def _await_first(views: Iterator[MonitorView], interruption: Interruption) -> No
 
 
 def watch(robot: Robot, interface: str) -> Iterator[MonitorView]:
-    """A view of the robot each time the iterator is advanced, without end.
+    """Yield a view of the robot each time the iterator is advanced, without end.
 
     Raises:
-        RemoteError: the first connection could not be made, or the stream gave up.
+        RemoteError: If the first connection could not be made, or the stream gave up reconnecting.
     """
     stream: Stream[Any] = robot.primary if interface == "primary" else robot.realtime
     identity = _Name(robot)
@@ -139,7 +140,7 @@ def watch(robot: Robot, interface: str) -> Iterator[MonitorView]:
             messages[:] = [_as_text(message)]
 
     if interface == "primary":
-        # Subscribed first: the first subscription connects, and messages are sent at once.
+        # Subscribe first: the first subscription connects, and messages are sent immediately.
         stream.subscribe(on_message, RobotMessage)
     stream.subscribe(on_connection, ConnectionEvent)
     reading: Reading | None = None
@@ -169,7 +170,7 @@ def watch(robot: Robot, interface: str) -> Iterator[MonitorView]:
 
 
 def _usual_rate(robot: Robot, interface: str) -> float | None:
-    """States a second that this controller sends; as many as are played, of a recording."""
+    """Return the states per second that this controller sends, or that a recording plays."""
     place = parse_address(robot.address)
     times = place.rate if isinstance(place, RecordingAddress) else 1.0
     return (10.0 if interface == "primary" else float(robot.firmware.rate)) * times or None
@@ -200,7 +201,7 @@ class _Name:
         return self._text
 
     def _ask(self) -> None:
-        with contextlib.suppress(LinkError):  # lost again: the next reconnect tries again
+        with contextlib.suppress(LinkError):  # lost again: the next reconnection tries again
             identity = self._robot.identity
             self._text = f"{identity.model or 'UR'}  firmware {identity.firmware}"
 
@@ -210,6 +211,6 @@ def _line(view: MonitorView) -> str:
 
 
 def _panel(view: MonitorView) -> MonitorPanel:
-    from .monitor_panel import MonitorPanel  # it needs rich
+    from .monitor_panel import MonitorPanel  # imported here, because it needs rich
 
     return MonitorPanel(view)

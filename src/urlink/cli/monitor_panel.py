@@ -17,9 +17,9 @@ from linkcore.text import printable
 
 from .monitor_view import MonitorView, Reading, StreamStatus, age_text, rate_text
 
-#: Columns of the picture, if the terminal has as many.
+#: Width of the view in columns, if the terminal is that wide.
 WIDTH = 100
-#: Columns below which the bars are left out.
+#: Width in columns below which the bars are omitted.
 _NARROW = 92
 _JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 _TURN = 2 * math.pi
@@ -72,9 +72,9 @@ class MonitorPanel:
             text.append("   age ", _LABEL).append(age_text(view.reading.age))
             return text
         if view.status is StreamStatus.ENDED:
-            warning = "the recording is over; these are its last values"
+            warning = "the recording has ended; these are its last values"
         elif view.reading is None:
-            warning = "no state has come yet"
+            warning = "no state has arrived yet"
         else:
             warning = f"OLD DATA, {age_text(view.reading.age)}"
         text.append(f"  {warning}", "bold red" if view.status is StreamStatus.LOST else "bold yellow")
@@ -98,7 +98,7 @@ class MonitorPanel:
         return text
 
     def _body(self, reading: Reading, has_room: bool) -> list[Table | Text | Rule]:
-        # Old values are dim, all of them.
+        # All old values are dim.
         shade: Callable[[str], str] = (lambda style: style) if self._view.is_fresh else (lambda style: "dim")
         rows: list[Table | Text | Rule] = []
         if reading.q is not None:
@@ -134,7 +134,7 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
     if has_room:
         table.add_column(Text("-360°" + "0".center(_BAR - 10) + "+360°", _LABEL), width=_BAR)
     for name, width in (("q deg", 9), ("q rad", 8), ("qd rad/s", 8), ("I A", 7), ("T °C", 6)):
-        # Part of a number would be a wrong number, so the modes get narrower instead.
+        # A truncated number would be a wrong number, so the modes are narrowed instead.
         table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=width)
     table.add_column("  mode", no_wrap=True, ratio=1)
     for number, q in enumerate(reading.q):
@@ -178,7 +178,7 @@ def _tool(reading: Reading, shade: Callable[[str], str]) -> Table:
     )
     for name, vector, units, digits in lines:
         if vector is not None:
-            # Of fixed width, so that the columns do not move with the signs.
+            # The width is fixed, so that the columns do not move when signs change.
             cells = [f"{value:9.{digits}f}" for value in vector]
             table.add_row(name, *cells[:3], units[0], *cells[3:], units[1])
     return table

@@ -1,6 +1,6 @@
-"""The view of `urlink monitor` at one moment: the values of a state, whether they are current, and a line of text.
+"""The view of `urlink monitor` at one moment: the values of a state, their age, and a line of text.
 
-The values are the same for every interface and firmware. `monitor_panel` draws them.
+The values are the same for every interface and firmware; `monitor_panel` draws them.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from ..protocol.primary.robot_state import MasterboardData, RobotModeData, Robot
 from ..protocol.realtime.packets import RealtimeState
 from .packet_stream import counted
 
-#: Data older than this, in seconds, counts as old although the connection stands: five states of the 10 Hz
-#: interfaces, 60 and more of the real-time one.
+#: Age, in seconds, above which data count as old although the connection exists: five states of the 10 Hz interfaces,
+#: 60 or more of the real-time interface.
 FRESH = 0.5
-#: Part of the usual rate below which states are missing, however fresh the newest is.
+#: Fraction of the usual rate below which the status is SLOW, however recent the newest state is.
 ENOUGH = 0.95
 
 
@@ -40,15 +40,15 @@ class AnalogSignal:
 
 @dataclass(frozen=True)
 class Reading:
-    """One state as the monitor shows it; None, or an empty vector, is what the controller did not send.
+    """One state as the monitor shows it. A value that the controller did not send is None or an empty vector.
 
     Attributes:
-        received: when it arrived.
-        q: joint positions, rad; likewise for each joint: speeds in rad/s, currents in A, temperatures in degC.
-        pose: of the tool, m and rad; its speed in m/s and rad/s, the force on it in N and Nm.
-        robot_mode: by name, as are the other modes.
-        speed_scaling: 1 is the full speed of the program.
-        digital_inputs: bit mask, as are the outputs.
+        received: Time of arrival.
+        q: Joint positions in rad. Other values per joint: speeds in rad/s, currents in A, temperatures in degC.
+        pose: Pose of the tool, in m and rad. Also of the tool: speed in m/s and rad/s, force on it in N and Nm.
+        robot_mode: Name of the mode; the other modes are names too.
+        speed_scaling: Speed of the program; 1 is full speed.
+        digital_inputs: Bit mask of the inputs; the outputs are a bit mask too.
     """
 
     received: Stamp | None
@@ -75,7 +75,7 @@ class Reading:
 
 
 def read(state: State) -> Reading:
-    """The reading of a real-time or robot state."""
+    """Return the reading of a real-time state or a robot state."""
     if isinstance(state, RealtimeState):
         return _realtime(state)
     assert isinstance(state, RobotState)
@@ -103,7 +103,7 @@ def _realtime(state: RealtimeState) -> Reading:
         speed=_numbers(state.tcp_speed_actual),
         force=_numbers(state.tcp_force),
         robot_mode=_name(state.robot_mode),
-        # In the status of newer firmware there are stops of their own which the mode does not distinguish.
+        # The status of newer firmware contains stops that the mode does not distinguish.
         safety_mode=_name(state.safety_mode if state.safety_status is None else state.safety_status),
         program=_name(state.program_state),
         speed_scaling=state.speed_scaling,
@@ -135,7 +135,7 @@ def _primary(state: RobotState) -> Reading:
 
 
 def _safety(mode: RobotModeData | None, board: MasterboardData | None) -> str | None:
-    """The safety mode; CB2 has none, so for CB2 what the flags of the robot mode say."""
+    """Return the safety mode. CB2 has none, so for CB2 it is derived from the flags of the robot mode."""
     if board is not None and board.safety_mode is not None:
         return board.safety_mode.name
     if mode is None:
@@ -178,7 +178,7 @@ def _one(place: str, value: float, domain: AnalogDomain) -> AnalogSignal:
 
 
 class StreamStatus(enum.Enum):
-    """State of a stream in one word: whether the values that are shown are current."""
+    """State of a stream in one word, which shows whether the displayed values are current."""
 
     CONNECTING = "CONNECTING"
     WAITING = "WAITING"
@@ -196,14 +196,14 @@ def status_of(
     rate: float | None = None,
     usual: float | None = None,
 ) -> StreamStatus:
-    """The status of a stream.
+    """Return the status of a stream.
 
     Args:
-        connection: of the stream.
-        has_latest: whether the stream has a newest state; `latest` of a stream is None after a lost connection.
-        reading: the last one, possibly old; None before the first state.
-        rate: states per second; None where it is not known.
-        usual: states per second that the controller sends; None where that is not known.
+        connection: State of the stream's connection.
+        has_latest: Whether the stream has a newest state; its `latest` is None after a lost connection.
+        reading: Last reading, possibly old; None before the first state.
+        rate: States per second; None if unknown.
+        usual: States per second that the controller sends; None if unknown.
     """
     if connection is ConnectionState.CLOSED:
         return StreamStatus.ENDED
@@ -214,24 +214,24 @@ def status_of(
             return StreamStatus.SILENT
         is_slow = rate is not None and usual is not None and rate < ENOUGH * usual
         return StreamStatus.SLOW if is_slow else StreamStatus.CONNECTED
-    # A lost connection that is being tried again is still lost.
+    # A lost connection is still lost while reconnecting.
     return StreamStatus.CONNECTING if reading is None else StreamStatus.LOST
 
 
 @dataclass(frozen=True)
 class MonitorView:
-    """One moment of the monitor.
+    """View of the monitor at one moment.
 
     Attributes:
-        robot: model and firmware.
-        address: what was connected to, and which interface of it.
-        status: whether the reading is current.
-        reading: the newest, or the last before the connection was lost; None before the first.
-        stats: of the stream.
-        rate: states per second; None in the first second.
-        usual: states per second that the controller sends; None where that is not known.
-        trouble: the last error of the connection, or None.
-        message: the last robot message, or None.
+        robot: Model and firmware.
+        address: Address of the robot, and its interface.
+        status: State of the stream, which shows whether the reading is current.
+        reading: Newest reading, or the last one before the connection was lost; None before the first one.
+        stats: Statistics of the stream.
+        rate: States per second; None in the first second.
+        usual: States per second that the controller sends; None if unknown.
+        trouble: Last error of the connection, or None.
+        message: Last robot message, or None.
     """
 
     robot: str
@@ -251,7 +251,7 @@ class MonitorView:
 
 
 def rate_text(view: MonitorView) -> str:
-    """The rate, and what it should be where it is too low: "111.0 of 500 Hz"."""
+    """Format the rate, with the usual rate if it is too low: "111.0 of 500 Hz"."""
     if view.rate is None:
         return "- Hz"
     of = f" of {view.usual:g}" if view.status is StreamStatus.SLOW else ""
@@ -259,7 +259,7 @@ def rate_text(view: MonitorView) -> str:
 
 
 def line(view: MonitorView, clock: str) -> str:
-    """One line with the most important values; old values are marked as old."""
+    """Format the most important values as one line; old values are marked as old."""
     parts = [f"{clock} {view.status.value}", printable(view.robot)]
     reading, stats = view.reading, view.stats
     if view.is_fresh:
@@ -280,7 +280,7 @@ def line(view: MonitorView, clock: str) -> str:
 
 
 def age_text(seconds: float) -> str:
-    """An age, short: ``2 ms``, ``3.4 s``, ``12 min``."""
+    """Format an age, in short form: ``2 ms``, ``3.4 s``, ``12 min``."""
     if seconds < 1.0:
         return f"{seconds * 1000:.0f} ms"
     return f"{seconds:.1f} s" if seconds < 600.0 else f"{seconds / 60:.0f} min"

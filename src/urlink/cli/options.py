@@ -1,4 +1,4 @@
-"""Options that several commands share (address, interface), connecting with progress, and lines on stderr."""
+"""Options that several commands share, connecting with a progress display, and lines on stderr."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from linkcore.cli.options import Row, argument, seconds
 
 from ..robot import Robot, connect
 
-_ADDRESS = "a host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
+_ADDRESS = "host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
 
 CONNECT_TIMEOUT = argument(
-    "--connect-timeout", type=seconds, default=5.0, metavar="S", help="give up connecting after S seconds (5)"
+    "--connect-timeout", type=seconds, default=5.0, metavar="S", help="stop connecting after S seconds (default: 5)"
 )
 
 
 def address(nargs: Literal["?"] | None = None) -> tuple[Row, Row]:
-    """The address of a robot, which may be left out where `nargs` is "?", and how long to wait for it."""
+    """Return the arguments for a robot's address, optional if `nargs` is "?", and for the connect timeout."""
     return argument("address", metavar="ADDRESS", nargs=nargs, help=_ADDRESS), CONNECT_TIMEOUT
 
 
@@ -29,9 +29,9 @@ ADDRESS = address()
 
 
 def interface_of(choices: Sequence[str]) -> Row:
-    """Which interface of the controller to read."""
+    """Return the argument for the interface of the controller."""
     return argument(
-        "--interface", choices=choices, default="realtime", help="interface of the controller to read (realtime)"
+        "--interface", choices=choices, default="realtime", help="interface of the controller (default: realtime)"
     )
 
 
@@ -45,6 +45,6 @@ tell = partial(terminal.tell, "urlink")
 
 
 def agrees(question: str) -> bool:
-    """Whether the person at the terminal says yes."""
+    """Whether the person at the terminal answers yes."""
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -1,4 +1,4 @@
-"""Fields of packets by their names on the command line, as text and as JSON."""
+"""Access to packet fields by their names on the command line, and their format as text and JSON."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ..protocol.realtime.packets import RealtimeState
 
 
 class NoSuchField(ValueError):
-    """A field that packets of the class do not have."""
+    """Packets of this class do not have such a field."""
 
 
 def field_names(kind: type[State]) -> list[str]:
-    """The paths of the fields of packets of class `kind`."""
+    """Return the paths of all fields of packets of class `kind`."""
     if kind is not RobotState:
         return list(kind.FIELDS)
     parts = [part for classes in SUB_PACKAGES.values() for part in classes if part is not UnknownSubPackage]
@@ -30,10 +30,10 @@ def field_names(kind: type[State]) -> list[str]:
 
 
 def getter(kind: type[State], path: str) -> Callable[[Any], Any]:
-    """A function from a packet to the field called `path`; it returns None if the packet does not have it.
+    """Return a function that gets the field `path` from a packet; it returns None if the packet does not have it.
 
     Raises:
-        NoSuchField: no such field; the message lists those that there are.
+        NoSuchField: If there is no such field; the message lists the existing fields.
     """
     names = field_names(kind)
     parts = {name.partition(".")[0] for name in names if "." in name}
@@ -53,12 +53,12 @@ def _complaint(kind: type[State], path: str, names: list[str]) -> str:
     hint = f"; did you mean {' or '.join(near)}?" if near else ""
     words = " ".join(names) or "nothing: choose a class with --type"
     there = textwrap.fill(words, 101, initial_indent="  ", subsequent_indent="  ")
-    other = "" if near or kind is RealtimeState else "\nReal-time fields need --interface realtime."
-    return f"{kind.__name__} has no field {path!r}{hint}\nIt has:\n{there}{other}"
+    other = "" if near or kind is RealtimeState else "\nFields of the real-time state need --interface realtime."
+    return f"{kind.__name__} has no field {path!r}{hint}\nIts fields are:\n{there}{other}"
 
 
 def as_json(packet: State, getters: Mapping[str, Callable[[Any], Any]] | None = None) -> dict[str, Any]:
-    """A packet as a JSON object: its type, when it arrived (seconds since 1970), all fields or those of `getters`."""
+    """Convert a packet to a JSON object: type, time of arrival (seconds since 1970), and all fields or `getters`."""
     received = packet.received
     head = {"type": type(packet).__name__, "received": None if received is None else received.wall}
     if getters:
@@ -67,7 +67,7 @@ def as_json(packet: State, getters: Mapping[str, Callable[[Any], Any]] | None = 
 
 
 def _shown(value: Any) -> Any:
-    """A field's value, or a whole sub-package, for JSON."""
+    """Convert the value of a field, or a whole sub-package, for JSON."""
     return _content(value) if isinstance(value, State) else plain(value)
 
 
@@ -87,7 +87,7 @@ def _content(packet: State) -> dict[str, Any]:
 
 
 def as_text(value: Any) -> str:
-    """A field's value for one line; control characters from the wire are escaped."""
+    """Format the value of a field for one line; control characters from the wire are escaped."""
     if value is None:
         return "-"
     if isinstance(value, OpenInt):
@@ -102,11 +102,11 @@ def as_text(value: Any) -> str:
 
 
 def as_line(packet: State) -> str:
-    """A packet on one line, with its tail."""
+    """Format a packet with its tail as one line."""
     tail = f" tail={packet.tail.hex()}" if packet.tail else ""
     return printable(str(packet)) + tail
 
 
 def joints_text(q: Iterable[float]) -> str:
-    """Joint positions on one line, rad."""
+    """Format joint positions, in rad, as one line."""
     return f"q: {', '.join(f'{each:.4f}' for each in q)}"

@@ -1,4 +1,4 @@
-"""Printing the packets of an interface: the options and the lines of `echo` and `replay`."""
+"""Printing of packets of an interface: the options and output lines of `echo` and `replay`."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def _packet_class(name: str) -> type[State]:
     if _is_packet_class(kind):
         return kind
     there = ", ".join(each for each in dir(packets) if _is_packet_class(getattr(packets, each)))
-    raise argparse.ArgumentTypeError(f"{name!r} is no class of packets; there are {there}")
+    raise argparse.ArgumentTypeError(f"{name!r} is not a class of packets; expected one of {there}")
 
 
 def _is_packet_class(value: object) -> TypeGuard[type[State]]:
     return isinstance(value, type) and issubclass(value, State)
 
 
-#: What to print, and how.
+#: Options for what to print, and in which format.
 PRINTED = (
     argument(
         "fields",
@@ -44,21 +44,21 @@ PRINTED = (
         trailing=True,
         help="print only these fields",
     ),
-    argument("--interface", choices=INTERFACES, help="interface to read (realtime; primary where --type needs it)"),
+    argument("--interface", choices=INTERFACES, help="interface to read (default: realtime, or as --type requires)"),
     argument(
         "--type",
         metavar="CLASS",
         type=_packet_class,
         help="class of packet: RobotModeData, TextMessage, State for all, ...",
     ),
-    argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null"),
-    argument("--count", type=positive_int, metavar="N", help="end after N lines (never)"),
-    argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)"),
+    argument("--json", action="store_true", help="print one JSON object per line; NaN and infinities are null"),
+    argument("--count", type=positive_int, metavar="N", help="end after N lines (default: never)"),
+    argument("--timeout", type=seconds, metavar="S", help="fail if nothing arrives for S seconds (default: never)"),
 )
 
 
 def kind_of(args: argparse.Namespace) -> tuple[str, type[State]]:
-    """The interface to read and the class of packet to print."""
+    """Return the interface to read and the class of packets to print."""
     interface = args.interface
     if args.type is None:
         interface = interface or "realtime"
@@ -67,12 +67,12 @@ def kind_of(args: argparse.Namespace) -> tuple[str, type[State]]:
     if interface is None:
         interface = "realtime" if kind is RealtimeState else "primary"
     if (interface == "realtime") != (kind is RealtimeState) and kind is not State:
-        args.usage_error(f"{kind.__name__} does not come on the {interface} interface")
+        args.usage_error(f"the {interface} interface does not send {kind.__name__}")
     return interface, kind
 
 
 def shower(args: argparse.Namespace, kind: type[State]) -> Callable[[State], str]:
-    """The function that makes a line of a packet."""
+    """Return the function that formats a packet as a line."""
     try:
         getters = {path: getter(kind, path) for path in args.fields}
     except NoSuchField as error:
@@ -90,13 +90,13 @@ def print_packets(
     """Print the packets of one class on one interface.
 
     Raises:
-        RemoteError: the stream could not be opened, gave up, or was silent for longer than `--timeout`.
+        RemoteError: If the stream could not be opened, gave up, or was silent for longer than `--timeout`.
     """
-    # On a terminal this is shown only while no packet is printed.
+    # On a terminal, this is shown only until the first packet is printed.
     with (
         ProgressBar(f"waiting for {kind.__name__}", args.quiet) as progress,
         Tap(getattr(robot, interface), kind) as tap,
     ):
         for number, packet in enumerate(itertools.islice(tap.packets(args.timeout), args.count), 1):
-            print(show(packet), flush=True)  # line by line: the reader of a pipe gets each line at once
+            print(show(packet), flush=True)  # flushed, so that the reader of a pipe gets each line immediately
             progress(number / (args.count or math.inf), f"{number} packets printed")

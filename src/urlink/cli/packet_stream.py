@@ -1,4 +1,4 @@
-"""`Tap`: every packet of a stream, for a command; and the counters of the stream as text."""
+"""`Tap`: receives every packet of a stream for a command; also the counters of the stream as text."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from linkcore.wire.cycles import Missing
 
 from .options import tell
 
-#: Packets that are queued at most: half a minute of the fastest interface.
+#: Maximum number of queued packets: half a minute of the fastest interface.
 _ROOM = 16384
 
 
 class Tap:
-    """The packets of class `kind` on a stream; a context manager.
+    """Receiver of all packets of class `kind` on a stream; a context manager.
 
     Raises:
-        RemoteError: the stream could not be opened.
+        RemoteError: If the stream could not be opened.
     """
 
     def __init__(self, stream: Stream[Any], kind: type) -> None:
         self._stream = stream
         self._kind = kind
-        # A packet that is not read in time is dropped, so the queue is long; a recording waits instead.
+        # A packet that is not read in time is dropped, so the queue is long. A recording waits instead.
         self._queue = stream._connection.open_queue(kind, stream._policy(None, drop_oldest(_ROOM)))
         self._connection = stream.subscribe(_tell_connection, ConnectionEvent)
 
     def take(self, timeout: float | None = None) -> Sequence[Any] | None:
-        """The next packets; none if none came within `timeout` seconds; None when the stream has ended.
+        """Return the next packets: empty if none arrives within `timeout` seconds, None if the stream has ended.
 
         Raises:
-            RemoteError: the stream gave up.
+            RemoteError: If the stream gave up.
         """
         packet = self._queue.next(timeout)
         if packet is not None:
@@ -50,11 +50,11 @@ class Tap:
         return ()
 
     def packets(self, silence: float | None = None, duration: float | None = None) -> Iterator[Any]:
-        """Each packet, until the stream ends, or `duration` seconds are over.
+        """Yield each packet, until the stream ends, or `duration` seconds have passed.
 
         Raises:
-            LinkTimeout: none came for `silence` seconds.
-            RemoteError: the stream gave up.
+            LinkTimeout: If no packet arrives for `silence` seconds.
+            RemoteError: If the stream gave up.
         """
         until = math.inf if duration is None else clock.now() + duration
         while (left := until - clock.now()) > 0.0:
@@ -71,30 +71,32 @@ class Tap:
 
     def __exit__(self, *exc: object) -> None:
         self._connection.close()  # first, so that closing is not printed as a lost connection
-        # Packets that are still queued at the end were not dropped.
+        # Packets that are still queued at the end do not count as dropped.
         dropped = self._queue.dropped
         self._stream._connection.close_queue(self._queue)
         stats = self._stream.stats
         if dropped:
-            tell(f"{dropped} packets were dropped: the output was too slow for them")
+            tell(f"{dropped} packets were dropped, because the output was too slow")
         if stats.failed:
             tell(f"{stats.failed} packets could not be decoded")
         if stats.missed:
             missing = Missing(stats.missed, stats.gaps, stats.longest_gap)
-            tell(f"{missing.text(stats.received)} by the clock of the controller, which did not send them")
+            tell(
+                f"{missing.text(stats.received)} according to the controller's clock; the controller did not send them"
+            )
         if stats.duplicates:
-            tell(f"{stats.duplicates} packets arrived twice, by the clock of the controller")
+            tell(f"{stats.duplicates} packets arrived twice, by the controller's clock")
         if stats.skipped:
             tell(f"{stats.skipped} bytes belonged to no packet")
 
 
 def _tell_connection(event: ConnectionEvent) -> None:
     if event.state is ConnectionState.LOST:
-        tell(f"{event.stream}: connection lost: {event.error}; trying again")
+        tell(f"{event.stream}: connection lost: {event.error}; reconnecting")
 
 
 def counted(stats: StreamStatistics) -> str:
-    """What a stream has counted, short; "-" where packets have no clock by which one can be missed."""
+    """Format the counters of a stream; "-" if its packets have no clock, so that missed packets are unknown."""
     missed, duplicates = ("-" if each is None else each for each in (stats.missed, stats.duplicates))
     return (
         f"received {stats.received} missed {missed} duplicates {duplicates} failed {stats.failed} "

@@ -19,14 +19,14 @@ from .options import tell
     "draw fields of a recording",
     RECORDING,
     argument("fields", metavar="FIELD", nargs="+", help="field to draw; the first one is at the top", trailing=True),
-    argument("--output", "-o", metavar="OUT", help="picture to write (a window)"),
-    argument("--start", type=float, default=0.0, metavar="S", help="second at which it begins (0)"),
-    argument("--end", type=float, default=float("inf"), metavar="S", help="second at which it ends (the last)"),
+    argument("--output", "-o", metavar="OUT", help="file to write (default: show a window)"),
+    argument("--start", type=float, default=0.0, metavar="S", help="begin at second S (default: 0)"),
+    argument("--end", type=float, default=float("inf"), metavar="S", help="end at second S (default: the last)"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Draw fields of a recording over time, a panel for each: in a window, or into a .png, .svg or .pdf.
+    """Draw fields of a recording over time, one panel per field: in a window, or into a .png, .svg or .pdf file.
 
-    Fields are named as `urlink export` names them: q_actual, joint_data.T_motor, rtde.actual_q. It needs the extra
+    Fields are named as in `urlink export`: q_actual, joint_data.T_motor, rtde.actual_q. This command needs the extra
     plot: pip install 'urlink-robot[plot]'.
 
     examples:

@@ -1,4 +1,4 @@
-"""Measurement of the rate and jitter of a stream, a line each second: for `hz` and `rtde --hz`."""
+"""Measurement of the rate and jitter of a stream, one line per second, for `hz` and `rtde --hz`."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def measure(
     *,
     quiet: bool = False,
 ) -> None:
-    """Print a line each second, for `duration` seconds, `count` lines, or until the stream ends.
+    """Print a line each second, for `duration` seconds or `count` lines, or until the stream ends.
 
     Raises:
-        RemoteError: the stream could not be opened, gave up, or no state came.
+        RemoteError: If the stream could not be opened, gave up, or no state arrived.
     """
     periods: deque[float] = deque(maxlen=window)
     last: float | None = None
@@ -54,11 +54,11 @@ def measure(
                 is_over = is_over or lines == count
                 progress(max((now - begun) / (duration or math.inf), lines / (count or math.inf)))
     if last is None:
-        raise LinkTimeout(f"{stream.name}: no state came")
+        raise LinkTimeout(f"{stream.name}: no state arrived")
 
 
 def line(periods: deque[float], fresh: int, stats: StreamStatistics) -> str:
-    """One line about the last periods; `fresh` is how many states have come since the line before."""
+    """Format a line about the last periods; `fresh` is the number of states since the previous line."""
     counters = counted(stats)
     if not fresh:
         return f"no new states | {counters}"

@@ -1,4 +1,4 @@
-"""`urlink record`: records what a robot sends."""
+"""`urlink record`: records the data that a robot sends."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from .recording_summary import read_summary
 
 @command(
     "record",
-    "record what a robot sends",
+    "record the data that a robot sends",
     *ADDRESS,
-    argument("file", metavar="FILE", help="file to make; it must not exist yet"),
+    argument("file", metavar="FILE", help="file to create; it must not exist yet"),
     argument(
         "--interface",
         action="append",
         choices=INTERFACES,
-        help="interface to record; can be repeated (realtime and primary)",
+        help="interface to record; can be repeated (default: realtime and primary)",
     ),
     DURATION,
-    argument("--count", type=positive_int, metavar="N", help="end when N packets have come on each interface (never)"),
+    argument("--count", type=positive_int, metavar="N", help="end after N packets on each interface (default: never)"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Record the raw bytes of one or more interfaces, with the times at which they came, into a new file.
+    """Record the raw bytes of one or more interfaces, with their times of arrival, into a new file.
 
-    Every byte is kept, whether this library can decode it or not. A lost connection is noted and made again.
-    Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash the file can still be read
-    up to the crash. Play it with `urlink replay`, look into it with `urlink dissect`, or use it as an address:
-    replay:///path/to/file. A file that ends in .mcap gets messages of ROS 2 instead, for Foxglove and ros2 bag,
-    which cannot be replayed (pip install 'urlink-robot[mcap]').
+    Every byte is kept, whether or not this library can decode it. If the connection is lost, this is recorded, and the
+    command reconnects. Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash, the file can
+    be read up to the crash. Play it with `urlink replay`, inspect it with `urlink dissect`, or use it as an address:
+    replay:///path/to/file. If the file name ends in .mcap, the file contains ROS 2 messages for Foxglove and ros2 bag,
+    and cannot be replayed (pip install 'urlink-robot[mcap]').
 
     examples:
       urlink record 192.168.56.101 run.urlog
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
                     if stream.failure is not None:
                         raise stream.failure
                 if all(stream.connection is ConnectionState.CLOSED for stream in streams):
-                    break  # the source is a recording, and it is over
+                    break  # the source is a recording that has ended
     if format_of(args.file) is not None:
         print(f"{args.file}: {Path(args.file).stat().st_size} bytes")
     else:

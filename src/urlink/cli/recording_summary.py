@@ -20,24 +20,25 @@ from ..protocol.rtde.protocol import RtdeProtocol
 from ..protocol.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
 
-#: A gap is a silence of at least so many usual periods, and at least so many seconds.
+#: Minimum length of a silence, in usual periods and in seconds; both must be exceeded.
 _GAP_PERIODS, _GAP_SECONDS = 5, 0.05
 
 
 @dataclass
 class ChannelSummary:
-    """One interface in a recording.
+    """Summary of one interface in a recording.
 
     Attributes:
-        name: of the interface; address, firmware and model: of the robot, as the recorder wrote them.
-        bytes: received.
-        packets: decoded ones, by class; `failed`: number of those that could not be decoded.
-        skipped: bytes that belong to no packet; `unfinished`: bytes of packets that were cut off.
-        connections: made while recording; `lost`: the errors that ended them.
-        started: wall time of the first bytes, seconds since 1970; None if there are none.
-        duration: seconds from the first bytes to the last.
-        gaps: seconds of each silence that was much longer than usual, by the times of arrival.
-        missing: cycles that are missing by the controller's clock, gaps, and the longest, s; None where it has none.
+        name: Name of the interface. address, firmware and model are those of the robot, as the recorder wrote them.
+        bytes: Number of received bytes.
+        packets: Number of decoded packets, by class; `failed` is the number that could not be decoded.
+        skipped: Number of bytes that belong to no packet; `unfinished` is the number in packets that were cut off.
+        connections: Number of connections during the recording; `lost` lists the errors that ended them.
+        started: Wall time of the first bytes, in seconds since 1970; None if there are none.
+        duration: Time from the first bytes to the last, in seconds.
+        gaps: Duration of each silence that was much longer than usual, in seconds, from the times of arrival.
+        missing: Missing cycles according to the controller's clock, number of gaps, and the longest gap in s; None if
+            it has no clock.
     """
 
     name: str
@@ -59,14 +60,14 @@ class ChannelSummary:
 
 @dataclass
 class RecordingSummary:
-    """A recording.
+    """Summary of a recording.
 
     Attributes:
-        path: the file; `size` in bytes.
-        is_complete: whether it was closed properly.
-        left_out: bytes at its end that cannot be read.
-        duration: seconds from the first bytes to the last, over all channels.
-        channels: in the order in which they were recorded.
+        path: Path of the file; `size` is its size in bytes.
+        is_complete: Whether the file was closed properly.
+        left_out: Number of bytes at its end that cannot be read.
+        duration: Time from the first bytes to the last, over all channels, in seconds.
+        channels: Summaries of the channels, in the order of recording.
     """
 
     path: str
@@ -77,14 +78,14 @@ class RecordingSummary:
     channels: list[ChannelSummary]
 
     def as_json(self) -> dict[str, Any]:
-        """The summary as values for JSON."""
+        """Return the summary as values for JSON."""
         return {**asdict(self), "channels": [_as_json(channel) for channel in self.channels]}
 
     def as_text(self) -> str:
-        """For people."""
-        state = "complete" if self.is_complete else "not closed in order, as after a crash"
+        """Return the summary as text."""
+        state = "complete" if self.is_complete else "not closed properly, for example after a crash"
         if self.left_out:
-            state += f"; {self.left_out} bytes at the end are damaged or unfinished and left out"
+            state += f"; {self.left_out} bytes at the end are damaged or unfinished, and were ignored"
         lines = [f"{printable(self.path)}: {self.duration:.1f} s, {self.size} bytes, {state}"]
         for channel in self.channels:
             lines += _channel_lines(channel)
@@ -112,7 +113,7 @@ def _channel_lines(channel: ChannelSummary) -> list[str]:
     else:
         lines.append("  no silence")
     if channel.missing is not None:
-        states = max(channel.packets.values(), default=0)  # there are fewer messages
+        states = max(channel.packets.values(), default=0)  # states outnumber messages
         lines.append(f"  {channel.missing.text(states) if channel.missing.cycles else 'no cycle is missing'}")
     if channel.failed or channel.skipped or channel.unfinished:
         lines.append(
@@ -132,16 +133,16 @@ def _counted(count: int, noun: str) -> str:
 
 
 def read_summary(path: str, quiet: bool) -> RecordingSummary:
-    """Read a recording, show the progress, and return what is in it."""
+    """Read a recording, show the progress, and return a summary."""
     with ProgressBar(f"reading {path}", quiet) as progress:
         return summarise(RecordingFile(path, progress), progress)
 
 
 def summarise(recording: RecordingFile, progress: Progress) -> RecordingSummary:
-    """Read a recording from beginning to end.
+    """Read a recording from beginning to end and return a summary.
 
     Args:
-        progress: called with the fraction that has been read, 0 to 1.
+        progress: Function called with the fraction that has been read, 0 to 1.
     """
     readers = {number: _Reader(info) for number, info in recording.channels.items()}
     for record in recording.records(progress):
@@ -163,7 +164,7 @@ def summarise(recording: RecordingFile, progress: Progress) -> RecordingSummary:
 
 
 class _Reader:
-    """Counts one channel."""
+    """Counter of one channel."""
 
     def __init__(self, info: dict[str, Any]) -> None:
         said = {key: None if info.get(key) is None else str(info[key]) for key in ("address", "firmware", "model")}

@@ -1,4 +1,4 @@
-"""`urlink replay`: prints what is in a recording, or its packets at the times at which they arrived."""
+"""`urlink replay`: prints a summary of a recording, or its packets at the times of their arrival."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from .recording_summary import read_summary
 
 @command(
     "replay",
-    "print what is in a recording, or play it",
+    "print a summary of a recording, or play it",
     RECORDING,
     *PRINTED,
-    argument("--rate", type=replay_rate, metavar="R", help="play at R times the recorded speed, or max"),
+    argument("--rate", type=replay_rate, metavar="R", help="play at R times the recorded speed, or at max"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Print what is in a recording; with --rate, play it.
+    """Print a summary of a recording; with --rate, play it.
 
-    Without --rate: interfaces, robot, duration, bytes, packets, gaps, lost connections, and whether the file was
-    closed properly. With --rate the packets are printed as `urlink echo` prints them, with the same options, and
-    at the times at which they came, divided by the rate; `--rate max` prints them at once.
+    Without --rate, this prints the interfaces, robot, duration, bytes, packets, gaps, lost connections, and whether
+    the file was closed properly. With --rate, packets are printed as in `urlink echo`, with the same options, at their
+    recorded times divided by the rate. `--rate max` prints them immediately.
 
-    A recording is an address as well: `urlink monitor replay:///tmp/run.urlog?rate=2` watches it, and so does
-    every other command that takes one.
+    A recording is also an address: `urlink monitor replay:///tmp/run.urlog?rate=2` watches it. This works with every
+    other command that takes an address.
 
     examples:
       urlink replay run.urlog
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     if args.rate is None:
         for name in ("fields", "interface", "type", "count", "timeout"):
             if getattr(args, name):
-                args.usage_error("what to print can be chosen only when the recording is played, with --rate")
+                args.usage_error("the options for printed packets need --rate, which plays the recording")
         summary = read_summary(args.file, args.quiet)
         print(strict_json(summary.as_json()) if args.json else summary.as_text())
         return 0
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     show = shower(args, kind)
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
         recording = RecordingFile(args.file, progress)
-    number = recording.channel(interface)  # raises at once, and names the interfaces that there are
+    number = recording.channel(interface)  # raises immediately, with the names of the recorded interfaces
     address = f"replay://{quote(str(Path(args.file).absolute()))}?rate={args.rate or 'max'}"
     with connect(address) as robot, ProgressBar(f"playing {args.file}", args.quiet) as progress:
         if not args.quiet:
@@ -68,14 +68,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _size(recording: RecordingFile, channel: int) -> int:
-    """Number of bytes that came over one interface."""
+    """Return the number of bytes received over one interface."""
     return sum(len(record.payload) for record in recording if (record.channel, record.kind) == (channel, Kind.BYTES))
 
 
 def _drawing(
     show: Callable[[State], str], progress: ProgressBar, stream: Stream[Any], size: int
 ) -> Callable[[State], str]:
-    """`show`, which also draws how much of `size` bytes has been played."""
+    """Return a function that does the same as `show`, and also draws how much of `size` bytes has been played."""
 
     def show_and_draw(packet: State) -> str:
         progress(stream.stats.bytes / max(size, 1))

@@ -39,27 +39,27 @@ from .rate_measurement import measure
         words=lambda: OUTPUTS,
         trailing=True,
     ),
-    argument("--list", action="store_true", help="print what this controller has, and end"),
-    argument("--frequency", type=float, metavar="HZ", help="packages a second (as many as it sends)"),
+    argument("--list", action="store_true", help="print the variables that this controller has, and end"),
+    argument("--frequency", type=float, metavar="HZ", help="packages per second (default: the controller's rate)"),
     argument("--leave-out", action="store_true", help="skip variables that the controller does not have"),
     one_of(
-        argument("--json", action="store_true", help="one JSON object a line; NaN and infinities are null"),
-        argument("--csv", action="store_true", help="a header line, then one line each; a column for each number"),
-        argument("--hz", action="store_true", help="measure how regularly packages come, as `urlink hz` does"),
+        argument("--json", action="store_true", help="print one JSON object per line; NaN and infinities are null"),
+        argument("--csv", action="store_true", help="print a header, then one line each, with a column per number"),
+        argument("--hz", action="store_true", help="measure the rate and jitter of packages, as `urlink hz` does"),
     ),
-    argument("--record", metavar="FILE", help="record into a file too; it must not exist yet"),
+    argument("--record", metavar="FILE", help="also record into a file, which must not exist yet"),
     argument(
-        "--count", type=positive_int, metavar="N", help="end after N lines, which --hz prints each second (never)"
+        "--count", type=positive_int, metavar="N", help="end after N lines; --hz prints one per second (default: never)"
     ),
     DURATION,
-    argument("--timeout", type=seconds, metavar="S", help="fail when nothing comes for S seconds (never)"),
+    argument("--timeout", type=seconds, metavar="S", help="fail if nothing arrives for S seconds (default: never)"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Print variables of the controller over RTDE (port 30004), one line for each data package.
+    """Print variables of the controller over RTDE (port 30004), one line per data package.
 
-    --list prints which variables this controller has, with their types and units, and which inputs another client
-    holds. A variable that it does not have is an error, unless --leave-out is given. --record also writes the
-    packages to a file; if the address is a recording, the variables need not be named.
+    --list prints the variables that this controller has, with their types and units, and the inputs that another
+    client holds. A variable that the controller does not have is an error, unless --leave-out is given. --record also
+    writes the packages to a file. If the address is a recording, the variables need not be named.
 
     examples:
       urlink rtde 192.168.56.101 actual_q actual_TCP_pose --frequency 125
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
       urlink rtde replay:///tmp/run.urlog --json
     """
     if args.list and args.duration is not None:
-        args.usage_error("--list ends by itself; it takes no --duration")
+        args.usage_error("--list ends on its own; omit --duration")
     with connected(args) as robot:
         if args.list:
             with ProgressBar("checking every variable", args.quiet):
@@ -88,8 +88,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _print(stream: OutputStream[Any], args: argparse.Namespace) -> None:
     names = args.names or list(stream.names)
-    # On a terminal this is shown only while no package is printed. `Tap` connects; a recording starts when there is a
-    # subscriber.
+    # On a terminal, this is shown only until the first package is printed. `Tap` connects; a recording starts when
+    # there is a subscriber.
     with ProgressBar("waiting for RTDE", args.quiet) as progress, Tap(stream, Outputs) as tap:
         if stream.left_out:
             tell(f"this controller does not have {', '.join(stream.left_out)}")
@@ -111,7 +111,7 @@ def _as_line(names: Sequence[str]) -> Callable[[State], str]:
 
 
 def _csv_of(stream: OutputStream[Any], names: Sequence[str]) -> Callable[[State], str]:
-    """A function that makes a line of a packet; prints the header line."""
+    """Print the header line; return a function that formats a packet as a line."""
     recipe = stream.recipe
     assert recipe is not None, "the stream is connected"
     counts = {name: recipe.fields[name].shape.count for name in names if name in recipe.fields}
@@ -141,10 +141,10 @@ def _list(robot: Robot) -> None:
     """Print the variables of the table, and which of them this controller has.
 
     Raises:
-        BadValue: the address is a recording.
+        BadValue: If the address is a recording.
     """
     if robot.rtde.is_recorded:
-        raise BadValue(f"{robot.address} is a recording; it holds {', '.join(robot.rtde.outputs().names)}")
+        raise BadValue(f"{robot.address} is a recording; it contains {', '.join(robot.rtde.outputs().names)}")
     missing = set(robot.rtde.missing())
     held = robot.rtde.who_holds()
     print("outputs")

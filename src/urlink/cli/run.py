@@ -1,4 +1,4 @@
-"""`urlink run`: sends a URScript program, and ends when the program does."""
+"""`urlink run`: sends a URScript program, and ends when the program ends."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..errors import ScriptError
 from ..robot import Robot
 from .options import ADDRESS, connected, tell
 
-#: Seconds to wait for a program that is being stopped.
+#: Timeout, in seconds, for stopping a program.
 _STOPPING = 5.0
 
 
@@ -24,15 +24,15 @@ _STOPPING = 5.0
     "run",
     "send a URScript program",
     *ADDRESS,
-    argument("file", metavar="FILE", help="the program; - for stdin"),
-    argument("--timeout", type=seconds, metavar="S", help="stop it after S seconds (never)"),
+    argument("file", metavar="FILE", help="file with the program; - for stdin"),
+    argument("--timeout", type=seconds, metavar="S", help="stop the program after S seconds (default: never)"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Send a URScript program, print the lines of its textmsg, and end when it does. THE ARM MOVES if the program
-    says so.
+    """Send a URScript program, print the lines of its textmsg, and end when the program ends. THE ARM MOVES if the
+    program moves it.
 
     The program is a whole def, a sec, or bare statements, from a file or, with -, from stdin. Errors of the controller
-    name the line and the column in that file. Ctrl-C stops the program.
+    contain the line and the column in that file. Ctrl-C stops the program.
 
     examples:
       urlink run 192.168.56.101 pick.script
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             waited += 0.05
             if args.timeout is not None and waited >= args.timeout and not program.done:
                 _stop(robot)
-                raise LinkTimeout(f"the program was not over within {args.timeout:g} s, and was stopped")
+                raise LinkTimeout(f"the program did not end within {args.timeout:g} s, and was stopped")
         if interruption.number is None:
             try:
                 program.wait(0.0)
@@ -73,7 +73,7 @@ def _read(name: str) -> str:
     except OSError as error:
         raise BadValue(f"cannot read {name}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise BadValue(f"{name} is no text: {error}") from error
+        raise BadValue(f"{name} is not a text file: {error}") from error
 
 
 def _show(text: str) -> None:
@@ -81,10 +81,10 @@ def _show(text: str) -> None:
 
 
 def _stop(robot: Robot) -> None:
-    """Stop the program, and wait until the arm stands still."""
+    """Stop the program, and wait until the arm is at rest."""
     try:
         robot.motion.stop().wait(_STOPPING)
     except LinkTimeout:
-        tell("the controller has not confirmed that the program has stopped")
+        tell("the controller did not confirm that the program has stopped")
     except LinkError as error:
         tell(str(error))

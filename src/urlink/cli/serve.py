@@ -1,4 +1,4 @@
-"""`urlink serve`: serves robots to a middleware, by adapters that are separate distributions."""
+"""`urlink serve`: serves robots to a middleware, with adapters from separate packages."""
 
 from __future__ import annotations
 
@@ -19,55 +19,55 @@ from ..session.address import RobotAddress, SimulatorAddress, parse_address
 from ..session.connect_options import Policy
 from .options import CONNECT_TIMEOUT, connected, tell
 
-#: The group of entry points in which a distribution names its adapter.
+#: Group of entry points for the adapters of installed distributions.
 GROUP = "urlink.serve"
 
-#: The adapters of this project: name -> distribution, and how it serves a robot.
+#: Distribution of each adapter of this project, and a summary of how it serves a robot.
 _DISTRIBUTIONS = {
     "zenoh": ("urlink-zenoh", "a fleet over Zenoh: states as streams, commands as queries"),
     "rr": ("urlink-rr", "a Robot Raconteur robot service"),
     "ros2": ("urlink-ros2", "a ROS 2 node with topics, services and FollowJointTrajectory"),
-    "mqtt": ("urlink-mqtt", "a broker of MQTT: status as retained JSON, commands where they are allowed"),
+    "mqtt": ("urlink-mqtt", "an MQTT broker: status as retained JSON, and commands if allowed"),
     "prometheus": ("urlink-prometheus", "metrics at an HTTP port: streams, safety, temperatures, programs"),
 }
 
 
-#: A name that is valid in every middleware, for a topic, a key or a node.
+#: Pattern of a name that is valid in every middleware, for a topic, a key or a node.
 _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL)
 
 
 class Adapter(Protocol):
-    """What an entry point of the group `urlink.serve` refers to: a module, or an object."""
+    """Interface of an entry point of the group `urlink.serve`: a module, or an object."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the options of this adapter."""
 
     def serve(self, robots: Mapping[str, Robot], args: argparse.Namespace) -> contextlib.AbstractContextManager[object]:
-        """Serve the robots, by name, for as long as the context lasts; it does not close them."""
+        """Serve the robots, by name, while the context lasts; it does not close them."""
 
 
-#: Options of every adapter: the robots, and how to connect to them.
+#: Options of every adapter: the robots, and the connection to them.
 _OPTIONS = (
     argument(
         "addresses",
         metavar="[NAME=]ADDRESS",
         nargs="+",
-        help="a robot and its name; without NAME it is named after its address",
+        help="address and name of a robot; without NAME, the name is derived from the address",
     ),
     CONNECT_TIMEOUT,
-    argument("--read-only", action="store_true", help="serve states only, and take no commands"),
+    argument("--read-only", action="store_true", help="serve only states, and accept no commands"),
     argument(
         "--require-enable",
         choices=get_args(Policy),
         default="never",
-        help="when motions have to be enabled: on_startup, or always: also after each stop (never)",
+        help="when motions must be enabled: on_startup, or always, which includes after each stop (default: never)",
     ),
     argument(
         "--watchdog",
         type=seconds,
         default=0.1,
         metavar="S",
-        help="a trajectory: the arm brakes after S seconds without a set-point, 0.01 to 10 (0.1)",
+        help="brake during a trajectory after S seconds without a set-point, 0.01 to 10 (default: 0.1)",
     ),
     DURATION,
 )
@@ -76,17 +76,15 @@ _OPTIONS = (
 @command(
     "serve",
     "serve robots to a middleware",
-    argument("kind", metavar="KIND", nargs="?", help="the middleware; without it, all are listed"),
-    argument(
-        "rest", metavar="[NAME=]ADDRESS ...", nargs=argparse.REMAINDER, help="the robots, and options of the adapter"
-    ),
+    argument("kind", metavar="KIND", nargs="?", help="middleware; without it, list all"),
+    argument("rest", metavar="[NAME=]ADDRESS ...", nargs=argparse.REMAINDER, help="robots, and options of the adapter"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Serve robots to a middleware. Each adapter is a distribution of its own, so that this one needs no middleware;
-    without KIND all adapters are listed, with whether they are installed.
+    """Serve robots to a middleware. Each adapter is a separate package, so that this package needs no middleware.
+    Without KIND, all adapters are listed, with whether they are installed.
 
-    Options after KIND are those of the adapter and of the connection: `urlink serve KIND --help` lists them. Motions
-    that a client requests pass the same interlock as those of a local program, and end when that client is lost.
+    Options after KIND are for the adapter and the connection: `urlink serve KIND --help` lists them. Motions that a
+    client requests pass the same interlock as motions of a local program, and end when the client disconnects.
 
     examples:
       urlink serve
@@ -134,10 +132,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def named(texts: Iterable[str]) -> dict[str, str]:
-    """Name -> address, from ``NAME=ADDRESS`` and bare addresses, which are named after their host, model or file.
+    """Return a dict of names and addresses. A bare address is named after its host, model or file.
 
     Raises:
-        BadAddress: not an address, or two robots with the same name.
+        BadAddress: If a text is not an address, or two robots have the same name.
 
     >>> named(["left=10.0.0.7", "10.0.0.8", "sim://ur5e?firmware=5.11"])
     {'left': '10.0.0.7', 'ur_10_0_0_8': '10.0.0.8', 'sim_ur5e': 'sim://ur5e?firmware=5.11'}
@@ -156,7 +154,7 @@ def named(texts: Iterable[str]) -> dict[str, str]:
                 name = f"run_{place.path.stem}"
             name = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
         if name in found:
-            raise BadAddress(f"{found[name]} and {address} are both called {name}; give them names: NAME={address}")
+            raise BadAddress(f"{found[name]} and {address} have the same name {name}; give a name with NAME={address}")
         found[name] = address
     return found
 
@@ -171,6 +169,6 @@ def _listed(installed: Iterable[str]) -> list[str]:
 
 def _missing(kind: str, installed: Iterable[str]) -> str:
     if kind in _DISTRIBUTIONS:
-        return f"nothing that serves {kind} is installed: pip install {_DISTRIBUTIONS[kind][0]}"
+        return f"no adapter for {kind} is installed; run pip install {_DISTRIBUTIONS[kind][0]}"
     there = ", ".join(sorted({*installed, *_DISTRIBUTIONS}))
-    return f"nothing that serves {kind!r} is installed; expected one of {there} (`urlink serve` lists them)"
+    return f"no adapter for {kind!r} is installed; expected one of {there} (`urlink serve` lists them)"

@@ -13,10 +13,10 @@ from linkcore.cli.terminal import Interruption
 from ..session.address import Motion
 from .options import tell
 
-#: rad. The joints of URSim when it starts, as the vendor's integration tests find them.
+#: Joints of URSim when it starts, in rad, from the vendor's integration tests.
 _URSIM_POSTURE = (-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)
 _URSIM_PROGRAM = "Default program"
-#: The programs of URSim as the vendor's tests start it. The second one has no ending on PolyScope X.
+#: Programs of URSim as the vendor's tests start it. The name of the second one has no suffix on PolyScope X.
 _URSIM_FILES = {
     _URSIM_PROGRAM: "def Default_program():\nend\n",
     **dict.fromkeys(
@@ -50,36 +50,40 @@ def _program(text: str) -> tuple[str, str]:
 @command(
     "sim",
     "run a simulated controller",
-    argument("--model", metavar="NAME", help="arm: UR3, UR5, UR10, UR5e, UR16e, UR20, ... (UR5e)"),
-    argument("--firmware", metavar="X.Y", help="controller software (the newest that suits the arm)"),
-    argument("--host", default="127.0.0.1", metavar="H", help="address to listen on, 0.0.0.0 for all (127.0.0.1)"),
+    argument("--model", metavar="NAME", help="arm: UR3, UR5, UR10, UR5e, UR16e, UR20, ... (default: UR5e)"),
+    argument("--firmware", metavar="X.Y", help="controller software (default: the newest for the arm)"),
     argument(
-        "--ports", choices=("standard", "free"), default="free", help="30001 and so on, or any that are free (free)"
+        "--host", default="127.0.0.1", metavar="H", help="address to listen on, 0.0.0.0 for all (default: 127.0.0.1)"
     ),
-    argument("--fault", action="append", default=[], metavar="FAULT", help="make a fault happen; can be repeated"),
+    argument(
+        "--ports", choices=("standard", "free"), default="free", help="30001 and so on, or free ports (default: free)"
+    ),
+    argument("--fault", action="append", default=[], metavar="FAULT", help="inject a fault; can be repeated"),
     argument(
         "--program",
         action="append",
         default=[],
         type=_program,
         metavar="NAME=FILE",
-        help="a URScript file that the dashboard can load as NAME; can be repeated",
+        help="URScript file that the dashboard can load as NAME; can be repeated",
     ),
     argument(
         "--motion",
         choices=get_args(Motion),
         default="still",
-        help="stand still until a program is sent, or move about a home posture (still)",
+        help="stand still until a program is sent, or move around a home posture (default: still)",
     ),
-    argument("--noise", choices=("on", "off"), default="on", help="noise of the sensors (on)"),
+    argument("--noise", choices=("on", "off"), default="on", help="sensor noise (default: on)"),
     argument(
         "--scene",
         metavar="FILE",
-        help="bodies around the arm, such as table.xml of MuJoCo by pip install urlink-mujoco",
+        help="bodies around the arm, such as table.xml for MuJoCo (needs pip install urlink-mujoco)",
     ),
-    argument("--like", choices=("ursim",), help="begin as URSim does"),
+    argument("--like", choices=("ursim",), help="start in the same state as URSim"),
     argument(
-        "--local-control", action="store_true", help="as an e-Series in local control: commands only from the pendant"
+        "--local-control",
+        action="store_true",
+        help="act as an e-Series in local control: accept commands only from the pendant",
     ),
     DURATION,
     listing=_faults,
@@ -87,14 +91,14 @@ def _program(text: str) -> tuple[str, str]:
 def run(args: argparse.Namespace) -> int:
     """Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
 
-    It serves the primary, secondary and real-time interface, their read-only twins, RTDE and the dashboard, each to a
-    hundred clients, in the wire format of the firmware. The arm stands still, or with --motion demo moves slowly
-    about a home posture, until a program is sent, which it then runs. With --ports standard it has the ports of a
-    real controller, where other programs expect them. --like ursim makes it begin as URSim, the vendor's simulator,
-    does: in URSim's posture, with "Default program" loaded and wait_program.urp in /ursim/programs. It is not in
-    remote control, but accepts commands all the same, unless --local-control is given.
+    It serves the primary, secondary and real-time interfaces, their read-only variants, RTDE and the dashboard, each
+    to a hundred clients, in the wire format of the firmware. The arm stands still until a program is sent; with
+    --motion demo, it moves slowly around a home posture until then. With --ports standard, it uses the ports of a real
+    controller, which other programs expect. With --like ursim, it starts in the same state as URSim, the vendor's
+    simulator: in URSim's posture, with "Default program" loaded and wait_program.urp in /ursim/programs. It is not in
+    remote control, but still accepts commands, unless --local-control is given.
 
-    Faults happen at their time, in seconds from the start, as NAME[=ARGUMENT]@SECONDS:
+    Faults happen at their time, in seconds after the start, as NAME[=ARGUMENT]@SECONDS:
 
     examples:
       urlink sim

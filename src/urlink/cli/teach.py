@@ -1,4 +1,4 @@
-"""`urlink teach`: a person guides the arm by hand, and the waypoints are saved and played."""
+"""`urlink teach`: saves waypoints while a person moves the arm by hand, and plays them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ..robot import Robot
 from .options import ADDRESS, connected
 from .packet_fields import joints_text
 
-#: Seconds that playing may take.
+#: Maximum duration of playing, in seconds.
 _LONGEST = 3600.0
 
 
 def _axes(text: str) -> list[int]:
     if len(text) != 6 or set(text) - {"0", "1"}:
-        raise argparse.ArgumentTypeError(f"{text!r} is not six of 0 and 1")
+        raise argparse.ArgumentTypeError(f"{text!r} is not six digits 0 or 1")
     return [int(each) for each in text]
 
 
@@ -32,23 +32,23 @@ def _axes(text: str) -> list[int]:
     "teach",
     "teach waypoints by hand, and play them",
     *ADDRESS,
-    argument("file", metavar="FILE", help="file of the waypoints, in JSON"),
-    argument("--digital-input", type=int, metavar="N", help="standard digital input that keeps one too"),
-    argument("--button", action="store_true", help="move it by the arm's own button; releasing it keeps one"),
-    argument("--axes", type=_axes, metavar="BITS", help="free axes x y z rx ry rz, such as 110001 (all)"),
+    argument("file", metavar="FILE", help="JSON file of the waypoints"),
+    argument("--digital-input", type=int, metavar="N", help="standard digital input that also saves a waypoint"),
+    argument("--button", action="store_true", help="move the arm with its own button; releasing it saves a waypoint"),
+    argument("--axes", type=_axes, metavar="BITS", help="free axes x y z rx ry rz, such as 110001 (default: all)"),
     argument("--play", action="store_true", help="play FILE instead of teaching it"),
-    argument("--speed", type=float, default=0.5, metavar="V", help="rad/s while playing (0.5)"),
-    argument("--blend", type=float, default=0.0, metavar="R", help="m of round corners while playing (0)"),
+    argument("--speed", type=float, default=0.5, metavar="V", help="speed while playing, in rad/s (default: 0.5)"),
+    argument("--blend", type=float, default=0.0, metavar="R", help="blend radius while playing, in m (default: 0)"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Save waypoints to FILE while a person moves the arm by hand. THE ARM YIELDS: it goes where it is pushed,
-    and drifts if its payload is set wrong.
+    """Save waypoints to FILE while a person moves the arm by hand. THE ARM YIELDS: it moves where it is pushed, and
+    drifts if its payload is set incorrectly.
 
-      Enter          keeps a waypoint
-      u, Enter       forgets the last one
-      q, Enter       saves them, and ends; so does the end of stdin
+      Enter          save a waypoint
+      u, Enter       delete the last waypoint
+      q, Enter       write the waypoints to FILE and end; the end of stdin does the same
 
-    Ctrl-C ends without saving. With --play the arm moves through the waypoints of FILE instead. THE ARM MOVES.
+    Ctrl-C ends without saving. With --play, the arm moves through the waypoints of FILE instead. THE ARM MOVES.
 
     examples:
       urlink teach 192.168.56.101 pick.json
@@ -82,7 +82,7 @@ def _play(
 
 def _keep(robot: Robot, args: argparse.Namespace, interruption: Interruption) -> None:
     with robot.teach(digital_input=args.digital_input, button=args.button, axes=args.axes, on_point=_show) as teaching:
-        print("move the arm; Enter keeps a waypoint, q ends", flush=True)
+        print("move the arm; Enter saves a waypoint, q ends", flush=True)
         for line in _lines(interruption):
             if teaching.freedrive is not None and teaching.freedrive.done:
                 teaching.freedrive.wait(0.0)
@@ -94,7 +94,7 @@ def _keep(robot: Robot, args: argparse.Namespace, interruption: Interruption) ->
             elif line == "q":
                 break
             elif line is not None:
-                print("Enter keeps a waypoint, u forgets the last, q ends", flush=True)
+                print("Enter saves a waypoint, u deletes the last one, q ends", flush=True)
     if interruption.number is None:
         if not len(teaching.taught):
             raise BadValue("no waypoint was taught, so nothing was saved")
@@ -107,17 +107,17 @@ def _show(point: TaughtPoint) -> None:
 
 
 def _lines(interruption: Interruption) -> Iterator[str | None]:
-    """Lines of stdin without line ends, until it ends or a signal comes; None while there is no line.
+    """Yield lines of stdin without line ends, until it ends or a signal arrives; None while there is no line.
 
     Raises:
-        LocalError: this system cannot wait for stdin with a timeout.
+        LocalError: If this system cannot wait for stdin with a timeout.
     """
     held = b""
     while interruption.number is None:
         try:
             is_ready = bool(select.select([sys.stdin], [], [], 0.05)[0])
         except (OSError, ValueError) as error:
-            raise LocalError(f"stdin cannot be waited for: {error}") from None
+            raise LocalError(f"cannot wait for stdin: {error}") from None
         if not is_ready:
             yield None
             continue

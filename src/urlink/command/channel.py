@@ -1,10 +1,11 @@
 """The command channel: the only path by which text that can move the arm is sent.
 
-The decision is made in the robot's critical section (`urlink.command.section`), and within the same section the
-bytes go to the kernel by a system call that does not wait: after a stop was received, nothing is sent. A text nearly
-always fits into the kernel's buffer whole. Where it does not, because the controller does not read, the section is
-left, the sender waits for room, and the decision is made anew. If sending is refused by then, the connection is
-aborted: the controller never receives the rest of that text, nor another text in the middle of it.
+The decision whether to send is made in the robot's critical section (`urlink.command.section`). Within the same
+section, the bytes are passed to the kernel by a system call that does not block. Therefore nothing is sent after a stop
+was received. The kernel's buffer nearly always has room for the whole text. If it does not, because the controller does
+not read, the sender leaves the section, waits for room, and makes the decision again. If sending is refused by then,
+the connection is aborted. The controller then never receives the rest of that text, nor another text in the middle
+of it.
 """
 
 from __future__ import annotations
@@ -22,23 +23,23 @@ from linkcore.streaming.connection import Connection
 from .safety_monitor import SafetyMonitor
 from .section import Section
 
-#: Seconds that the controller may take to accept text.
+#: Maximum time, in seconds, for the controller to accept a text.
 SEND_TIMEOUT = 0.5
-#: Seconds for what was given up to be undone, before what is newer supersedes it.
+#: Maximum time, in seconds, to wait for pending undos before a newer command is sent.
 _UNDO_TIMEOUT = 1.0
-#: Seconds between two looks whether another thread has got rid of its text.
+#: Interval, in seconds, for checking whether another thread has finished sending its text.
 _PAUSE = 0.001
 
 
 class CommandChannel:
-    """Sends to a robot, if the interlock lets it.
+    """Sends URScript text to a robot, if the interlock permits it.
 
     Args:
-        connection: takes URScript text: of the primary interface.
-        monitor: asked before anything is sent.
-        section: the critical section of the robot.
-        clock: seconds that only grow.
-        undos: of the commands to this controller; None for one of its own.
+        connection: Connection to the primary interface, which receives the URScript text.
+        monitor: Safety monitor that decides whether a text may be sent.
+        section: Critical section of the robot.
+        clock: Monotonic clock, in seconds.
+        undos: Pending undos of the commands to this controller. If None, a new `PendingUndos` is created.
     """
 
     def __init__(
@@ -54,16 +55,16 @@ class CommandChannel:
         self._monitor = monitor
         self._section = section
         self._clock = clock
-        #: the text of which only a part has left
+        #: The text that was sent only partly.
         self._unfinished: _Text | None = None
         self._sent_at = -math.inf
 
     def check(self) -> None:
-        """Raise what a motion would be refused with now; waits for what is not known yet of the robot.
+        """Raise the error that would refuse a motion now, after waiting for missing safety data.
 
         Raises:
-            SafetyStop: a stop holds; NotEnabled if only `safety.enable()` is missing.
-            NotRunning: the robot does not run, or nothing is known of it.
+            SafetyStop: If a stop is active; its subclass `NotEnabled` if only `safety.enable()` is missing.
+            NotRunning: If the robot is not running, or its state is unknown.
         """
         self._prepare(moves=True)
         self._monitor.require()
@@ -83,22 +84,23 @@ class CommandChannel:
     ) -> None:
         """Send URScript that may move the arm.
 
-        What was given up and may still be carried out is undone before, where that can be done within a second.
+        If possible within one second, abandoned commands that might still be executed are undone first.
 
         Args:
-            text: whole lines; the last newline may be left out.
-            is_stop: it can only bring the arm to rest. An arm that nobody has enabled can move all the same, by a
-                program that went on while nothing could be received from it, and can then be stopped.
-            replaces: it is a program that replaces the one that runs, and with it what was given up and was not
-                undone.
-            claim: called in the section, whenever it has been decided that the text may leave; what it raises keeps
-                the text from leaving.
-            wait: for what is not known yet of the robot, and for room; False sends now or not at all.
+            text: Whole lines of URScript; the last newline can be omitted.
+            is_stop: Whether the text can only bring the arm to rest. Such a text needs no `enable()`: an arm that is
+                not enabled can still move if its program continued while no data arrived from the robot.
+            replaces: Whether the text is a program that replaces the running one. It then also replaces the abandoned
+                commands that were not undone.
+            claim: Function that is called in the section each time it was decided that the text may be sent. If it
+                raises, the text is not sent.
+            wait: Whether to wait for missing safety data and for room in the buffer. With False, the text is sent
+                immediately or not at all.
 
         Raises:
-            SafetyStop: a stop holds; NotEnabled if only `safety.enable()` is missing.
-            NotRunning: the robot does not run, or nothing is known of it.
-            RemoteError: it could not be sent.
+            SafetyStop: If a stop is active; its subclass `NotEnabled` if only `safety.enable()` is missing.
+            NotRunning: If the robot is not running, or its state is unknown.
+            RemoteError: If the text could not be sent.
         """
         if wait:
             self._prepare(moves=True)
@@ -114,61 +116,61 @@ class CommandChannel:
             self._undos.drop()
 
     def overtake(self, why: str) -> None:
-        """Send no motion whose call was entered before this moment; `why` names the stop, for messages."""
+        """Block every motion that was called before this moment; `why` names the stop in error messages."""
         self._monitor.overtake(why)
 
     def command(self, text: str) -> None:
-        """Send URScript that moves nothing: outputs, payload, popups. It needs no more than a running robot.
+        """Send URScript that moves nothing, such as outputs, payload or popups. It needs only a running robot.
 
         Raises:
-            NotRunning: the robot does not run, or nothing is known of it.
-            RemoteError: it could not be sent.
+            NotRunning: If the robot is not running, or its state is unknown.
+            RemoteError: If the text could not be sent.
         """
         self._prepare(moves=False)
         self._send(text, self._monitor.require_running, SEND_TIMEOUT)
 
     def check_running(self) -> None:
-        """Raise what a command would be refused with now; waits for what is not known yet of the robot.
+        """Raise the error that would refuse a command now, after waiting for missing safety data.
 
         Raises:
-            NotRunning: the robot does not run, or nothing is known of it.
+            NotRunning: If the robot is not running, or its state is unknown.
         """
         self._prepare(moves=False)
         self._monitor.require_running()
 
     def beside(self, send: Callable[[], object]) -> None:
-        """Let `send` send a command, which moves nothing, over another connection; it must not wait.
+        """Call `send` to send a command that moves nothing over another connection; `send` must not wait.
 
         Raises:
-            NotRunning: the robot does not run; `send` was not called.
-            Exception: whatever `send` raises.
+            NotRunning: If the robot is not running; `send` is not called.
+            Exception: If `send` raises an exception, it is passed on.
         """
         with self._section.lock:
             self._monitor.require_running()
             send()
 
     def setpoint(self, send: Callable[[], object], *, is_stop: bool = False) -> None:
-        """Let `send` send something that moves the arm, or that stops it, over another connection; it must not wait.
+        """Call `send` to move or stop the arm over another connection; `send` must not wait.
 
         Raises:
-            SafetyStop, NotRunning: as `motion`; `send` was not called.
-            Exception: whatever `send` raises.
+            SafetyStop, NotRunning: See `motion`; `send` is not called.
+            Exception: If `send` raises an exception, it is passed on.
         """
         with self._section.lock:
             refusal = self._monitor.refusal_to_stop() if is_stop else self._monitor.refusal_to_begin()
             if refusal is None:
                 send()
                 return
-        # This process may have been held up, and has states to read that arrived meanwhile.
+        # This process may have been delayed, and may have to read states that arrived meanwhile.
         self._monitor.await_news(moves=True)
         with self._section.lock:
             self._monitor.require(is_stop)
             send()
 
     def discard(self, seconds: float) -> None:
-        """Where anything was sent in the last `seconds`, see to it that it does not arrive any more.
+        """Abort the connection if anything was sent in the last `seconds`, so that it does not arrive later.
 
-        The connection is aborted, which the stream makes again. What has arrived has arrived.
+        The stream reconnects afterwards. Text that has already arrived is not affected.
         """
         if self._clock() - self._sent_at <= seconds:
             self._sent_at = -math.inf
@@ -192,34 +194,34 @@ class CommandChannel:
                 else:
                     clock.sleep(_PAUSE)
         finally:
-            # Part of it has left, and time is up, the rest is refused, or the waiting for room was interrupted.
+            # A part of the text was sent, and then the time ran out, the rest was refused, or the wait was interrupted.
             if self._unfinished is outgoing:
                 with self._section.lock:
                     self._give_up()
         raise LinkTimeout(
-            f"the controller has not taken a text of {outgoing.size} bytes within {timeout:g} s; it was not sent"
+            f"the controller did not accept a text of {outgoing.size} bytes within {timeout:g} s; it was not sent"
         )
 
     def _has_turn(self, text: _Text) -> bool:
-        """Nobody else is in the middle of a text. With the section."""
+        """Whether no other text is half sent. The caller must hold the section's lock."""
         if self._unfinished in (None, text):
             return True
         if self._unfinished.thread == threading.get_ident():
-            # A signal handler has interrupted its thread, which waits for room: the controller does not read.
+            # A signal handler interrupted its own thread, which waits for room: the controller does not read.
             self._give_up()
             raise ConnectionLost(
-                "the controller had taken only a part of the text before this one, so the connection was aborted"
+                "the controller accepted only a part of the previous text, so the connection was aborted"
             )
         return False
 
     def _send_some(self, text: _Text, decide: Callable[[], object]) -> None:
-        """Send what the kernel takes. With the section."""
+        """Send as many bytes as the kernel accepts. The caller must hold the section's lock."""
         connection = self._connection
         number = connection.counters.connections
         if text.is_begun and (self._unfinished is not text or number != text.number):
-            raise ConnectionLost(f"{connection.name} was connected anew while a text was sent")
+            raise ConnectionLost(f"{connection.name} was reconnected while a text was sent")
         text.number = number
-        # Not between the decision and the sending: what is claimed would never leave.
+        # Check before `decide()`: raising after it would leave a claim without its text being sent.
         check_wanted()
         decide()
         self._sent_at = self._clock()
@@ -227,23 +229,26 @@ class CommandChannel:
         self._unfinished = text if text.is_begun and text.rest else None
 
     def _give_up(self) -> None:
-        """Part of a text has left: nobody must see the rest of it, or take what follows for the rest."""
+        """Abort the connection after a partly sent text, whose rest must not arrive.
+
+        Otherwise the controller would also take the next text for that rest.
+        """
         unfinished, self._unfinished = self._unfinished, None
         if unfinished is not None and unfinished.number == self._connection.counters.connections:
             self._connection.abort()
 
 
 class _Text:
-    """A text that is being sent; `rest` is what has not left."""
+    """A text that is being sent; `rest` is the part that has not been sent."""
 
     def __init__(self, data: bytes) -> None:
         self.rest = memoryview(data)
         self.size = len(data)
         self.thread = threading.get_ident()
-        #: which connection it leaves by
+        #: Number of the connection that it is sent over.
         self.number: int | None = None
 
     @property
     def is_begun(self) -> bool:
-        """A part of it has left."""
+        """Whether a part of it has been sent."""
         return len(self.rest) < self.size

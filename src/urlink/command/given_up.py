@@ -1,9 +1,11 @@
-"""The life of the program that was given up and may still run: whether it was sent a stop, or has to be sent one.
+"""Life cycle of the last abandoned program that might still run: whether a stop was sent, or must still be sent.
 
-A program that was given up is sent a stop. While a safety stop holds, no stop can be sent. While another program is on
-its way, a stop might stop that program instead. Then the program is kept, and it is sent a stop by the second state in
-which nothing prevents that. `TRANSITIONS` is the whole of it; docs/architecture.md shows the table. Messages of the
-controller and calls of users come in different threads, so each event can happen in each phase.
+An abandoned program is sent a stop. No stop can be sent while a safety stop is active. A stop must not be sent either
+while another program is being sent, because it might stop that program instead. In both cases the abandoned program is
+kept. It is sent a stop at the second state in which nothing prevents the stop.
+
+`TRANSITIONS` describes the whole life cycle; docs/architecture.md shows it as a table. Messages of the controller and
+calls of users arrive in different threads, so each event can happen in each phase.
 """
 
 from __future__ import annotations
@@ -15,27 +17,27 @@ from types import MappingProxyType
 
 
 class GivenUpPhase(enum.Enum):
-    """What is known of the program that was given up last."""
+    """Phase of the program that was abandoned last."""
 
-    NONE = "none"  # there is none, or it has ended
-    STOPPING = "stopping"  # it was sent a stop, and the controller has not reported its end
-    KEPT = "kept"  # it has to be sent a stop
-    CLEAR = "clear"  # as KEPT, and by the last state nothing prevented the stop
+    NONE = "none"  # there is no such program, or it has ended
+    STOPPING = "stopping"  # a stop was sent, and the controller has not reported the end of the program
+    KEPT = "kept"  # a stop must still be sent
+    CLEAR = "clear"  # like KEPT, but nothing prevented the stop in the last state
 
 
 class GivenUpEvent(enum.Enum):
-    """What can happen to it."""
+    """Event that changes the phase."""
 
     GIVE_UP = "give up"  # a stop is about to be sent
     DELIVER = "deliver"  # the stop was sent
     KEEP = "keep"  # the stop cannot be sent now
-    MISS = "miss"  # the stop was sent, and may not have stopped it
-    FREE = "free"  # a state has come, and nothing prevents the stop
-    HINDER = "hinder"  # a state has come, and something prevents the stop
-    END = "end"  # it has ended or was replaced, or it is not known which program runs
+    MISS = "miss"  # the stop was sent, but might not have stopped the program
+    FREE = "free"  # a state has arrived, and nothing prevents the stop
+    HINDER = "hinder"  # a state has arrived, and something prevents the stop
+    END = "end"  # the program has ended or was replaced, or it is unknown which program runs
 
 
-#: (phase, event) -> the phase after it. The events leave other phases as they are.
+#: Next phase for each (phase, event). An event that is not listed for a phase does not change it.
 TRANSITIONS: Mapping[tuple[GivenUpPhase, GivenUpEvent], GivenUpPhase] = MappingProxyType(
     {
         **{(phase, event): phase for phase in GivenUpPhase for event in GivenUpEvent},
@@ -53,12 +55,12 @@ TRANSITIONS: Mapping[tuple[GivenUpPhase, GivenUpEvent], GivenUpPhase] = MappingP
 
 
 class GivenUpProgram:
-    """The program that was given up last, while it may still run.
+    """The program that was abandoned last, while it might still run.
 
     Attributes:
-        phase: what is known of it.
-        name: its name; None in the phase NONE.
-        stop_sent: when it was sent a stop, on the clock of its programs.
+        phase: Phase of the program.
+        name: Name of the program; None in the phase NONE.
+        stop_sent: Time when a stop was sent, on the clock of `Programs`.
     """
 
     def __init__(self) -> None:
@@ -68,15 +70,15 @@ class GivenUpProgram:
 
     @property
     def is_kept(self) -> bool:
-        """It has to be sent a stop."""
+        """Whether a stop must still be sent."""
         return self.phase in (GivenUpPhase.KEPT, GivenUpPhase.CLEAR)
 
     def fire(self, event: GivenUpEvent, name: str | None = None) -> None:
-        """Something has happened. With the section of the robot.
+        """Record an event. The caller must hold the lock of the robot's section.
 
         Args:
-            event: what.
-            name: of the program, if it is another one from now on.
+            event: Event that happened.
+            name: Name of the program, if the event is about a different program than before.
         """
         self.phase = TRANSITIONS[self.phase, event]
         if self.phase is GivenUpPhase.NONE:

@@ -1,8 +1,8 @@
 """`robot.io`: the inputs and outputs of control box and tool.
 
-Outputs are set over RTDE, or by programs that run beside the one that moves the arm
-(`urlink.command.settings`). They are read back from the robot state, which comes ten times a second: a new
-value shows after a tenth of a second or so, and is waited for.
+Outputs are set over RTDE, or by programs that run in addition to the program that moves the arm
+(`urlink.command.settings`). They are read back from the robot state, which arrives ten times a second. A new value is
+therefore visible after about a tenth of a second, and a setting waits for it.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from .settings import Echo, Settings
 
 T = TypeVar("T")
 
-#: Seconds to wait for a first state.
+#: Timeout for a first state, in seconds.
 _FIRST_STATE = 2.0
-#: Part of its range by which an analogue output may be off: the reported value may be a measured one.
+#: Tolerance of an analogue output, as a fraction of its range: the reported value might be a measured one.
 _ANALOG = 0.02
 
 
 class Analog(NamedTuple):
-    """An analogue signal.
+    """Value of an analogue signal.
 
     Attributes:
-        value: A or V.
-        domain: which of the two.
+        value: Value in A or V.
+        domain: Whether the value is a current or a voltage.
     """
 
     value: float
@@ -44,13 +44,19 @@ class Analog(NamedTuple):
 
 
 class IO(StrictAttributes):
-    """Inputs and outputs by number, each kind from 0.
+    """Inputs and outputs by number. The numbers of each kind begin at 0.
 
-    Setting raises `BadValue` for an output that this robot has not, before anything is sent; `NotRunning` where the
-    robot does not run or nothing is known of it; `NotConfirmed` where the robot does not show the new value within
-    `confirm` seconds, as an e-Series in local control does not; and `RemoteError` where it could not be sent. A stop
-    does not matter, as long as the robot runs. ``confirm=None`` sends and does not wait. In a callback that was
-    subscribed with ``inline=True`` it has to be None, or a `LocalError` says so.
+    Setting raises these errors:
+
+    - `BadValue` if this robot does not have the output; nothing is sent.
+    - `NotRunning` if the robot is not running, or its state is unknown.
+    - `NotConfirmed` if the robot does not show the new value within `confirm` seconds, for example an e-Series in local
+      control.
+    - `RemoteError` if the value could not be sent.
+
+    A safety stop does not prevent setting, as long as the robot is running. ``confirm=None`` sends the value and does
+    not wait. In a callback that was subscribed with ``inline=True``, `confirm` must be None; otherwise a `LocalError`
+    is raised.
 
     Digital inputs are read from the newest state of the real-time interface, which sends 125 or 500 states a second.
     Waiting for one checks each of these states, so an input that is read after a wait is at least as new as the state
@@ -71,18 +77,21 @@ class IO(StrictAttributes):
         self._set_digital(STANDARD, number, on, confirm)
 
     def set_configurable_digital_out(self, number: int, on: bool, *, confirm: float | None = 1.0) -> None:
-        """Switch configurable digital output 0 to 7; CB2 has none. One that the safety configuration uses does not."""
+        """Switch configurable digital output 0 to 7; CB2 has none.
+
+        An output that the safety configuration uses does not switch.
+        """
         self._set_digital(CONFIGURABLE, number, on, confirm)
 
     def set_tool_digital_out(self, number: int, on: bool, *, confirm: float | None = 1.0) -> None:
-        """Switch tool output 0 or 1. On CB2 nobody knows for sure where it shows, so it is not waited for there."""
+        """Switch tool output 0 or 1. It is not confirmed on CB2, where its place in the state is uncertain."""
         self._set_digital(TOOL, number, on, confirm)
 
     def set_analog_out(self, number: int, fraction: float, *, confirm: float | None = 1.0) -> None:
         """Set analogue output 0 or 1 to a fraction of its range, 0 to 1: 4 to 20 mA, or 0 to 10 V.
 
-        That it takes a fraction is a guess, see `urlink.script.commands`; a real robot confirms it, or refutes it
-        with `NotConfirmed`.
+        Assumption: the controller expects a fraction, see `urlink.script.commands`. If that is wrong on a real robot,
+        the call raises `NotConfirmed`.
         """
         fraction = check_number(fraction, "fraction", 0.0, 1.0)
         text = commands.secondary(commands.analog_out(self._settings.firmware, number, fraction))
@@ -95,7 +104,7 @@ class IO(StrictAttributes):
             board = self._primary.of(MasterboardData).latest
             if board is None:
                 return None
-            # RTDE sets the domain (current or voltage) along with the value: the domain is sent as it is.
+            # RTDE sets the domain (current or voltage) along with the value, so the current domain is sent unchanged.
             types = int(board.analog_output_domain_0) | int(board.analog_output_domain_1) << 1
             return {
                 "standard_analog_output_mask": 1 << number,
@@ -107,7 +116,7 @@ class IO(StrictAttributes):
         self._settings.apply(text, f"analogue output {number}", echo, confirm, inputs)
 
     def set_tool_voltage(self, volts: int, *, confirm: float | None = 1.0) -> None:
-        """Supply the tool with 0, 12 or 24 V."""
+        """Set the supply voltage of the tool: 0, 12 or 24 V."""
         echo = Echo(ToolData, lambda tool: tool.tool_output_voltage, lambda value: value == volts)
         self._settings.apply(commands.secondary(commands.tool_voltage(volts)), "the voltage of the tool", echo, confirm)
 
@@ -122,27 +131,27 @@ class IO(StrictAttributes):
         tx_idle_chars: float = 3.5,
         confirm: float | None = 1.0,
     ) -> None:
-        """Set the RS485 line in the tool connector of an e-Series, which takes the place of the tool's analogue inputs.
+        """Configure the RS485 line in the tool connector of an e-Series, which replaces the tool's analogue inputs.
 
         Args:
-            enabled: the line is in use.
-            baud_rate: Bd: 9600, 19200, 38400, 57600, 115200, 1, 2 or 5 million.
-            parity: of each byte.
-            stop_bits: 1 or 2.
-            rx_idle_chars: characters of silence after which what was received is handed over, 1 to 40.
-            tx_idle_chars: characters of silence before what is sent, 0 to 40.
-            confirm: seconds within which the robot has to show it; None does not wait.
+            enabled: Whether the line is in use.
+            baud_rate: Rate in Bd: 9600, 19200, 38400, 57600, 115200, 1, 2 or 5 million.
+            parity: Parity of each byte.
+            stop_bits: Number of stop bits, 1 or 2.
+            rx_idle_chars: Silence before received bytes are delivered, in characters, 1 to 40.
+            tx_idle_chars: Silence before bytes are sent, in characters, 0 to 40.
+            confirm: Timeout for the confirmation, in seconds; None does not wait.
 
         Raises:
-            BadValue: a value that the line cannot have; nothing was sent.
-            LocalError: a controller without such a line.
-            NotRunning, NotConfirmed: as of the other settings.
+            BadValue: If the line cannot have a value. Nothing is sent.
+            LocalError: If the controller does not have such a line.
+            NotRunning, NotConfirmed: If it cannot be set; see the class.
         """
         firmware = self._settings.firmware
         rx_idle_chars = check_number(rx_idle_chars, "rx_idle_chars", 1.0, 40.0)
         tx_idle_chars = check_number(tx_idle_chars, "tx_idle_chars", 0.0, 40.0)
         if not firmware.is_e_series:
-            raise LocalError(f"firmware {firmware} has no serial line in the tool connector; 5.0 is the first that has")
+            raise LocalError(f"firmware {firmware} has no serial line in the tool connector; 5.0 or later is required")
         wanted = (enabled, baud_rate, commands.PARITIES.get(parity), stop_bits, rx_idle_chars, tx_idle_chars)
         text = commands.tool_communication(enabled, baud_rate, parity, stop_bits, rx_idle_chars, tx_idle_chars)
 
@@ -150,19 +159,19 @@ class IO(StrictAttributes):
             line = (info.is_enabled, info.baud_rate, info.parity, info.stop_bits)
             return (*line, round(info.rx_idle_chars, 3), round(info.tx_idle_chars, 3))
 
-        # The robot shows them as numbers of 32 bits.
+        # The robot reports them as 32-bit numbers.
         rounded = tuple(round(value or 0, 3) for value in wanted)
         echo = Echo(ToolCommunicationInfo, shown, lambda values: values == rounded)
         self._settings.apply(commands.secondary(text), "the tool's serial line", echo, confirm)
 
     def set_flag(self, number: int, on: bool) -> None:
-        """Set flag 0 to 31, which programs can read; but not the one that lets programs begin (31, see `connect`).
+        """Set flag 0 to 31, which programs can read, except the flag for start permissions (31, see `connect`).
 
-        The robot shows flags nowhere, so whether it was set cannot be read.
+        The robot does not report flags, so the value cannot be confirmed.
         """
         self._settings.flag(number, on)
 
-    # -- what is there -------------------------------------------------------------------------------
+    # -- reading -------------------------------------------------------------------------------------
 
     def digital_in(self, number: int) -> bool:
         """Standard digital input 0 to 7."""
@@ -173,7 +182,7 @@ class IO(StrictAttributes):
         return self._digital_out(STANDARD, number)
 
     def wait_digital_in(self, number: int, on: bool = True, timeout: float = 5.0) -> None:
-        """Wait until standard digital input 0 to 7 is on, or off; return at once if it is."""
+        """Wait until standard digital input 0 to 7 is on, or off; return immediately if it already is."""
         self._wait_digital_in(STANDARD, number, on, timeout)
 
     def wait_configurable_digital_in(self, number: int, on: bool = True, timeout: float = 5.0) -> None:
@@ -193,11 +202,11 @@ class IO(StrictAttributes):
         return self._digital_out(CONFIGURABLE, number)
 
     def tool_digital_in(self, number: int) -> bool:
-        """Tool input 0 or 1. Its bit on CB2, 8 or 9, is inferred from there being only 16."""
+        """Tool input 0 or 1. Its bit on CB2 (8 or 9) is inferred, because CB2 has only 16 bits."""
         return self._digital_in(TOOL, number)
 
     def tool_digital_out(self, number: int) -> bool:
-        """Tool output 0 or 1. Its bit on CB2, 8 or 9, is inferred from there being only 16."""
+        """Tool output 0 or 1. Its bit on CB2 (8 or 9) is inferred, because CB2 has only 16 bits."""
         return self._digital_out(TOOL, number)
 
     def analog_in(self, number: int) -> Analog:
@@ -213,7 +222,7 @@ class IO(StrictAttributes):
         return Analog(*_analog_out(self._masterboard(), number))
 
     def tool_analog_in(self, number: int) -> Analog:
-        """Analogue input 0 or 1 of the tool, which the packets call 2 and 3."""
+        """Analogue input 0 or 1 of the tool; the packets number them 2 and 3."""
         first = integer(number, 0, 1, "tool analogue input") == "0"
         tool = _newest(self._primary.of(ToolData))
         if first:
@@ -222,10 +231,10 @@ class IO(StrictAttributes):
 
     @property
     def tool_voltage(self) -> int:
-        """What the tool is supplied with: 0, 12 or 24 V."""
+        """Supply voltage of the tool: 0, 12 or 24 V."""
         return _newest(self._primary.of(ToolData)).tool_output_voltage
 
-    # -- how -----------------------------------------------------------------------------------------
+    # -- implementation ------------------------------------------------------------------------------
 
     def _set_digital(self, bank: DigitalBank, number: int, on: bool, confirm: float | None) -> None:
         firmware = self._settings.firmware
@@ -268,7 +277,7 @@ class IO(StrictAttributes):
         try:
             board, inputs = self._masterboard(), self._digital_input_bits()
         except LinkError as error:
-            return html_table("IO", (), (), [f"not known: {error}"])
+            return html_table("IO", (), (), [f"unknown: {error}"])
 
         def on(bits: int) -> str:
             return ", ".join(str(bit) for bit in range(bits.bit_length()) if bits >> bit & 1) or "none"

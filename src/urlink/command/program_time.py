@@ -1,9 +1,9 @@
-"""How much time passes on the controller and for a program, from the times in states; and the pauses of a program.
+"""Time that passes on the controller and for a program, computed from states; also the pauses of a program.
 
-The speed slider and the controller's own limits slow down all motion of a program, streamed set-points too; where a
-program is paused, or the slider is at 0, its time stands still (docs/protocols/urscript.md, Speed scaling). A state
-reports the fraction of this moment. The ramp with which each program starts is not reported. After a pause, the arm has
-to be where the program has left it.
+The speed slider and the controller's own limits slow down all motion of a program, including streamed set-points. If
+a program is paused, or the slider is at 0, the program's time does not advance (docs/protocols/urscript.md, Speed
+scaling). A state reports only the current fraction. The ramp at the start of each program is not reported. After a
+pause, the arm must be where it was when the program was paused.
 """
 
 from __future__ import annotations
@@ -21,55 +21,55 @@ from ..errors import ToleranceExceeded
 from ..protocol.enums import ProgramState
 from ..protocol.realtime.packets import RealtimeState
 
-#: Whose time a trajectory has: that of the program on the robot, or that of the controller's clock.
+#: Time base of a trajectory: the time of the program on the robot ("follow"), or the controller's clock ("ignore").
 ScalingName = Literal["follow", "ignore"]
 
-#: 1/s with which the scaling changes, and rises from 0 where a paused program goes on, which is not reported.
+#: Rate of change of the scaling, in 1/s. The same ramp starts at 0 when a paused program resumes; it is not reported.
 RAMP = 6.25
 _PAUSED = (ProgramState.PAUSING, ProgramState.PAUSED)
 
 
 def is_paused(state: RealtimeState) -> bool:
-    """Whether the program is paused, as far as that is reported: from 3.2 on."""
+    """Whether the program is paused. This is reported since firmware 3.2."""
     return state.program_state in _PAUSED
 
 
 def reported_scaling(state: RealtimeState) -> float:
-    """The fraction of its speed with which a program is executed, 0 to 1; 1 on CB2, which does not report it."""
-    if is_paused(state):  # before 3.10 it is not in the scaling
+    """Return the speed fraction of program execution, 0 to 1; always 1 on CB2, which does not report it."""
+    if is_paused(state):  # before 3.10, the scaling does not include pauses
         return 0.0
     scaling = state.speed_scaling
-    # A comparison that NaN fails too.
+    # Written so that NaN also fails the comparison.
     return 1.0 if scaling is None or not 0.0 <= scaling <= 1.0 else scaling
 
 
 class ControllerTimer:
-    """Measures how much time passes on the controller, by the times in its states, as far as these are plausible.
+    """Measures how much time passes on the controller, from the times in its states, if they are plausible.
 
-    A state cannot come before its time. How long states take to arrive is not known, but the quickest of them gives a
-    bound: a state that would be quicker by more than `EARLIER` has a wrong time. So states that were delayed, or are
-    read late, may come together, and the time of each counts. This also holds for a simulated controller that was
-    delayed and catches up faster than time passes.
+    A state cannot arrive before its own time. The latency of states is unknown, but the fastest state gives a bound: a
+    state that is faster by more than `EARLIER` has a wrong time. Therefore states that were delayed, or are read late,
+    can arrive together, and the time in each state is used. This also holds for a simulated controller that was
+    delayed and catches up faster than real time.
 
-    For a state with no time, or one in the past or too far in the future, this computer's clock counts, with one cycle
-    at least. The states after it are compared with it.
+    If a state has no time, or a time in the past or too far in the future, the clock of this computer is used instead,
+    with at least one cycle. Later states are compared with that state.
 
     Args:
-        cycle: seconds of the controller's cycle.
+        cycle: Cycle of the controller, in seconds.
     """
 
     def __init__(self, cycle: float) -> None:
         self._cycle = cycle
         self._last: tuple[float, float] | None = None
-        #: s from the time of a state to its arrival, each on its own clock: of the quickest; from the first state on
+        #: Shortest time from the time in a state to its arrival, each on its own clock, in s; set by the first state.
         self._quickest: float
 
     def passed(self, time: float, now: float) -> float:
-        """Seconds since the last state; 0 for the first.
+        """Return the seconds since the last state; 0 for the first state.
 
         Args:
-            time: of the state, on the controller's clock.
-            now: its arrival, monotonic s.
+            time: Time in the state, on the controller's clock.
+            now: Arrival of the state, in s of the monotonic clock.
         """
         last, self._last = self._last, (time, now)
         way = now - time
@@ -85,14 +85,14 @@ class ControllerTimer:
 
 
 class ProgramTimer:
-    """Measures how much time passes on the controller and for its program, from the states.
+    """Measures how much time passes on the controller and for its program, from states.
 
     Args:
-        cycle: seconds of the controller's cycle.
-        scaling: "ignore" for a program whose time passes as fast as the controller's.
+        cycle: Cycle of the controller, in seconds.
+        scaling: Time base. With "ignore", the program's time passes as fast as the controller's.
 
     Attributes:
-        rate: seconds of the program per second of the controller, by the newest state.
+        rate: Seconds of the program per second of the controller, from the newest state.
     """
 
     def __init__(self, cycle: float, scaling: ScalingName = "follow") -> None:
@@ -103,11 +103,11 @@ class ProgramTimer:
         self._most = 1.0
 
     def passed(self, state: RealtimeState, now: float) -> tuple[float, float]:
-        """Seconds since the last state, on the controller's clock and on the program's; 0 for the first.
+        """Return the seconds since the last state, on the controller's and on the program's clock; 0 for the first.
 
         Args:
-            state: the newest.
-            now: its arrival, monotonic s.
+            state: The newest state.
+            now: Arrival of the state, in s of the monotonic clock.
         """
         seconds = self._timer.passed(state.time, now)
         if self._is_new:
@@ -119,41 +119,41 @@ class ProgramTimer:
         return seconds, 0.5 * (before + self.rate) * seconds
 
     def beginning(self) -> float | None:
-        """s on a trajectory with which it begins at the newest state; None if it has to wait."""
+        """Return the time on the trajectory, in s, for its beginning at the newest state; None if it must wait."""
         return 0.0
 
     def after(self, t: float, scaled: float) -> float:
-        """s on a trajectory at the newest state.
+        """Return the time on the trajectory, in s, at the newest state.
 
         Args:
-            t: at the state before.
-            scaled: s that have passed for the program since then.
+            t: Time on the trajectory at the previous state.
+            scaled: Time that has passed for the program since then, in s.
         """
         return t + scaled
 
     def restart(self) -> None:
-        """Go on after a pause: with the next state, and slowly at first."""
+        """Continue after a pause with the next state, slowly at first."""
         self._is_new, self._most = True, 0.0
 
 
-#: rad in any joint, by default; more means that somebody has moved the arm.
+#: Default tolerance in rad, in any joint. A larger difference means that the arm was moved during the pause.
 MOVED = 0.05
-#: rad/s; an arm whose targets are slower has come to rest.
+#: Joint speed, in rad/s, below which the targets count as at rest.
 _RESTING = 1e-4
 
 
 class Pause:
-    """Watches where the arm comes to rest in a pause, and where it is when the program goes on.
+    """Compares where the arm comes to rest in a pause with where it is when the program resumes.
 
     Args:
-        what: the motion, for messages.
-        tolerance: rad in any joint, between the two.
-        at_once: look where the arm is during the pause too.
+        what: Name of the motion, used in messages.
+        tolerance: Largest allowed difference between the two, in rad, in any joint.
+        at_once: Whether to check the position during the pause too.
 
     Attributes:
-        holds: whether the program is paused.
-        is_over: whether it has gone on; cleared by who handles that.
-        count: pauses that are over.
+        holds: Whether the program is paused.
+        is_over: Whether the program has resumed; the code that handles the resumption clears it.
+        count: Number of pauses that have ended.
     """
 
     def __init__(self, what: str, tolerance: float, *, at_once: bool = False) -> None:
@@ -166,11 +166,11 @@ class Pause:
         self._rest: Sequence[float] | None = None
 
     def look(self, state: RealtimeState) -> bool:
-        """Whether the program is paused.
+        """Process a state; return whether the program is paused.
 
         Raises:
-            ToleranceExceeded: it has gone on, and the arm is not where it had come to rest; with `at_once`, during
-                the pause.
+            ToleranceExceeded: If the program has resumed, and the arm is not where it had come to rest. With
+                `at_once`, also if the arm is moved during the pause.
         """
         if is_paused(state):
             if not self.holds:
@@ -193,15 +193,15 @@ class Pause:
         if moved[joint] > self._tolerance:
             raise ToleranceExceeded(
                 f"{JOINTS[joint]} (joint {joint}) was moved by {moved[joint]:.4f} rad while the program of "
-                f"{self._what} was paused; at most {self._tolerance:g} rad, so the arm does not go on"
+                f"{self._what} was paused; at most {self._tolerance:g} rad are allowed, so the motion has ended"
             )
 
 
 def end_where_moved(life: Lifecycle, realtime: Stream[RealtimeState]) -> None:
-    """End a motion that the controller executes by itself if the arm is moved while its program is paused.
+    """End a motion that the controller executes on its own, if the arm is moved while its program is paused.
 
-    The controller would lead the arm back onto its path, so the program is stopped before it can go on. Before 3.2 no
-    pause is reported, and nothing is watched.
+    Otherwise the controller would drive the arm back to its path. The program is stopped before it can resume. Firmware
+    before 3.2 does not report pauses, so nothing is monitored there.
     """
     pause = Pause(life.name, MOVED, at_once=True)
 

@@ -1,12 +1,13 @@
-"""The programs that this robot object runs on the controller: its messages, turned into events of their handles.
+"""Programs that a robot object runs on the controller; its messages are turned into events of their handles.
 
-The controller reports a program by name: PROGRAM_XXX_STARTED and PROGRAM_XXX_STOPPED, whatever ended it. Each program
-here has a name of its own, so these messages also say which preempted which. A program that was executed to its end
-reports that by a `textmsg` (`urlink.script.wrapping`). Whether CB2 sends the key messages is not known: there a
-program has begun with its first `textmsg`, and is over once the program flag in the robot mode data is cleared.
+The controller reports a program by name, with PROGRAM_XXX_STARTED, and with PROGRAM_XXX_STOPPED for whatever reason it
+ended. Each program of this library has a unique name, so these messages also show which program preempted another one.
+A program that ran to its end reports that with a `textmsg` (`urlink.script.wrapping`). It is unknown whether CB2 sends
+the key messages. On CB2, a program has therefore begun with its first `textmsg`, and has ended when the program flag in
+the robot mode data is cleared.
 
-Runtime exceptions carry no name. One that comes while a program has been sent and has not begun is taken for that
-program's; else it is the running program's, unless its text is a compiler's.
+Runtime exceptions do not contain a name. If an exception arrives while a sent program has not begun, it is assigned to
+that program. Otherwise it is assigned to the running program, unless its text is a compiler error.
 """
 
 from __future__ import annotations
@@ -45,21 +46,21 @@ from .section import Section
 
 _log = logging.getLogger(__name__)
 
-#: Seconds after an error within which the controller reports the end of the program; after that it is taken to be over.
+#: Time, in seconds, from an error to the controller's report of the program's end. Then the program counts as ended.
 _AFTERMATH = 1.0
-#: Seconds after the beginning of a program by which the flag in the robot mode data shows it: five states.
+#: Delay, in seconds, of the flag in the robot mode data that shows that a program has begun: five states.
 _FLAG_LAG = 0.5
-#: The same where key messages report its end, unless the controller has dropped them, as for a client that is slow.
+#: The same if key messages report the end, unless the controller drops them, as it does for a slow client.
 _KEY_LAG = 5.0
-#: Seconds by which a stop may be reported later than the end of the program that it stopped: three states.
+#: Delay, in seconds, between the end of a program and the report of the stop that ended it: three states.
 _STOP_LAG = 0.3
-#: Seconds after a stop was sent, by which its program has ended: more than two states.
+#: Time, in seconds, from sending a stop until its program has ended: more than two states.
 _IGNORED = 0.25
-#: Seconds that `close` waits for a stop to be over, and what was given up during it to be stopped: three states.
+#: Time, in seconds, that `close` waits for a stop to end, and for programs abandoned meanwhile to stop: three states.
 _CLOSING = 0.3
-#: Seconds before a silence began, in which a text that was sent may not have arrived.
+#: Time before a silence, in seconds. A text that was sent in this time might not have arrived.
 _BEFORE = 0.5
-#: rad/s² with which an arm brakes whose motion is cancelled.
+#: Deceleration, in rad/s², of the arm when its motion is cancelled.
 _DECELERATION = 2.0
 
 _STARTED = "PROGRAM_XXX_STARTED"
@@ -69,22 +70,23 @@ _COMPILER = ("compile_error", "syntax_error")
 
 @dataclass(eq=False)
 class _Run:
-    """A program that is not over yet.
+    """A program that has not ended yet.
 
     Attributes:
-        wrapped: as it was sent.
-        life: behind the handle: how far it has got, by `linkcore.handle`, and when. The error of its REPORT is None if
-            it was executed to its end.
-        is_motion: it ends as soon as the interlock closes. A program of the user's own that has begun ends when the
-            controller says so, since it may only be paused; one that still has to ask for permission ends by a stop.
-        moves_late: it may move the arm also if it begins after its life is over: it neither asks for permission nor
-            connects back to this computer.
-        left_alone: what it does when the connection is lost, for messages.
-        on_text: called with each line of its `textmsg`, in the reader thread.
-        on_finish: called when it has come to its own end.
-        is_detached: whether it keeps running when the robot object is closed, or this process ends.
-        sent: when it was.
-        was_seen: of the flag in the robot mode data, which lags behind the program: it has shown it running.
+        wrapped: The program as it was sent.
+        life: Life cycle behind the handle (`linkcore.handle`), with the time of each event. The error of its REPORT is
+            None if the program ran to its end.
+        is_motion: Whether the program ends when the interlock closes. A user's program that has begun ends only when
+            the controller reports it, because it may only be paused. A user's program that still has to ask for
+            permission ends at a stop.
+        moves_late: Whether the program can move the arm even if it begins after its life has ended, because it neither
+            asks for permission nor connects back to this computer.
+        left_alone: Behaviour of the program after a lost connection, used in messages.
+        on_text: Function called with each line of its `textmsg`, in the reader thread.
+        on_finish: Function called when the program has run to its end.
+        is_detached: Whether the program keeps running when the robot object is closed, or this process ends.
+        sent: Time when the program was sent.
+        was_seen: Whether the flag in the robot mode data, which lags behind the program, has shown it running.
     """
 
     wrapped: Wrapped
@@ -108,17 +110,18 @@ class _Run:
 
 
 class Programs:
-    """Sends programs, and keeps account of those that are not over.
+    """Sends programs, and keeps a record of the programs that have not ended.
 
     Args:
-        primary: the connection whose messages report programs.
-        channel: sends their texts.
-        monitor: notifies when the interlock closes.
-        section, callbacks: of the robot.
-        start_timeout: seconds within which a program has to begin and be permitted.
-        start_place: where it finds its permission; with an empty one no program waits, however late it begins.
-        who: the identity of the controller.
-        clock: seconds that only grow.
+        primary: Connection whose messages report programs.
+        channel: Channel that sends their text.
+        monitor: Safety monitor, which notifies when the interlock closes.
+        section, callbacks: Parts of the robot.
+        start_timeout: Timeout for a program to begin and get its permission, in seconds.
+        start_place: Place of the start permission. If it is empty, programs need no permission, however late they
+            begin.
+        who: Identity of the controller.
+        clock: Monotonic clock, in seconds.
     """
 
     def __init__(
@@ -143,40 +146,40 @@ class Programs:
         self._start_place = start_place
         self._who = who
         self._clock = clock
-        self._token = os.urandom(2).hex()  # another process may be sending programs too
+        self._token = os.urandom(2).hex()  # distinguishes these programs from programs of other processes
         self._numbers = itertools.count(1)
         self._start_tokens = itertools.count(int.from_bytes(os.urandom(4), "big"))
-        #: by name, in the order in which they leave; each change is one step, for signal handlers too
+        #: Programs by name, in the order of sending. Each change is a single step, for signal handlers.
         self._runs: dict[str, _Run] = {}
         self._subscriptions: MadeOnce[list[Subscription]] = MadeOnce()
         self._mode: RobotModeData | None = None
-        self._has_keys = False  # this controller sends key messages
+        self._has_keys = False  # whether this controller sends key messages
         self._given_up = GivenUpProgram()
-        #: when the last one ended; what a robot's states showed until then may be from before it
+        #: Time when the last program ended. States received before that may show values from before its end.
         self.ended = -math.inf
         self._is_closed = False
         monitor.on_close(self._interlock_closed)
-        # A text that was sent during the silence may not have arrived yet, and is not to be carried out later.
+        # A text that was sent during the silence may not have arrived yet, and must not be executed later.
         monitor.on_silence(lambda seconds: channel.discard(seconds + _BEFORE))
 
     # -- sending -----------------------------------------------------------------------------------
 
     def life(self, name: str) -> Lifecycle:
-        """Of something that is about to be begun. Its brake stops its program, unless it is given another one."""
+        """Return the life cycle of a program to be sent. By default, its brake stops the program."""
         life = Lifecycle(name, self._callbacks, self._section.waiting)
         life.brake = lambda: self.stop(life)
         return life
 
     def wrap(self, source: str) -> Wrapped:
-        """A user's source as a program.
+        """Wrap a user's source as a program.
 
         Raises:
-            BadValue: it cannot be one.
+            BadValue: If the source cannot be a program.
         """
         return wrapping.wrap(source, f"{self._token}_{next(self._numbers)}", self._permission)
 
     def own(self, body: Sequence[str], *, asks: bool = True) -> Wrapped:
-        """The lines of a program of the library's own; without `asks` it begins at once."""
+        """Wrap lines generated by this library as a program; without `asks`, it begins without a permission."""
         return wrapping.program(self._name("urlink"), body, self._permission if asks else None)
 
     def _name(self, prefix: str) -> str:
@@ -204,16 +207,16 @@ class Programs:
         on_text: Callable[[str], object] = lambda text: None,
         on_finish: Callable[[], object] | None = None,
     ) -> None:
-        """Send a program; it preempts the one that runs, unless it is a `sec`. `_Run` has the other arguments.
+        """Send a program. It preempts the running program, unless it is a `sec`. See `_Run` for the other arguments.
 
         Args:
-            is_stop: it can only bring the arm to rest; see `CommandChannel.motion`.
-            is_linked: it connects back before it moves the arm.
+            is_stop: Whether the program can only bring the arm to rest; see `CommandChannel.motion`.
+            is_linked: Whether the program connects back before it moves the arm.
 
         Raises:
-            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
-            Closed: the robot was closed.
-            RemoteError: it could not be sent.
+            SafetyStop, NotRunning: If the arm may not be moved now. Nothing is sent.
+            Closed: If the robot was closed.
+            RemoteError: If the program could not be sent.
         """
         moves_late = not (wrapped.permission or is_linked or is_stop)
         finish = on_finish or life.finish
@@ -230,13 +233,13 @@ class Programs:
             self._runs[run.name] = run
             newest = self._newest()
             if newest is not run and newest is not None and not wrapped.is_secondary:
-                # A signal handler has sent it between these lines: it is the later one, though it was sent first.
+                # A signal handler sent that program between these lines. It is the newer one, although sent first.
                 raise Cancelled(f"{life.name} was preempted by {newest.life.name}")
 
         def end() -> None:
             self.ended = self._clock()
             if self._runs.pop(run.name, None) is run and not wrapped.is_secondary:
-                self._stop_kept()  # where this one has not begun, it has replaced nothing
+                self._stop_kept()  # if this program has not begun, it has replaced nothing
 
         life.fire(Event.SEND)
         life.on_end(end)
@@ -248,19 +251,21 @@ class Programs:
             life.fail(error)
             raise
         except BaseException:
-            # The text may have left, or a part of it.
+            # The whole text, or a part of it, may have been sent.
             life.fail(Cancelled(f"{life.name} was interrupted"), brake=True)
             raise
 
     def stop(self, life: Lifecycle) -> None:
-        """Stop the program of a life, unless another was sent after it, which stops it by beginning.
+        """Stop the program of a life, unless a program was sent later, which stops it by beginning.
 
-        Should that one not begin, since it does not compile or is given up too, the program is stopped then.
+        If that later program does not begin, because it does not compile or is abandoned too, the program is stopped
+        then.
 
         Raises:
-            SafetyStop: a stop holds, so no program is taken. It is stopped once the stop is over, if it is still there.
-            NotRunning: nothing is known of the robot, so it cannot be stopped from here.
-            RemoteError: it could not be sent.
+            SafetyStop: If a stop is active, so the controller accepts no program. The program is stopped when the stop
+                has ended, if it still exists.
+            NotRunning: If the robot's state is unknown, so the program cannot be stopped from here.
+            RemoteError: If the stop could not be sent.
         """
         run = next((run for run in self._pending() if run.life is life), None)
         if run is None or run.wrapped.is_secondary:
@@ -269,7 +274,7 @@ class Programs:
         self._note(GivenUpEvent.GIVE_UP, run.name)
         try:
             self._send_stop(lambda: self._newest() in (None, run))
-            self._note(GivenUpEvent.DELIVER)  # whichever ran is stopped
+            self._note(GivenUpEvent.DELIVER)  # this stops whichever program was running
         except Cancelled:
             self._note(GivenUpEvent.KEEP, run.name)
         except SafetyStop:
@@ -277,42 +282,43 @@ class Programs:
             raise
 
     def _note(self, event: GivenUpEvent, name: str | None = None) -> None:
-        """Something has happened to the program that was given up."""
+        """Record an event of the abandoned program."""
         if name is None and self._given_up.phase is GivenUpPhase.NONE:
-            return  # the usual case, for each state; it needs no lock
+            return  # the usual case for each state; it needs no lock
         with self._section.lock:
             self._given_up.fire(event, name)
 
     def _send_stop(self, is_wanted: Callable[[], bool], *, wait: bool = True) -> None:
         def claim() -> None:
             if not is_wanted():
-                raise Cancelled("it has ended, or another was sent after it")
+                raise Cancelled("the program has ended, or another program was sent after it")
 
-        claim()  # and once more when the channel has waited for news: another thread may send one meanwhile
+        claim()  # and again after the channel has waited for data: another thread might send a program meanwhile
         text = wrapping.program(self._name("urlink_stop"), commands.stop(_DECELERATION)).text
         self._channel.motion(text, is_stop=True, claim=claim, wait=wait)
 
     @property
     def current(self) -> Lifecycle | None:
-        """Of the motion that was begun last, unless it is over or a program of the user's own came after it."""
+        """Life of the last motion, unless it has ended or a user's program was sent after it."""
         newest = self._newest()
         return newest.life if newest is not None and newest.is_motion and not newest.life.is_over else None
 
     @property
     def permitted(self) -> list[Lifecycle]:
-        """Of what is not over, and may move the arm: it has begun, or begins without a permission or a link."""
+        """Lives that have not ended and may move the arm: they have begun, or need no permission and no link."""
         runs = [run for run in self._pending() if run.has_begun or run.moves_late]
         return [run.life for run in runs if not run.life.is_over]
 
     def _newest(self) -> _Run | None:
-        """The program that was sent last, unless it is over."""
+        """Return the program that was sent last, unless it has ended."""
         return next((run for run in reversed(self._pending()) if not run.wrapped.is_secondary), None)
 
     def close(self, timeout: float) -> None:
-        """Cancel the program that runs unless it is detached, begin nothing more, and follow no program. Idempotent.
+        """Cancel the running program unless it is detached, start no more, and stop following programs. Idempotent.
 
-        One that was given up during a stop goes on where the stop is over, or was none: a safety mode that is in no
-        list stops nothing. It is given `timeout` or 0.3 s, whichever is less, to be stopped.
+        A program that was abandoned during a stop would continue when the stop ends. It would also continue if there
+        was no real stop, because a safety mode that is in no list stops nothing. Such a program is given `timeout` or
+        0.3 s, whichever is shorter, to be stopped.
         """
         if self._is_closed:
             return
@@ -323,28 +329,30 @@ class Programs:
             self._monitor.wait_for(lambda interlock: not self._given_up.is_kept, min(timeout, _CLOSING))
         if self._given_up.is_kept and self._mode is not None and self._mode.is_program_paused:
             name = self._given_up.name
-            _log.warning("closed during a stop: the controller has %s paused, and may go on with it later", name)
+            _log.warning("closed during a stop: %s is paused on the controller and might resume later", name)
         _close(self._subscriptions.take() or [])
         for run in self._pending():
-            run.life.fail(ConnectionLost(f"the robot was closed here while {run.life.name} ran; {self._what_if(run)}"))
+            run.life.fail(
+                ConnectionLost(f"the robot was closed while {run.life.name} was running; {self._what_if(run)}")
+            )
 
     def abandon(self, why: str, is_end: bool) -> None:
         """See `linkcore.process`."""
         if is_end:
-            self._is_closed = True  # before cancelling: another thread may just be sending a program
+            self._is_closed = True  # before cancelling: another thread might be sending a program
         self._monitor.overtake(why)
         for run in self._cancel_all(why):
             _log.warning("%s was cancelled: %s and its robot was not closed", run.life.name, why)
 
     def _cancel_all(self, why: str) -> list[_Run]:
-        """Cancel each program that would keep running; returns those that ran.
+        """Cancel each program that would keep running; return the programs that were running.
 
-        A `sec` cannot be stopped: it runs beside the program, and is short.
+        A `sec` cannot be stopped. It is short and runs in addition to the main program.
         """
         runs = [run for run in self._pending() if not (run.is_detached or run.wrapped.is_secondary)]
         return [run for run in runs if run.life.cancel(f"cancelled, since {why}", brake=True)]
 
-    # -- what the controller says --------------------------------------------------------------------
+    # -- messages of the controller ------------------------------------------------------------------
 
     def _listen(self) -> None:
         if self._subscriptions.made is not None:
@@ -353,7 +361,7 @@ class Programs:
         subscriptions: list[Subscription] = []
 
         def only_once(on_packet: Callable[[Any], None], packet: Any) -> None:
-            """Another thread, or a signal handler of this one, may subscribe at the same time."""
+            """Ignore packets of a second subscription, which a thread or a signal handler may add at the same time."""
             if self._subscriptions.made is subscriptions:
                 on_packet(packet)
 
@@ -367,21 +375,21 @@ class Programs:
             _close(subscriptions)
 
     def on_event(self, event: ConnectionEvent) -> None:
-        """Something has happened to the connection."""
+        """Handle an event of the connection."""
         if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
             return
-        self._note(GivenUpEvent.END)  # which program the controller has by the next connection is not known
+        self._note(GivenUpEvent.END)  # it is unknown which program the controller runs at the next connection
         why = f": {event.error}" if event.error is not None else ""
         for run in self._pending():
             if run.sent < event.received.monotonic:
-                what = f"the connection was lost while {run.life.name} ran; {self._what_if(run)}{why}"
-                # A motion ends as by the interlock, which receives it too, a moment before or after this.
+                what = f"the connection was lost while {run.life.name} was running; {self._what_if(run)}{why}"
+                # A motion ends as if by the interlock, which receives this event slightly earlier or later.
                 run.life.fail(NotRunning(what) if run.is_motion else ConnectionLost(what))
-        if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
+        if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # gave up: subscribe again when needed
             self._subscriptions.take()
 
     def on_packet(self, packet: State) -> None:
-        """The primary interface has sent a packet."""
+        """Handle a packet of the primary interface."""
         if isinstance(packet, RobotState):
             mode = packet.robot_mode_data
             if mode is not None:
@@ -418,7 +426,7 @@ class Programs:
                 self._report(run, None)
                 return
             if text == wrapping.expiry_marker(run.name):
-                why = f"was not let go on within {self._start_timeout:g} s, and has ended without moving the arm"
+                why = f"got no start permission within {self._start_timeout:g} s, and has ended without moving the arm"
                 run.life.fail(LinkTimeout(f"{run.life.name} {why}"))
                 return
         for run in self._pending():
@@ -426,15 +434,15 @@ class Programs:
                 run.on_text(text)
 
     def _permit(self, run: _Run, permission: Permission) -> None:
-        """Let a program go on that asks: it is still wanted, or its life would be over."""
+        """Give a program its start permission, if it is still wanted."""
 
         def claim() -> None:
             if not run.life.is_wanted:
-                raise Cancelled(f"{run.life.name} is over, or was given up")
+                raise Cancelled(f"{run.life.name} has ended or was abandoned")
             raise_if(self._monitor.overtaken(run.life.order))
 
         try:
-            # Without waiting: this is the reader thread.
+            # Do not wait: this is the reader thread.
             self._channel.motion(wrapping.grant(permission), claim=claim, wait=False)
         except LinkError as error:
             run.life.fail(error)
@@ -446,7 +454,7 @@ class Programs:
         is_compiler = text.startswith(_COMPILER)
         candidates = awaited or ([] if is_compiler else running)
         if not candidates:
-            _log.warning("the controller complains: %d:%d: %s", message.line, message.column, printable(text))
+            _log.warning("the controller reports: %d:%d: %s", message.line, message.column, printable(text))
             return
         run = candidates[-1]
         place = run.wrapped.place(message.line, message.column)
@@ -459,7 +467,7 @@ class Programs:
 
     def _on_mode(self, mode: RobotModeData) -> None:
         self._mode = mode
-        # After it, a flag that is down says that a program was over before a state could show it running.
+        # After this time, a cleared flag means that the program ended before a state could show it running.
         lag = _KEY_LAG if self._has_keys else _FLAG_LAG
         for run in self._pending():
             begun = run.life.happened(Event.BEGIN)
@@ -472,15 +480,16 @@ class Programs:
         self._check_time()
 
     def _after_stop(self, mode: RobotModeData) -> None:
-        """Stop the program that was given up during a stop, now that the stop is over: `play` would let it go on.
+        """Stop the abandoned program when the stop during which it was abandoned has ended; `play` would resume it.
 
-        Once more also the one that was sent a stop and goes on: an e-Series in local control ignores what it is sent.
+        This also repeats the stop for a program that continues in spite of it, because an e-Series in local control
+        ignores what it is sent.
         """
         if self._has_keys and self._clock() - self._given_up.stop_sent > _IGNORED:
             self._note(GivenUpEvent.MISS)
         was_clear = self._given_up.phase is GivenUpPhase.CLEAR
         self._note(GivenUpEvent.FREE if self._may_stop_kept() else GivenUpEvent.HINDER)
-        # By the second state without a stop: which program runs by the first one is reported behind it.
+        # Wait for the second state without a stop: the controller reports the running program after the first one.
         if not (was_clear and self._given_up.phase is GivenUpPhase.CLEAR):
             return
         if mode.is_program_running or mode.is_program_paused:
@@ -489,19 +498,19 @@ class Programs:
             self._note(GivenUpEvent.END)
 
     def _stop_kept(self) -> None:
-        """Where it cannot be sent now, the next state asks again."""
+        """Send a stop to the kept program. If that is not possible now, the next state tries again."""
         if not self._may_stop_kept():
             return
         try:
             self._send_stop(self._may_stop_kept, wait=False)  # this may be the reader thread
             self._given_up.stop_sent = self._clock()
-            # Without key messages its end is not reported.
+            # Without key messages, the end of the program is not reported.
             self._note(GivenUpEvent.DELIVER if self._has_keys else GivenUpEvent.END)
         except LinkError as error:
-            _log.info("%s, which was given up, was not stopped yet: %s", self._given_up.name, error)
+            _log.info("%s, which was abandoned, is not stopped yet: %s", self._given_up.name, error)
 
     def _may_stop_kept(self) -> bool:
-        """It is there, no stop holds, and no other was sent, which would be stopped instead of it."""
+        """Whether there is a kept program, no stop is active, and no newer program would be stopped instead."""
         return self._given_up.is_kept and self._newest() is None and self._monitor.refusal_to_stop() is None
 
     def _check_time(self) -> None:
@@ -509,7 +518,7 @@ class Programs:
         for run in self._pending():
             stopped, report = run.life.happened(Event.STOP), run.life.happened(Event.REPORT)
             if stopped and now - stopped.at > _STOP_LAG:
-                run.life.fail(ProgramStopped(f"{run.life.name} was stopped before its end, from elsewhere"))
+                run.life.fail(ProgramStopped(f"{run.life.name} was stopped early by another client or a person"))
             elif report and report.error is not None and now - report.at > _AFTERMATH:
                 self._end(run)
             elif not (run.has_begun and not run.wrapped.is_secondary) and now - run.sent > self._start_timeout:
@@ -518,19 +527,19 @@ class Programs:
     def _never_began(self, run: _Run) -> LinkError:
         mode = self._mode
         if mode is None:
-            situation = "it has reported no robot mode either"
+            situation = "the robot has not reported its mode either"
         else:
             runs = "a program runs" if mode.is_program_running else "no program runs"
             situation = f"the robot mode is {mode.robot_mode.name}, {runs}"
-        what, hint = "ended", ""
+        what, hint = "end", ""
         if not run.has_begun:
-            what = "begun"
-            hint = f"; {self._what_if(run)}; an e-Series controller takes no programs while it is in local control"
+            what = "begin"
+            hint = f"; {self._what_if(run)}; an e-Series controller accepts no programs while it is in local control"
         return LinkTimeout(
-            f"{run.life.name} has not {what} within {self._start_timeout:g} s, no error was reported; {situation}{hint}"
+            f"{run.life.name} did not {what} within {self._start_timeout:g} s; no error was reported; {situation}{hint}"
         )
 
-    # -- what becomes of programs ------------------------------------------------------------------
+    # -- progress of programs ----------------------------------------------------------------------
 
     def _pending(self) -> list[_Run]:
         return list(self._runs.values())
@@ -543,7 +552,7 @@ class Programs:
         run.life.begin(self._clock())
 
     def _replace(self, name: str, successor: _Run | None) -> None:
-        """A program has begun: those sent before it are over, whether that was reported or not."""
+        """Handle the beginning of a program: all programs sent before it have ended, reported or not."""
         if name != self._given_up.name:
             self._note(GivenUpEvent.END)
         for run in self._pending():
@@ -555,19 +564,19 @@ class Programs:
                 self._end(run)
             elif successor is not None:
                 run.life.cancel(f"preempted by {successor.life.name}")
-            elif f"_{self._token}_" in name:  # one that was given up since it was sent
+            elif f"_{self._token}_" in name:  # a program of this object that was abandoned after it was sent
                 run.life.cancel(f"preempted by {name}")
             else:
-                run.life.fail(ProgramStopped(f"{run.life.name} was replaced by {name}, a program from elsewhere"))
+                run.life.fail(ProgramStopped(f"{run.life.name} was replaced by {name}, a program of another client"))
 
     def _report(self, run: _Run, error: ScriptError | None) -> None:
-        """A program has reported how it ends; that it has ended is reported by the controller, but of a `sec`."""
+        """Record how a program ends. The controller reports the end itself later, except for a `sec`."""
         run.life.fire(Event.REPORT, error, at=self._clock())
         if run.wrapped.is_secondary:
             self._end(run)
 
     def _end(self, run: _Run) -> None:
-        """The controller has ended a program; why follows from what was received before."""
+        """Handle the end of a program. Its reason follows from earlier messages."""
         report = run.life.happened(Event.REPORT)
         if report and report.error is not None:
             run.life.fail(report.error)
@@ -578,14 +587,14 @@ class Programs:
         elif (stop := self._monitor.refusal_to_stop()) is not None:
             run.life.fail(stop)
         else:
-            # The report of the stop may follow.
+            # The report of the stop may follow later.
             run.life.fire(Event.STOP, at=self._clock())
 
     def _interlock_closed(self, error: LinkError) -> None:
         if isinstance(error, SafetyStop):
-            self._note(GivenUpEvent.MISS)  # the robot may have stopped before the stop was sent
+            self._note(GivenUpEvent.MISS)  # the robot might have stopped before the stop was sent
         for run in self._pending():
-            # After a stop begins only what was asked for anew.
+            # After a stop, only programs that are requested again may begin.
             is_held = not run.has_begun and run.wrapped.permission is not None and isinstance(error, SafetyStop)
             if run.life.happened(Event.STOP) or is_held:
                 run.life.fail(error)
@@ -595,12 +604,12 @@ class Programs:
                 run.life.fail(NotRunning(f"{error}; {self._what_if(run)}") if isinstance(error, NotRunning) else error)
 
     def _what_if(self, run: _Run) -> str:
-        """What may still happen to a program that is given up here, for messages."""
+        """Describe what an abandoned program might still do, for messages."""
         if run.has_begun:
             return run.left_alone
         return f"if it begins later, {run.left_alone}" if run.moves_late else "it moves nothing if it begins later"
 
 
 def _close(subscriptions: list[Subscription]) -> None:
-    while subscriptions:  # emptied, since their callbacks hold the list
+    while subscriptions:  # emptied, because their callbacks refer to the list
         subscriptions.pop().close(0)

@@ -1,4 +1,4 @@
-"""`robot.safety`: the robot's safety state, and the interlock that every motion has to pass."""
+"""`robot.safety`: the safety state of the robot, and the interlock that every motion must pass."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .safety_monitor import SafetyMonitor
 
 
 class Safety(StrictAttributes):
-    """The interlock that every motion has to pass, kept up to date from the robot's streams.
+    """The interlock that every motion must pass, updated from the robot's streams.
 
-    Nothing here resets a stop: that is done by a person at the robot, or by `robot.dashboard`.
+    This class cannot reset a stop. A person at the robot, or `robot.dashboard`, resets it.
     """
 
     def __init__(self, monitor: SafetyMonitor) -> None:
@@ -25,40 +25,40 @@ class Safety(StrictAttributes):
 
     @property
     def mode(self) -> SafetyMode | None:
-        """The safety mode as reported last; None if it is not known, and on CB2, which does not report it."""
+        """Last reported safety mode; None if unknown. CB2 does not report it."""
         return next((each.safety_mode for each in self._statuses() if each.safety_mode is not None), None)
 
     @property
     def robot_mode(self) -> RobotMode | RobotModeCB2 | None:
-        """The robot mode as reported last, in the numbers of the generation; None if it is not known."""
+        """Last reported robot mode, in the numbers of the robot's generation; None if unknown."""
         return next((each.robot_mode for each in self._statuses() if each.robot_mode is not None), None)
 
     @property
     def cause(self) -> str | None:
-        """The stop that holds, such as "protective stop"; None if there is none."""
+        """Name of the active stop, such as "protective stop"; None if no stop is active."""
         self._monitor.listen()
         with self._monitor.decision() as interlock:
             return interlock.cause
 
     @property
     def refusal(self) -> LinkError | None:
-        """What a motion would be refused with at this moment, or None."""
+        """Error that a motion would be refused with now; None if it would be permitted."""
         self._monitor.listen()
         return self._monitor.refusal_to_begin()
 
     @property
     def is_enabled(self) -> bool:
-        """A motion would be let through at this moment."""
+        """Whether a motion would be permitted now."""
         return self.refusal is None
 
     @property
     def policy(self) -> Policy:
-        """Whether a person has to call `enable()`: "never", "on_startup" or "always".
+        """Whether a person must call `enable()`: "never", "on_startup" or "always".
 
-        A change asks for `enable()` anew.
+        After a change, `enable()` must be called again.
 
         Raises:
-            BadValue: set to anything else.
+            BadValue: If it is set to any other value.
         """
         with self._monitor.decision() as interlock:
             return interlock.policy
@@ -72,12 +72,12 @@ class Safety(StrictAttributes):
                 self._monitor.overtake(f"the policy was set to {policy!r}")
 
     def enable(self) -> None:
-        """Let motions through, as the policy asks for. Without effect if they already are.
+        """Permit motions, if the policy requires this call. Without effect if they are already permitted.
 
         Raises:
-            SafetyStop: a stop still holds.
-            NotRunning: the robot does not run, or nothing is known of it.
-            RemoteError: the robot cannot be reached.
+            SafetyStop: If a stop is still active.
+            NotRunning: If the robot is not running, or its state is unknown.
+            RemoteError: If the robot cannot be reached.
         """
         self._monitor.listen()
         self._monitor.await_news(moves=True)
@@ -85,34 +85,34 @@ class Safety(StrictAttributes):
             interlock.enable(self._monitor.clock())
 
     def wait_until_clear(self, timeout: float = 60.0) -> None:
-        """Wait until no stop holds and the robot runs; whether it is enabled is not asked.
+        """Wait until no stop is active and the robot is running, whether or not motions are enabled.
 
         Raises:
-            BadValue: `timeout` is not a number of seconds.
-            LocalError: in a callback that was subscribed with ``inline=True``, which would wait for itself.
-            LinkTimeout: it still was not so after `timeout` seconds; the message names what prevents it.
-            Closed: the robot was closed meanwhile.
+            BadValue: If `timeout` is not a number of seconds.
+            LocalError: If called in a callback that was subscribed with ``inline=True``, which would wait for itself.
+            LinkTimeout: If this takes longer than `timeout` seconds. The message names what blocks motion.
+            Closed: If the robot is closed during the wait.
         """
         self._wait(lambda interlock: interlock.blocked(self._monitor.clock()), timeout)
 
     def wait_enabled(self, timeout: float = 60.0) -> None:
-        """Wait until motions are let through.
+        """Wait until motions are permitted.
 
         Raises:
-            BadValue, LocalError: as `wait_until_clear`.
-            LinkTimeout: they still were not after `timeout` seconds; the message names what prevents it.
+            BadValue, LocalError: See `wait_until_clear`.
+            LinkTimeout: If this takes longer than `timeout` seconds. The message names what blocks motion.
         """
         self._wait(lambda interlock: interlock.refusal_to_begin(self._monitor.clock()), timeout)
 
     def wait_for_stop(self, timeout: float) -> LinkError | None:
-        """The stop that holds, or the first to be reported within `timeout` seconds; else None.
+        """Return the active stop, or the first stop reported within `timeout` seconds; None if there is none.
 
         Raises:
-            BadValue, LocalError: as `wait_until_clear`.
+            BadValue, LocalError: See `wait_until_clear`.
         """
         timeout = check_number(timeout, "timeout", 0.0)
         self._monitor.listen()
-        seen: list[LinkError] = []  # since it may be over before this thread asks again
+        seen: list[LinkError] = []  # because the stop may have ended before this thread checks again
 
         def is_stopped(interlock: Interlock) -> bool:
             stop = interlock.blocked(self._monitor.clock())
@@ -124,17 +124,17 @@ class Safety(StrictAttributes):
         return seen[0] if seen else None
 
     def on_stop(self, callback: Callable[[LinkError], object]) -> Callable[[], None]:
-        """Call back when a stop arrives, with the error that motions end with.
+        """Call a function when a stop arrives, with the error that ends the motions.
 
-        That is a `SafetyStop`, or `NotRunning` where the robot stopped running or nothing is received from it any
-        more. It is called in the robot's thread for callbacks, and may command the robot and wait. It is not for
-        stopping the arm: by then it has stopped.
+        The error is a `SafetyStop`, or `NotRunning` if the robot is no longer running or no data arrives from it. The
+        function is called in the robot's thread for callbacks, and may command the robot and wait. It is not needed to
+        stop the arm, which has already stopped by then.
 
         Returns:
-            what takes the callback away again.
+            Function that removes the callback.
 
         Raises:
-            BadValue: nothing that can be called.
+            BadValue: If `callback` is not callable.
         """
         check_callable(callback, "callback")
         return self._monitor.on_stop(callback)
@@ -153,16 +153,16 @@ class Safety(StrictAttributes):
                 raise Closed("the robot was closed")
             with monitor.decision() as interlock:
                 why = in_the_way(interlock) or "the connection was just lost"
-            raise LinkTimeout(f"not within {timeout:g} s: {why}")
+            raise LinkTimeout(f"the robot was not ready within {timeout:g} s: {why}")
 
     def _repr_html_(self) -> str:
         from linkcore.text import html_table  # imported here: importing the library stays cheap
 
         rows: list[tuple[str, object]] = [
-            ("motions", "let through" if self.refusal is None else f"refused: {self.refusal}"),
-            ("robot mode", getattr(self.robot_mode, "name", "not known")),
-            ("safety mode", getattr(self.mode, "name", "not known")),
-            ("stop that holds", self.cause or "none"),
+            ("motions", "permitted" if self.refusal is None else f"refused: {self.refusal}"),
+            ("robot mode", getattr(self.robot_mode, "name", "unknown")),
+            ("safety mode", getattr(self.mode, "name", "unknown")),
+            ("active stop", self.cause or "none"),
             ("policy", self.policy),
         ]
         return html_table("Safety", (), rows)

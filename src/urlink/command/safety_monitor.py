@@ -1,4 +1,4 @@
-"""Feeds the interlock with the states of a robot's streams, and calls back when it closes."""
+"""Updates the interlock with the states of a robot's streams, and calls functions when it closes."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from ..protocol.realtime.packets import RealtimeState
 from .interlock import Interlock, Status, raise_if
 from .section import Section
 
-#: Seconds that an interface has for its first state.
+#: Timeout for the first state of an interface, in seconds.
 _FIRST_REPORT = 2.0
-#: Seconds within which every working interface reports again, also over a connection that is made anew. The slowest
-#: sends ten times a second; the rest is for a computer that others keep busy.
+#: Maximum time, in seconds, until every working interface reports again, even over a new connection. The slowest
+#: interface sends ten times a second. The rest is a reserve for a busy computer.
 _NEXT_REPORT = 0.5
 
 _Stop = Callable[[LinkError], object]
@@ -51,22 +51,22 @@ class _Listening:
 
 
 class SafetyMonitor:
-    """Keeps an interlock up to date from the streams, and answers whether motions may be sent.
+    """Updates an interlock from the streams, and decides whether motions may be sent.
 
-    It listens from its first use on: to the primary interface at 10 Hz, and from the first motion on to the real-time
-    interface too, so that a stop is received within a cycle or two. It is called by the reader threads, in the order in
-    which packets came.
+    It listens to the primary interface at 10 Hz from its first use. From the first motion, it also listens to the
+    real-time interface, so that a stop is received within one or two cycles. The reader threads call it in the order in
+    which packets arrive.
 
     Args:
-        primary, realtime: the connections.
-        interlock: decides.
-        section: of the robot; the interlock is asked and changed in it.
-        callbacks: the thread that calls users' callbacks.
-        clock: seconds that only grow.
+        primary, realtime: Connections to the two interfaces.
+        interlock: Interlock that makes the decisions.
+        section: Critical section of the robot, which protects the interlock.
+        callbacks: Thread that calls users' callbacks.
+        clock: Monotonic clock, in seconds.
 
     Attributes:
-        clock: the same.
-        is_closed: `close` was called; no packet will come any more.
+        clock: See the argument `clock`.
+        is_closed: Whether `close` was called; then no packet arrives any more.
     """
 
     def __init__(
@@ -84,26 +84,26 @@ class SafetyMonitor:
         self._callbacks = callbacks
         self.clock = clock
         self._listening: dict[str, _Listening] = {}
-        #: queues of threads that wait for a change; lists, whose appending and removing is one step for signal handlers
+        #: Queues of waiting threads. Lists, because adding and removing an item is a single step for signal handlers.
         self._waiting: list[SimpleQueue[None]] = []
         self._hooks: list[_Stop] = []
         self._silence_hooks: list[Callable[[float], object]] = []
         self._stop_callbacks: dict[object, _Stop] = {}
-        #: number of the last stop, and what it was; see `linkcore.pending_call`
+        #: Number and name of the last stop; see `linkcore.pending_call`.
         self._last_stop: tuple[int, str] = (0, "")
         self.is_closed = False
 
-    # -- questions -----------------------------------------------------------------------------------
+    # -- decisions -----------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def decision(self) -> Iterator[Interlock]:
-        """The interlock, to be asked or changed; whoever waits for news is notified afterwards."""
+        """Provide the interlock for reading or changing it; waiting threads are notified afterwards."""
         with self._section.lock:
             yield self._interlock
         self._wake()
 
     def refusal_to_begin(self) -> LinkError | None:
-        """Why the call of this thread may not send anything that moves the arm now, or None."""
+        """Return the error that refuses a motion of this thread's call now, or None."""
         with self._section.lock:
             call = current_call()
             order = None if call is None else call.order
@@ -111,22 +111,22 @@ class SafetyMonitor:
             return refusal or (None if order is None else self.overtaken(order))
 
     def refusal_to_stop(self) -> LinkError | None:
-        """Why the arm cannot be stopped by a program now, or None.
+        """Return the error that prevents stopping the arm with a program now, or None.
 
-        A stop needs nobody to enable the arm, and no later stop overtakes it.
+        A stop does not need `enable()`, and a later stop does not invalidate it.
         """
         with self._section.lock:
             return self._interlock.blocked(self.clock())
 
     def require(self, is_stop: bool = False) -> None:
-        """Raise what `refusal_to_stop` returns if it is a stop, otherwise what `refusal_to_begin` returns."""
+        """Raise the error of `refusal_to_stop` if this is a stop, otherwise the error of `refusal_to_begin`."""
         raise_if(self.refusal_to_stop() if is_stop else self.refusal_to_begin())
 
     def require_running(self) -> None:
-        """As `require`, for what moves nothing: a stop does not matter as long as the robot runs.
+        """Raise an error if even commands that move nothing are refused; a stop does not matter.
 
         Raises:
-            NotRunning: it does not, or nothing is known of it.
+            NotRunning: If the robot is not running, or its state is unknown.
         """
         with self._section.lock:
             raise_if(self._interlock.absence(self.clock()))
@@ -134,30 +134,30 @@ class SafetyMonitor:
     # -- the order of calls and stops ------------------------------------------------------------------
 
     def overtake(self, why: str) -> None:
-        """Refuse every motion whose call was entered before this moment; `why` names the stop, for messages."""
+        """Refuse every motion that was called before this moment; `why` names the stop in error messages."""
         with self._section.lock:
             self._last_stop = (stopped_here(), why)
 
     def overtaken(self, order: int) -> Cancelled | None:
-        """The error of a call of this number if a stop came after it was entered, else None."""
+        """Return the error for the call with this number if a stop came after the call, else None."""
         stop, why = self._last_stop
-        return Cancelled(f"{why} after this call was entered, so it sends nothing") if order < stop else None
+        return Cancelled(f"{why} after this call began, so it sends nothing") if order < stop else None
 
-    # -- waiting for news ----------------------------------------------------------------------------
+    # -- waiting for reports -------------------------------------------------------------------------
 
     def listen(self, closely: bool = False) -> None:
-        """Listen, if not done yet, and wait for the first report; `closely` on the real-time interface too.
+        """Subscribe, if not done yet, and wait for the first report; with `closely` on the real-time interface too.
 
         Raises:
-            RemoteError: the first connection could not be made.
-            Closed: the robot was closed.
+            RemoteError: If the first connection could not be made.
+            Closed: If the robot was closed.
         """
         for name in ("primary", "realtime") if closely else ("primary",):
             is_expected = methodcaller("is_expected", name)
             if name not in self._listening:
                 self._begin_to_listen(name)
             elif self._section.may_wait and not self._is(is_expected):
-                # Another thread has begun to listen just now, and waits for the first report too.
+                # Another thread has just subscribed, and waits for the first report too.
                 self.wait_for(is_expected, _FIRST_REPORT)
 
     def _begin_to_listen(self, name: str) -> None:
@@ -165,14 +165,14 @@ class SafetyMonitor:
         if self._section.may_wait:
             self.wait_for(lambda interlock: interlock.has_reported(name), _FIRST_REPORT)
         with self.decision() as interlock:
-            # Only now: an interface without a first state must not close an interlock that was open.
+            # Only now: an interface that sends no first state must not close an open interlock.
             interlock.expect(name)
 
     def await_news(self, moves: bool) -> None:
-        """Where motions are refused, wait for the next report of every source: the last one may be overtaken.
+        """If motions are refused, wait for the next report of every source, because the last one may be outdated.
 
-        So who has just switched the arm on, and has the dashboard's answer, need not wait himself; and a program that
-        was held up reads first what has come meanwhile.
+        A program that has just switched the arm on, and has received the dashboard's reply, then need not wait itself.
+        A program that was delayed first reads the states that arrived meanwhile.
         """
         began = self.clock()
 
@@ -189,10 +189,10 @@ class SafetyMonitor:
                     connection.look()
 
     def wait_for(self, condition: Callable[[Interlock], object], timeout: float) -> bool:
-        """Wait until the interlock is such; False when time is up, or the robot was closed.
+        """Wait until the interlock meets a condition; return False after a timeout, or if the robot was closed.
 
         Raises:
-            LocalError: in a thread that would have to receive the news itself.
+            LocalError: If called in a thread that would have to receive the report itself.
         """
         until = clock.now() + timeout
         news: SimpleQueue[None] = SimpleQueue()
@@ -214,22 +214,22 @@ class SafetyMonitor:
 
     @property
     def is_connected(self) -> bool:
-        """What is listened to is connected; the interlock is notified of a loss a moment later than others may."""
+        """Whether all subscribed interfaces are connected. The interlock may be notified of a loss slightly later."""
         names = tuple(self._listening)
         return all(self._connections[name].state is ConnectionState.CONNECTED for name in names)
 
     # -- notifications -------------------------------------------------------------------------------
 
     def on_close(self, hook: _Stop) -> None:
-        """Call `hook` at once when the interlock closes, in the thread that received it, which it must not block."""
+        """Call `hook` immediately when the interlock closes, in the receiving thread, which it must not block."""
         self._hooks.append(hook)
 
     def on_silence(self, hook: Callable[[float], object]) -> None:
-        """Call `hook` with the seconds for which the robot has sent nothing, once they are too many; as `on_close`."""
+        """Call `hook` with the length of a too long silence, in seconds. See `on_close`."""
         self._silence_hooks.append(hook)
 
     def on_stop(self, callback: _Stop) -> Callable[[], None]:
-        """Call a user's callback when the interlock closes, in the thread for callbacks; returns what takes it away."""
+        """Call a user's function when the interlock closes, in the thread for callbacks; return its remover."""
         key = object()
         self._stop_callbacks[key] = callback
 
@@ -238,7 +238,7 @@ class SafetyMonitor:
 
         return remove
 
-    # -- what is received ---------------------------------------------------------------------------
+    # -- received packets ---------------------------------------------------------------------------
 
     def _subscribe(self, name: str) -> None:
         connection = self._connections[name]
@@ -246,7 +246,7 @@ class SafetyMonitor:
         kind: type = State if name == "primary" else RealtimeState
         listening = _Listening()
         try:
-            # Silence is reported by the reader, not by a clock: this process may have been held up itself.
+            # The reader reports silence, not a clock, because this process may have been delayed itself.
             seconds = min(self._interlock.stale_after, connection.silence.limit or math.inf)
             listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
             on_event = partial(self._on_event, name, listening)
@@ -258,20 +258,20 @@ class SafetyMonitor:
                 self._interlock.forget(name)
             raise
         if self._listening.setdefault(name, listening) is not listening:
-            listening.end()  # another thread, or a signal handler of this one, was quicker
+            listening.end()  # another thread, or a signal handler of this thread, was faster
             return
         newest = connection.fan_out.newest(RobotState if name == "primary" else RealtimeState)
         if newest is not None:
             on_state(newest)
         if connection.state is not ConnectionState.CONNECTED:
-            self._observe(lambda: self._interlock.lose(name, "not connected at present"))
+            self._observe(lambda: self._interlock.lose(name, "not connected"))
 
     def _on_event(self, name: str, listening: _Listening, event: ConnectionEvent) -> None:
         if event.state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED) or listening.is_over:
             return
         why = str(event.error or "closed")
         self._observe(lambda: self._interlock.lose(name, why))
-        if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # given up: listen anew if asked
+        if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # gave up: subscribe again when needed
             self._listening.pop(name, None)
             listening.end()
 
@@ -320,16 +320,16 @@ class SafetyMonitor:
         for news in tuple(self._waiting):
             news.put(None)
 
-    # -- its end -------------------------------------------------------------------------------------
+    # -- closing -------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Listen no more, and let nothing through. Users are not notified: it is not a stop of the robot."""
+        """Unsubscribe and permit nothing more. Users are not notified, because this is not a stop of the robot."""
         self.is_closed = True
         self.overtake("the robot was closed")
         self._stop_callbacks.clear()
         for name, listening in tuple(self._listening.items()):
             listening.end()
             self._observe(lambda name=name: self._interlock.lose(name, "closed here"))  # type: ignore[misc]
-        self._hooks.clear()  # of parts that hold this one
+        self._hooks.clear()  # they belong to parts that refer to this object
         self._silence_hooks.clear()
         self._wake()

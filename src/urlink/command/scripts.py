@@ -1,4 +1,4 @@
-"""`robot.script`: programs and lines of URScript, as users send them."""
+"""`robot.script`: users' programs and single lines of URScript."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from linkcore.threads import CallbackThread
 from .channel import CommandChannel
 from .programs import Programs
 
-#: The name of a file of URScript, which is not a program.
+#: Pattern of the name of a URScript file, which is not a program itself.
 _FILE = re.compile(r"[^\n()=\"]+\.(script|urscript|urp|txt)")
-#: Lines of `textmsg` that are kept of a program.
+#: Maximum number of `textmsg` lines kept per program.
 _TEXTS = 1000
 
 
 class Program(Handle):
-    """A program that was sent to the controller; made by `robot.script.run`."""
+    """Handle of a program that was sent to the controller; returned by `robot.script.run`."""
 
     def __init__(self, life: Lifecycle) -> None:
         super().__init__(life)
@@ -33,14 +33,15 @@ class Program(Handle):
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """The lines that its `textmsg` sent, the last thousand.
+        """Lines of the program's `textmsg` calls, the last thousand.
 
-        A controller does not say which program a line is from: those of a `sec` that runs beside are here too.
+        A controller does not report which program sent a line, so the lines of a `sec` that runs at the same time are
+        included.
         """
-        return tuple(self._texts.copy())  # in one step: another thread may be adding
+        return tuple(self._texts.copy())  # in a single step: another thread may be adding lines
 
     def _receiver(self, callbacks: CallbackThread, on_text: Callable[[str], object] | None) -> Callable[[str], object]:
-        """What receives these lines; it refers to no more of the program than them."""
+        """Return the function that receives these lines. It refers only to the lines, not to the program."""
         texts = self._texts
 
         def receive(text: str) -> None:
@@ -68,27 +69,28 @@ class Scripts(StrictAttributes):
         detached: bool = False,
         on_text: Callable[[str], object] | None = None,
     ) -> Program:
-        """Send a program; it preempts the one that runs, unless it is a `sec`, which runs beside it.
+        """Send a program. It preempts the running program, unless it is a `sec`, which runs in addition to it.
 
         Args:
-            source: URScript as a string, or the path of a file with it as a `pathlib.Path`: a whole ``def``, a ``sec``,
-                or bare statements. Where the last thing at the top is a ``def``, which may take no arguments, it is
-                called after what stands above it. Functions above it are for it to call: if none of them is called, the
-                text is rejected, since only the last would run.
-            wait: until it is over: False not at all, True for up to 60 s, a number for so many seconds.
+            source: URScript text, or the path of a file with it as a `pathlib.Path`. The text is a whole ``def``, a
+                ``sec``, or bare statements. If the last top-level item is a ``def``, which must not take arguments,
+                it is called after the statements above it. Functions above it must be called from the text. If none
+                of them is called, the text is rejected, because only the last function would run.
+            wait: Whether to wait until the program has ended: False (not at all), True (up to 60 s), or a number of
+                seconds.
             detached: Whether the program keeps running when the robot object is closed or this process ends. By default
-                it is stopped then, and the arm brakes, as a motion does.
-            on_text: called with each line of its `textmsg`, in the robot's thread for callbacks, so for the last lines
-                perhaps after `wait` has returned; `texts` has them by then. Not for a `sec`: a message does not say
-                which program it is of, and the program beside which it runs may say something too.
+                it is stopped then, and the arm brakes, as for a motion.
+            on_text: Function called with each line of its `textmsg`, in the robot's thread for callbacks. The last
+                lines might therefore arrive after `wait` has returned; `texts` contains them by then. It is not called
+                for a `sec`, because a message does not contain its program, and the main program can send lines too.
 
         Returns:
-            the handle. Lines in its errors are those of `source`.
+            Handle of the program. The line numbers in its errors refer to `source`.
 
         Raises:
-            BadValue: it cannot be a program, or the file cannot be read: nothing was sent.
-            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
-            LinkError: it could not be sent; with `wait`, also what ended it.
+            BadValue: If `source` cannot be a program, or the file cannot be read. Nothing is sent.
+            SafetyStop, NotRunning: If the arm may not be moved now. Nothing is sent.
+            LinkError: If the program could not be sent; with `wait`, also if it ended with an error.
         """
         seconds = check_wait(wait)
         if on_text is not None:
@@ -104,20 +106,21 @@ class Scripts(StrictAttributes):
 
     @starts_motion
     def send_line(self, line: str) -> None:
-        """Send one line as it is, such as ``set speed 0.5``; what the controller makes of it is not reported.
+        """Send one line unchanged, such as ``set speed 0.5``. Its effect is not reported.
 
-        It goes through the interlock as programs do, since it may move the arm. It asks nobody before it does, and has
-        no answer: where the controller hangs, this returns, and the line **may still be carried out** when it goes on.
+        The line is sent through the interlock, like a program, because it might move the arm. It has no start
+        permission and no reply. If the controller hangs, this method returns, and the line **may still be carried out**
+        when the controller continues.
 
         Raises:
-            BadValue: it is not one line.
-            SafetyStop, NotRunning: the arm may not be moved now: nothing was sent.
-            RemoteError: it could not be sent.
+            BadValue: If `line` is not one line.
+            SafetyStop, NotRunning: If the arm may not be moved now. Nothing is sent.
+            RemoteError: If the line could not be sent.
         """
         if not isinstance(line, str) or not line.strip():
-            raise BadValue(f"{line!r} is no line of URScript")
+            raise BadValue(f"{line!r} is not a line of URScript")
         if not all(character == "\t" or character.isprintable() for character in line):
-            raise BadValue(f"{line!r} holds a line break or a control character; expected one line")
+            raise BadValue(f"{line!r} contains a line break or a control character; expected one line")
         self._channel.motion(line)
 
     def __repr__(self) -> str:
@@ -128,14 +131,13 @@ def _text(source: str | os.PathLike[str]) -> str:
     if not isinstance(source, os.PathLike):
         if isinstance(source, str) and _FILE.fullmatch(source.strip()):
             raise BadValue(
-                f"{source!r} is the name of a file, and a string is the text of a program; "
-                f"pass pathlib.Path({source!r})"
+                f"{source!r} is a file name, but a string must be the text of a program; pass pathlib.Path({source!r})"
             )
         return source
     path = source
     try:
         return Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise BadValue(f"{path} is no text: {error.reason} at byte {error.start}") from None
+        raise BadValue(f"{path} is not a text file: {error.reason} at byte {error.start}") from None
     except OSError as error:
         raise BadValue(f"cannot read {path}: {error.strerror or error}") from error

@@ -1,16 +1,16 @@
-"""Settings: payload, tool centre point, speed slider; how they are sent, and the confirmation that they took effect.
+"""Settings: payload, tool centre point and speed slider. Sends them and confirms that they took effect.
 
-They are sent by RTDE inputs where these are available, by URScript text otherwise. An input of RTDE takes effect in the
-next cycle of the controller, and nothing has to be compiled or run for it. But it belongs to one client at a time, and
-a controller may be too old for it, or its port closed. Text can always be sent. So RTDE is tried for the first setting
-of a kind on each connection to the robot; where it is refused, text is sent from then on, until the robot has been
-connected anew.
+Settings are sent as RTDE inputs if these are available, and otherwise as URScript text. An RTDE input takes effect in
+the next cycle of the controller, without a program that must be compiled and run. But it belongs to one client at a
+time, the controller may be too old for it, or its port may be closed. Text can always be sent. Therefore RTDE is tried
+for the first setting of each kind on each connection to the robot. If it is refused, text is sent from then on, until
+the robot has reconnected.
 
-An e-Series controller in local control ignores commands of the network without an error. So each setting that the
-robot shows in its own states is waited for there. By the public layouts of the packets, the real-time state shows the
-payload from 5.10 on, the robot state the offset of the tool from 3.2 on, and in every generation the slider, the
-outputs and the voltage of the tool. Popups, flags and gravity show nowhere. That the "speed fraction" of CB2 is its
-slider is not known, and which bits are its tool outputs neither: they are not waited for.
+An e-Series controller in local control ignores network commands without reporting an error. Therefore each setting that
+the robot shows in its own states is confirmed there. According to the public packet layouts, the real-time state shows
+the payload since 5.10, and the robot state shows the tool offset since 3.2. Every generation shows the slider, the
+outputs and the tool voltage. Popups, flags and gravity are not shown anywhere. On CB2, it is unknown whether the
+"speed fraction" is the slider, and which bits are the tool outputs, so these are not confirmed.
 """
 
 from __future__ import annotations
@@ -51,44 +51,45 @@ _log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-#: Factor by which a mass may exceed the payload of the arm. Software updates have raised that of some arms by a quarter
-#: (UR10e from 10 to 12.5 kg, UR20 from 20 to 25 kg); `urlink.models` has the latest figures, this leaves room for the
-#: next.
+#: Largest allowed ratio of a mass to the payload of the arm. Software updates have raised the payload of some arms by a
+#: quarter (UR10e from 10 to 12.5 kg, UR20 from 20 to 25 kg). `urlink.models` has the latest figures; the factor leaves
+#: room for the next update.
 _PAYLOAD_MARGIN = 1.25
-#: m, rad, kg: by how much the reported value may differ from the one that was set; texts carry ten digits.
+#: Tolerance, in m, rad or kg, between the reported and the sent value; texts carry ten digits.
 _EXACT = 1e-6
-#: The same for the slider, whose place on the pendant is a whole percentage.
+#: The same for the slider, whose position on the pendant is a whole percentage.
 _SLIDER = 0.005
-#: The first firmware that shows the payload, the offset of the tool, and a slider.
+#: First firmware that shows the payload, the tool offset, and the slider.
 _SHOWS_PAYLOAD, _SHOWS_TCP, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 2), Firmware(3, 0)
-#: RTDE inputs of a setting, masks included; called when it is known that the robot runs. None where only text will do.
+#: Function that returns the RTDE inputs of a setting, masks included; None if only text is possible. It is called when
+#: the robot is known to be running.
 Values = Callable[[], Mapping[str, Any] | None]
-#: Seconds in which a text that was sent may not have been executed yet: an RTDE package would overtake it.
+#: Time, in seconds, in which a sent text may not have been executed yet, so that an RTDE package would overtake it.
 _SETTLED = 0.5
 
 
 class BriefInputs(Protocol):
-    """RTDE inputs of a robot, which are claimed for as long as settings follow one another."""
+    """RTDE inputs of a robot, claimed while settings follow one another."""
 
     def claim(self, names: tuple[str, ...], *, wait: bool) -> Callable[[Mapping[str, Any]], None] | None:
-        """What writes these inputs without waiting; None where that would have to be waited for.
+        """Return a function that writes these inputs without waiting; None if the claim would need waiting.
 
-        Raises `LinkError` where they cannot be had.
+        Raises `LinkError` if the inputs cannot be claimed.
         """
 
     def abort(self) -> None:
-        """Discard what was written and has not arrived."""
+        """Discard written values that have not arrived."""
 
 
 class SettingChannel:
     """Sends settings, which move nothing.
 
     Args:
-        channel: sends text.
-        connection: of the robot; whether RTDE is refused is remembered for as long as it lasts.
-        section: of the robot.
-        inputs: gives those of RTDE; None to send text only.
-        clock: seconds that only grow.
+        channel: Channel that sends text.
+        connection: Connection to the robot. A refusal of RTDE is remembered until it is replaced by a new connection.
+        section: Critical section of the robot.
+        inputs: Function that returns the RTDE inputs; None to send only text.
+        clock: Monotonic clock, in seconds.
     """
 
     def __init__(
@@ -104,7 +105,7 @@ class SettingChannel:
         self._section = section
         self._inputs = inputs
         self._clock = clock
-        #: names of inputs -> number of the connection on which they could not be had; () stands for all
+        #: For names of inputs, the number of the connection on which they were refused; () means all inputs.
         self._refused: dict[tuple[str, ...], int] = {}
         self._sent_text_at = -math.inf
 
@@ -112,19 +113,20 @@ class SettingChannel:
         """Send a setting.
 
         Args:
-            text: whole lines of URScript.
-            values: the same as RTDE inputs; None where there are none.
-            wait: for a claim of the inputs, a quarter of a second at most; otherwise they have to be claimed already.
+            text: Whole lines of URScript.
+            values: The same setting as RTDE inputs; None if there are none.
+            wait: Whether to wait for a claim of the inputs, up to a quarter of a second. Otherwise they must already
+                be claimed.
 
         Raises:
-            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
-            RemoteError: it could not be sent.
+            NotRunning: If the robot is not running, or its state is unknown. Nothing is sent.
+            RemoteError: If the setting could not be sent.
         """
         if values is not None and self._inputs is not None:
             self._channel.check_running()
             write = self._writer(self._inputs, values, wait)
             if write is not None:
-                # Perhaps RTDE was given back just now, or is cut; the next setting claims it anew.
+                # RTDE may have just been released or disconnected; the next setting claims it again.
                 with contextlib.suppress(ConnectionLost, Closed):
                     self._channel.beside(write)
                     return
@@ -132,14 +134,14 @@ class SettingChannel:
         self._channel.command(text)
 
     def doubt(self) -> None:
-        """What was sent does not show: nothing of it is to arrive later over RTDE, and what follows goes by text."""
+        """Handle a setting that is not shown: discard unsent RTDE values, and send later settings as text."""
         if self._inputs is not None and not self._is_refused(()):
             self._refuse(())
             with contextlib.suppress(LinkError):
                 self._inputs().abort()
 
     def _writer(self, inputs: Callable[[], BriefInputs], values: Values, wait: bool) -> Callable[[], None] | None:
-        """What writes a setting to RTDE inputs; None where that cannot be."""
+        """Return a function that writes a setting to RTDE inputs; None if that is not possible."""
         if self._clock() - self._sent_text_at < _SETTLED or self._is_refused(()):
             return None
         written = values()
@@ -153,7 +155,7 @@ class SettingChannel:
 
             names = tuple(written) if isinstance(error, RtdeRefused) else ()
             self._refuse(names)
-            _log.info("%s: %s by script: %s", self._connection.name, names or "settings", printable(error))
+            _log.info("%s: %s are sent by script: %s", self._connection.name, names or "settings", printable(error))
             return None
         return None if write is None else partial(write, written)
 
@@ -166,12 +168,12 @@ class SettingChannel:
 
 @dataclass(frozen=True)  # a NamedTuple cannot be generic before Python 3.11
 class Echo(Generic[T]):
-    """The packet in which a robot reports a setting.
+    """Packet that reports a setting.
 
     Attributes:
-        kind: class of the packet.
-        shown: the reported value in a packet; None if it does not report it.
-        is_right: whether that is the value that was set.
+        kind: Class of the packet.
+        shown: Function that returns the reported value in a packet; None if the packet does not report it.
+        is_right: Function that returns whether the reported value is the value that was set.
     """
 
     kind: type[T]
@@ -183,12 +185,12 @@ class Settings:
     """Sends settings, and waits until the robot shows them.
 
     Args:
-        channel: sends them.
-        primary, realtime: the connections whose states show them.
-        who: the identity of the controller.
-        section: of the robot.
-        is_remote: asks whether an e-Series is in remote control; None if that cannot be found out. It must be quick.
-        start_place: where programs find their permission; users may not set its flags.
+        channel: Channel that sends the settings.
+        primary, realtime: Connections whose states show the settings.
+        who: Identity of the controller.
+        section: Critical section of the robot.
+        is_remote: Function that returns whether an e-Series is in remote control; None if unknown. It must be fast.
+        start_place: Place of the start permission; users may not set its flags.
     """
 
     def __init__(
@@ -211,7 +213,7 @@ class Settings:
 
     @property
     def firmware(self) -> Firmware:
-        """What the controller runs."""
+        """Firmware of the controller."""
         return self._who.identity.firmware
 
     def payload(
@@ -224,7 +226,7 @@ class Settings:
     ) -> None:
         """See `Robot.set_payload`."""
         identity = self._who.identity
-        # Converted first: the packets that report them are compared with plain numbers.
+        # Converted first, because they are compared with plain numbers from the packets.
         centre = None if cog is None else floats(cog, 3, "payload cog")
         moments = None if inertia is None else floats(inertia, 6, "payload inertia")
         mass = check_number(mass, "payload mass", unit="kg")
@@ -241,11 +243,11 @@ class Settings:
             if mass > most * _PAYLOAD_MARGIN:
                 names = " or ".join(each.name for each in arms)
                 asked = other_unit(mass, "kg", 0.1, most)
-                raise BadValue(f"payload mass is {mass:g} kg; a {names} carries {most:g} kg at most{asked}")
+                raise BadValue(f"payload mass is {mass:g} kg; a {names} carries at most {most:g} kg{asked}")
         wanted = [mass, *(centre or ())]
 
         def shown(state: RealtimeState) -> list[Any] | None:
-            cog = state.payload_cog  # which comes with the mass
+            cog = state.payload_cog  # reported together with the mass
             return None if cog is None else [state.payload_mass, *cog.tolist()][: len(wanted)]
 
         echo = Echo(RealtimeState, shown, lambda values: _close(values, wanted))
@@ -258,7 +260,7 @@ class Settings:
         offset = check_pose(pose, "tcp", TOOL_LENGTH)
         text = commands.secondary(commands.tcp(offset.tolist()))
         wanted = to_matrix(offset)
-        # As matrices: of two rotation vectors of one rotation, one may turn by more than 180 degrees.
+        # Compare matrices: the same rotation has several rotation vectors, and one may turn by more than 180 degrees.
         echo = Echo(CartesianInfo, tool_offset, lambda values: _close(to_matrix(values), wanted))
         self.apply(text, "the tool centre point", echo if self.firmware >= _SHOWS_TCP else None, confirm)
 
@@ -279,7 +281,7 @@ class Settings:
     def zero_force_sensor(self) -> None:
         """See `Robot.zero_force_sensor`."""
         if self.firmware.is_cb2:
-            raise LocalError(f"firmware {self.firmware} has no zero of its force sensor; 3.0 is the first that has")
+            raise LocalError(f"firmware {self.firmware} cannot zero its force sensor; 3.0 or later is required")
         self._channel.send(commands.secondary("zero_ftsensor()"))
 
     def popup(self, text: str, title: str, warning: bool, error: bool) -> None:
@@ -290,7 +292,9 @@ class Settings:
         """See `IO.set_flag`."""
         statement = commands.flag(number, on)
         if number in self._start_place.on(self.firmware).flags:
-            raise BadValue(f"flag {number} lets uploaded programs begin; connect(start_flags=...) has them use others")
+            raise BadValue(
+                f"flag {number} is reserved for start permissions; choose others with connect(start_flags=...)"
+            )
         self._channel.send(commands.secondary(statement))
 
     def apply(
@@ -299,18 +303,18 @@ class Settings:
         """Send a setting, and wait until the robot shows it.
 
         Args:
-            text: whole lines of URScript.
-            what: it sets, for messages.
-            echo: where it shows; None if nowhere.
-            confirm: seconds to wait; None not to wait.
-            values: the same as RTDE inputs; None where there are none.
+            text: Whole lines of URScript.
+            what: Name of the setting, used in messages.
+            echo: Packet that shows the setting; None if no packet shows it.
+            confirm: Time to wait for the confirmation, in seconds; None does not wait.
+            values: The same setting as RTDE inputs; None if there are none.
 
         Raises:
-            BadValue: `confirm` is not a number of seconds.
-            LocalError: this is the thread that would have to receive it.
-            NotRunning: the robot does not run, or nothing is known of it; nothing was sent.
-            NotConfirmed: the robot does not show it in time.
-            RemoteError: it could not be sent.
+            BadValue: If `confirm` is not a number of seconds.
+            LocalError: If called in the thread that would have to receive the state.
+            NotRunning: If the robot is not running, or its state is unknown. Nothing is sent.
+            NotConfirmed: If the robot does not show the setting in time.
+            RemoteError: If the setting could not be sent.
         """
         timeout = None if confirm is None else check_number(confirm, "confirm", 1e-3)
         if timeout is None or echo is None:
@@ -343,14 +347,14 @@ class Settings:
             with contextlib.suppress(LinkError):
                 is_remote = self._is_remote()
         if is_remote is False:
-            why = "The robot is in local control, in which an e-Series ignores what comes over the network"
+            why = "the robot is in local control, in which an e-Series ignores network commands"
         elif is_remote is None and self.firmware.is_e_series:
-            why = "In local control an e-Series ignores what comes over the network: look at the pendant"
+            why = "an e-Series in local control ignores network commands; check the mode on the pendant"
         else:
-            why = "Perhaps the controller was held up, or its installation or another program sets it too"
-        state = "nothing of it" if shown is None else f"{shown}"
+            why = "the controller may have been delayed, or its installation or another program sets it too"
+        state = "no value" if shown is None else f"{shown}"
         return NotConfirmed(
-            f"{what} was sent, and the robot did not show it within {timeout:g} s: its states show {state}. {why}."
+            f"{what} was sent, but the robot did not show it within {timeout:g} s: its states show {state}; {why}"
         )
 
 

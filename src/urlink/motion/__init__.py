@@ -1,4 +1,4 @@
-"""Motions of the arm: `robot.motion` is a `Motions`, and this is what it begins and returns."""
+"""Motions of the arm: `robot.motion` is a `Motions`, and the other classes are its handles."""
 
 from .motions import Motions
 from .moves.path import PathMotion, Waypoint

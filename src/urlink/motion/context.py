@@ -22,15 +22,15 @@ class MotionContext:
     """The parts of a robot that motions use.
 
     Attributes:
-        programs: uploads programs.
-        channel: sends what moves the arm, through the interlock.
-        realtime: the stream with the joint positions and the controller's clock.
-        who: returns the identity of the controller.
-        reverse: the port to which its programs connect.
-        registers: claims the input registers that are used if programs do not connect.
-        point_registers: those for a program that holds points, which answers in output registers.
-        section: of the robot; left while a thread waits.
-        clock: returns monotonic seconds.
+        programs: Sender of programs.
+        channel: Channel for everything that moves the arm, through the interlock.
+        realtime: Stream with the joint positions and the controller's clock.
+        who: Identity of the controller.
+        reverse: Port for the connections of its programs.
+        registers: Claims of the input registers that are used if programs do not connect.
+        point_registers: Claims of the registers for a program that buffers points, which answers in output registers.
+        section: Lock of the robot, which is left while a thread waits.
+        clock: Function that returns monotonic seconds.
     """
 
     programs: Programs
@@ -44,14 +44,14 @@ class MotionContext:
     clock: Callable[[], float] = clock.now
 
     def state(self) -> RealtimeState:
-        """The newest state that has come since the last program ended; if there is none, the next one.
+        """Return the newest state that has arrived since the last program ended; if there is none, the next one.
 
-        Both interfaces report by themselves: when the end of a motion is known, the newest state may be as old as
-        `stale_after`, and show the arm standing where that motion began.
+        Both interfaces report independently of each other. When the end of a motion is reported, the newest state may
+        be as old as `stale_after`. It may show the arm at rest at the position where this motion began.
 
         Raises:
-            LocalError: there is none yet, and this is the thread that receives states.
-            LinkTimeout, RemoteError: no state comes.
+            LocalError: If there is none yet, and this is the thread that receives states.
+            LinkTimeout, RemoteError: If no state arrives.
         """
         newest, ended = self.realtime.latest, self.programs.ended
 
@@ -62,5 +62,5 @@ class MotionContext:
             return newest
         with self.section.waiting():
             first = self.realtime.wait_until(is_newer)
-        # Of states that were held up and came in the same bytes, the first may be from before the end.
+        # If states were delayed and arrived together, the first of them may be from before the end.
         return self.realtime.latest or first

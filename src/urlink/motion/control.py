@@ -1,4 +1,4 @@
-"""The parts that command one robot, wired up: the interlock, the command channel, and the senders that use it."""
+"""The parts that command one robot, connected to each other: the interlock, the command channel, and the senders."""
 
 from __future__ import annotations
 
@@ -42,27 +42,27 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Seconds that the dashboard has to say whether the robot is in remote control, when a setting was not confirmed.
+#: Time in s for the dashboard to report whether the robot is in remote control, if a setting was not confirmed.
 _ASK_TIMEOUT = 0.5
-#: The first firmware of the e-Series and of PolyScope X that can say so.
+#: First firmware of the e-Series and of PolyScope X that can report this.
 _TELLS_CONTROL = Since("5.6/10.12")
 
 
 class Control:
-    """The commanding side of a robot; nothing connects before it is used.
+    """Commanding side of a robot. No connection is made before it is used.
 
     Args:
-        options: of the user; with its timeout the dashboard is connected too.
-        place: where the controller is, with the ports that it serves.
-        peers: by what this process knows the controller again after the robot was closed, and each of its services;
-            empty for one that ends with the robot.
-        primary, realtime: the streams. A robot without references is collected: the callbacks of the reader threads
-            refer to the connections, and not to the streams.
-        who: identifies the controller.
-        rtde: gives the robot's RTDE.
+        options: Options of the user. Their timeout also applies to the connection of the dashboard.
+        place: Address of the controller, with the ports that it serves.
+        peers: Keys of the controller and of each of its services. With them, this process recognizes the controller
+            after the robot was closed. Empty for a controller that ends with the robot.
+        primary, realtime: Streams of the robot. The callbacks of the reader threads refer to the connections rather
+            than to the streams, so that a robot without references can be garbage-collected.
+        who: Identity of the controller.
+        rtde: Function that returns the robot's RTDE.
 
     Attributes:
-        safety, script, interpreters, io, motion, settings: what users hold.
+        safety, script, interpreters, io, motion, settings: Parts that users hold.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Control:
         self._gripper: MadeOnce[Gripper] = MadeOnce()
         self._serial: MadeOnce[ToolSerial] = MadeOnce()
         self._callbacks = callbacks = CallbackThread(f"{options.name} callbacks")
-        # The library's side of the streams, which users do not hold.
+        # The connections of the streams, which users do not hold.
         slow, fast = primary._connection, realtime._connection
         section = Section(slow.reads_here, fast.reads_here)
         interlock = Interlock(options.require_enable, options.stale_after)
@@ -110,7 +110,7 @@ class Control:
             )
 
         def is_remote() -> bool | None:
-            """Whether the robot is in remote control, asked on a connection of its own; None if that is not known."""
+            """Ask on a separate connection whether the robot is in remote control; return None if unknown."""
             firmware = who.identity.firmware
             port = "robot_api" if firmware.is_polyscope_x else "dashboard"
             if port not in ports or firmware not in _TELLS_CONTROL:
@@ -136,53 +136,53 @@ class Control:
 
     @property
     def dashboard(self) -> Dashboard:
-        """The dashboard server, or the Robot API of PolyScope X.
+        """Dashboard server, or the Robot API of PolyScope X.
 
         Raises:
-            LocalError: a simulated controller that serves neither.
-            Closed: the robot was closed before it was used.
+            LocalError: If a simulated controller serves neither.
+            Closed: If the robot was closed before it was used.
         """
         if not self._ports.keys() & {"dashboard", "robot_api"}:
-            raise LocalError("the controller serves no dashboard")
+            raise LocalError("the controller does not serve a dashboard")
         return self._once(self._dashboard, lambda: self._make_dashboard(self._timeout))
 
     @property
     def gripper(self) -> Gripper:
-        """The gripper on the flange.
+        """Gripper on the flange.
 
         Raises:
-            LocalError: a simulated controller that does not serve its port.
-            Closed: the robot was closed before it was used.
+            LocalError: If a simulated controller does not serve its port.
+            Closed: If the robot was closed before it was used.
         """
         if "gripper" not in self._ports:
-            raise LocalError("the controller serves no gripper")
-        hint = "a Robotiq gripper is served by the URCap that is installed for it"
+            raise LocalError("the controller does not serve a gripper")
+        hint = "a Robotiq gripper needs its URCap, which serves this port, on the controller"
         host, port = self._host, self._ports["gripper"]
         make = partial(Gripper, host, port, timeout=self._timeout, refused=lambda: hint, undos=self._undos)
         return self._once(self._gripper, make)
 
     @property
     def tool_serial(self) -> ToolSerial:
-        """The serial line in the tool connector.
+        """Serial line in the tool connector.
 
         Raises:
-            LocalError: a controller without one, or a simulated one that does not serve its port.
-            Closed: the robot was closed before it was used.
+            LocalError: If the controller has none, or if a simulated controller does not serve its port.
+            Closed: If the robot was closed before it was used.
         """
         if self._serial.made is None:
             firmware = self.settings.firmware
             if not firmware.is_e_series or "tool_serial" not in self._ports:
                 raise LocalError(
-                    f"firmware {firmware} has no serial line in the tool connector; e-Series have, from 5.0 on"
+                    f"firmware {firmware} has no serial line in the tool connector; an e-Series 5.0 or later has one"
                 )
         make = partial(ToolSerial, self._host, self._ports["tool_serial"], timeout=self._timeout)
         return self._once(self._serial, make)
 
     def _once(self, part: MadeOnce[T], make: Callable[[], T]) -> T:
-        """A part that is made at its first use.
+        """Return a part, and make it at its first use.
 
         Raises:
-            Closed: the robot was closed before.
+            Closed: If the robot was closed before.
         """
         known = part.made
         if known is not None:
@@ -192,11 +192,11 @@ class Control:
         return part.keep(make())
 
     def settle(self, timeout: float) -> None:
-        """Wait until nothing is left that was given up and is to be undone, for at most `timeout` seconds."""
+        """Wait until all abandoned commands have been undone, for at most `timeout` seconds."""
         self._undos.settle(timeout)
 
     def close(self, timeout: float) -> None:
-        """End motions, programs, callbacks and the connections of dashboard and gripper, in `timeout` seconds."""
+        """End motions, programs, callbacks and the connections of dashboard and gripper, within `timeout` seconds."""
         until = clock.now() + timeout
         self._is_closed = True
         self._undos.close(self)

@@ -1,4 +1,4 @@
-"""`robot.motion`: the methods that begin a motion."""
+"""`robot.motion`: the methods that start a motion."""
 
 from __future__ import annotations
 
@@ -42,33 +42,35 @@ from .servo.waypoints import WaypointServer
 from .slider import SliderEffect, slider
 from .stream.point_stream import PointStream
 
-#: The smallest value of what must be positive; and an hour: a longer duration is a mistake.
+#: Lower limit for numbers that must be positive, and an hour in s: a longer duration is probably an error.
 _LEAST, _HOUR = 1e-3, 3600.0
-#: Hz; the largest rate of targets for a filter.
+#: Largest rate of targets for a filter, in Hz.
 _MOST_TARGETS = 10_000.0
-#: The first release in which speedl takes a time; the first that detects contacts; N that are a contact before that.
+#: First release with a time for speedl, and first release that detects contacts. Before the latter, this force in N
+#: counts as a contact.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
-#: The state of a motion after its connection was lost, for messages.
-_MAY_GO_ON = "the arm may still move, to the end of the motion"
+#: State of a motion after its connection was lost, for messages.
+_MAY_GO_ON = "the arm may still move until the motion ends"
 
-#: The filters between the targets and the set-points of a servo.
+#: Filters between the targets and the set-points of a servo.
 TargetFilterName = Literal["jerk_limited"]
-#: The link by which set-points get to the robot.
+#: Links for sending set-points to the robot.
 LinkName = Literal["reverse", "rtde"]
 
 
-# A motion that is one short program has no class of its own.
+# The slider effects of motions that are one short program are listed here, because these motions have no class.
 @slider(move_joints=SliderEffect.SCALED)
 class Motions(StrictAttributes):
-    """Moves the arm. Each method begins a motion and returns its handle; it waits for the arm only if it is asked to.
+    """Methods that move the arm. Each one starts a motion and returns its handle.
 
-    With ``wait=True`` it returns once the motion has come to its end, or raises what ended it. It waits for 60 s, or
-    for the number of seconds that is given; after that it raises `LinkTimeout`, and the motion goes on. Ctrl-C
-    while it waits cancels the motion, as in `Handle.wait`.
+    By default, the methods do not wait for the arm. With ``wait=True``, a method returns when the motion has finished,
+    or raises the error that ended it. It waits up to 60 s, or up to the number of seconds that you pass as `wait`.
+    After this time it raises `LinkTimeout`, and the motion continues. Ctrl-C during the wait cancels the motion, as in
+    `Handle.wait`.
 
-    A motion that is begun preempts the one that runs, whose `wait` then raises `Cancelled`. All methods raise
-    `BadValue` for arguments that are invalid or beyond the limits of the arm, and `SafetyStop`, `NotEnabled` or
-    `NotRunning` if the arm may not be moved now; nothing was sent then.
+    Starting a motion preempts the current one, whose `wait` then raises `Cancelled`. All methods raise `BadValue` for
+    arguments that are invalid or exceed the limits of the arm. They raise `SafetyStop`, `NotEnabled` or `NotRunning` if
+    the arm may not be moved now. In all these cases, nothing is sent.
     """
 
     def __init__(self, context: MotionContext) -> None:
@@ -76,7 +78,7 @@ class Motions(StrictAttributes):
 
     @property
     def current(self) -> Motion | None:
-        """The motion that was begun last, while it runs; None if none runs."""
+        """Motion that was started last, while it runs; None if no motion runs."""
         life = self._context.programs.current
         handle = None if life is None else life.handle
         return handle if isinstance(handle, Motion) else None
@@ -96,11 +98,11 @@ class Motions(StrictAttributes):
         """Move all joints to a position, in a straight line in joint space (URScript: `movej`).
 
         Args:
-            q: (6,) rad.
-            speed: rad/s of the joint that moves furthest.
-            acceleration: rad/s².
-            time: duration in seconds, instead of a speed and an acceleration; these cannot be given with it.
-            wait: see `Motions`.
+            q: Joint positions, shape (6,), in rad.
+            speed: Speed of the joint that moves furthest, in rad/s.
+            acceleration: Acceleration of the joint that moves furthest, in rad/s².
+            time: Duration in seconds. Cannot be combined with `speed` or `acceleration`.
+            wait: See `Motions`.
         """
         seconds = check_wait(wait)
         duration = _time(time, speed, acceleration)
@@ -126,18 +128,18 @@ class Motions(StrictAttributes):
         """Move the tool to a pose in the base frame, in a straight line (URScript: `movel`).
 
         Args:
-            pose: (6,) position in m, and rotation vector in rad.
-            speed: m/s.
-            acceleration: m/s².
-            time: duration in seconds, instead of a speed and an acceleration; these cannot be given with it.
-            wait: see `Motions`.
+            pose: Position in m and rotation vector in rad, shape (6,).
+            speed: Speed of the tool, in m/s.
+            acceleration: Acceleration of the tool, in m/s².
+            time: Duration in seconds. Cannot be combined with `speed` or `acceleration`.
+            wait: See `Motions`.
         """
         seconds = check_wait(wait)
         duration = _time(time, speed, acceleration)
         goal = check_pose(pose, "pose")
         body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), duration)
         self._check_reach(goal)
-        # Only the position of the pose: one rotation has more than one rotation vector.
+        # Compare only the position of the pose, because one rotation has more than one rotation vector.
         gauge = _arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
         motion = self._upload("move_linear", body, gauge, has_goal=True)
         return waited(motion, seconds)
@@ -146,14 +148,14 @@ class Motions(StrictAttributes):
     def move_circular(
         self, via: Numbers, to: Numbers, speed: float = 0.25, acceleration: float = 1.2, *, wait: bool | float = False
     ) -> Motion:
-        """Move the tool along the circle through one pose to another, both in the base frame (`movec`).
+        """Move the tool on the circle through one pose to another, in the base frame (`movec`).
 
         Args:
-            via: (6,) position in m, and rotation vector in rad, on the arc; its orientation has no effect.
-            to: (6,) where it ends.
-            speed: m/s.
-            acceleration: m/s².
-            wait: see `Motions`.
+            via: Pose on the arc, shape (6,): position in m, and rotation vector in rad. Its orientation has no effect.
+            to: Pose at the end, shape (6,).
+            speed: Speed of the tool, in m/s.
+            acceleration: Acceleration of the tool, in m/s².
+            wait: See `Motions`.
         """
         from ..arm.curves import Arc
 
@@ -161,7 +163,7 @@ class Motions(StrictAttributes):
         between, goal = check_pose(via, "via"), check_pose(to, "to")
         body = commands.move_circular(between.tolist(), goal.tolist(), *_tool_rates(speed, acceleration))
         self._check_reach(goal)
-        # From where the arm is now; if it still moves, it stops not far from here.
+        # The arc starts at the current position. If the arm still moves, it comes to rest close to this position.
         arc = Arc(self._context.state().tool_vector_actual.tolist(), between.tolist(), goal.tolist())
         motion = self._upload(
             "move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()), has_goal=True
@@ -179,22 +181,27 @@ class Motions(StrictAttributes):
         joint_acceleration: float = 1.4,
         wait: bool | float = False,
     ) -> PathMotion:
-        """Move through several waypoints in one motion; a waypoint with a blend is rounded, without a stop.
+        """Move through several waypoints in one motion.
 
-        The path is checked before it is sent, from the present position of the arm: every point of a line or an arc
-        must be reachable on the branch in which the arm is, within the limits of the joints; no joint may get too fast;
-        blends must not overlap. Corners are checked as if they were not blended. This needs the model of the arm
-        (firmware 1.8 and later); if it is not known, only the numbers are checked. Collisions are not checked.
+        The arm rounds the corner at a waypoint with a blend, without a stop. The path is checked before it is sent,
+        starting at the current position of the arm. Every point of a line or an arc must be reachable on the current
+        branch of the arm, within the limits of the joints. No joint may get too fast, and blends must not overlap.
+        Corners are checked as if they had no blends. Collisions are not checked.
+
+        The check needs the model of the arm (firmware 1.8 or later). If the model is unknown, only the numbers are
+        checked.
 
         Args:
-            waypoints: `Joint`, `Linear` and `Circular`, each with a blend, and optionally a speed and acceleration.
-            speed, acceleration: m/s and m/s² of the tool on lines and arcs.
-            joint_speed, joint_acceleration: rad/s and rad/s² of the joint that moves furthest, towards a `Joint`.
-            wait: see `Motions`.
+            waypoints: `Joint`, `Linear` and `Circular` waypoints, each with a blend and optionally with a speed and an
+                acceleration.
+            speed, acceleration: Speed and acceleration of the tool on lines and arcs, in m/s and m/s².
+            joint_speed, joint_acceleration: Speed and acceleration of the joint that moves furthest, towards a `Joint`,
+                in rad/s and rad/s².
+            wait: See `Motions`.
 
         Raises:
-            BadValue: a waypoint cannot be used; the message names it and says why.
-            LinkTimeout: no state comes, so the position of the arm is not known.
+            BadValue: If a waypoint cannot be used. The message names the waypoint and the reason.
+            LinkTimeout: If no state arrives, so that the position of the arm is unknown.
         """
         seconds = check_wait(wait)
         context = self._context
@@ -222,20 +229,21 @@ class Motions(StrictAttributes):
     ) -> Motion:
         """Move the joints at a speed, and brake after `duration` (URScript: `speedj`).
 
-        To go on, call it again before: the arm changes from one speed to the next without stopping. If no more calls
-        come, because this program has ended or the connection is lost, the robot brakes by itself, after 0.5 s at most:
+        To continue, call it again before the motion ends. The arm then changes from one speed to the next without
+        stopping. If no further call comes, for example because this program has ended or the connection is lost, the
+        robot brakes on its own, after 0.5 s at most:
 
-        - A `duration` up to 0.5 s is one program that is sent. A call that follows another one is not held back by the
-          start permission: if the controller hangs, it **may still be carried out**, for its `duration`.
-        - A longer one is held over a `link` whose watchdog is 0.5 s. A call for 0.5 s or more that follows it with the
-          same `acceleration` changes its speed and its time, and returns the same handle.
+        - For a `duration` up to 0.5 s, one program is sent. If the call follows another one, its program does not wait
+          for a start permission. If the controller hangs, the robot **may still execute it** later, for its `duration`.
+        - A longer motion is controlled over a `link`, whose watchdog is 0.5 s. If the next call is for 0.5 s or more
+          and has the same `acceleration`, it changes the speed and the duration and returns the same handle.
 
         Args:
-            qd: (6,) rad/s.
-            acceleration: rad/s², for changes of speed and for braking.
-            duration: seconds until it brakes.
-            link: see `follow`; has no effect up to 0.5 s.
-            wait: see `Motions`.
+            qd: Speeds of the joints, shape (6,), in rad/s.
+            acceleration: Acceleration in rad/s², for changes of speed and for braking.
+            duration: Time until the arm brakes, in seconds.
+            link: See `follow`. Has no effect for a `duration` up to 0.5 s.
+            wait: See `Motions`.
         """
         seconds = check_wait(wait)
         arm = self._context.who.identity.arm
@@ -253,14 +261,16 @@ class Motions(StrictAttributes):
         link: LinkName = "reverse",
         wait: bool | float = False,
     ) -> Motion:
-        """Move the tool at a speed in the base frame, and brake after `duration` (`speedl`); see `speed_joints`.
+        """Move the tool at a speed in the base frame, and brake after `duration` (`speedl`).
+
+        For the details, see `speed_joints`.
 
         Args:
-            xd: (6,) m/s, and rad/s about the three axes.
-            acceleration: m/s².
-            duration: seconds until it brakes.
-            link: see `follow`; has no effect up to 0.5 s.
-            wait: see `Motions`.
+            xd: Speed of the tool in m/s, and rotation about the three axes in rad/s, shape (6,).
+            acceleration: Acceleration in m/s².
+            duration: Time until the arm brakes, in seconds.
+            link: See `follow`. Has no effect for a `duration` up to 0.5 s.
+            wait: See `Motions`.
         """
         seconds = check_wait(wait)
         speeds, hardest = check_speeds(xd, "xd"), TOOL_ACCELERATION.check(acceleration, "acceleration")
@@ -269,17 +279,18 @@ class Motions(StrictAttributes):
 
     @starts_motion
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
-        """Brake all joints, at `acceleration` in rad/s² (`stopj`). Done when the arm stands still.
+        """Brake all joints with `acceleration`, in rad/s² (`stopj`).
 
-        An ordinary stop by the controller's program, no substitute for the emergency stop. It is sent whether or not
-        `safety.enable()` was called. While a safety stop holds it is refused; the arm stands still then.
+        The motion finishes when the arm is at rest. This is an ordinary stop by the controller's program. It does not
+        replace the emergency stop. It is sent even if `safety.enable()` was not called. During a safety stop it is
+        refused, because the arm is then at rest anyway.
         """
         seconds = check_wait(wait)
         body = commands.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
         self._context.channel.overtake("the robot was stopped")
         return waited(self._upload("stop", body, is_stop=True), seconds)
 
-    # -- motions that last, linked to a program on the robot ---------------------------------------------
+    # -- motions with a link to a program on the robot ---------------------------------------------------
 
     @starts_motion
     def follow(
@@ -300,54 +311,58 @@ class Motions(StrictAttributes):
         link: LinkName = "reverse",
         wait: bool | float = False,
     ) -> Motion:
-        """Follow a trajectory from where the arm stands.
+        """Follow a trajectory, starting at the current position of the arm.
 
-        Its time passes as fast as the robot executes programs: the speed slider, the controller's own limits and a
-        pause slow it down or stop it, and the arm stays on its path.
+        The time of the trajectory passes as fast as the robot executes programs. The speed slider, the controller's own
+        limits and a pause slow it down or stop it, and the arm stays on its path.
 
         Args:
-            trajectory: what to follow; its first point is near the arm, and it is at rest at both ends.
-            low_bandwidth: send it point by point, and let the robot interpolate, instead of streaming it at the
-                controller's rate; from 3.0 on.
-            path_tolerance: rad by which any joint may be off before the end; None for no limit. The lag of the arm at
-                speed is part of it.
-            goal_tolerance: rad by which any joint may be off at the end.
-            goal_time: seconds after the end within which the arm must be there, in the time of the trajectory.
-            start_tolerance: rad between any joint and the first point; and after a pause, between any joint and where
-                it had come to rest: further away the motion ends with `ToleranceExceeded`.
-            feedback: called with where the arm is and should be, in a thread of its own; may be slow, may raise.
-            delay: s by which the arm lags behind its set-points, as `Servo.measure_delay` measures it: set-points are
-                sent so much earlier, and tolerances and feedback are without this lag. None for the two cycles in which
-                a set-point arrives.
-            watchdog: seconds without a set-point after which the robot brakes by itself.
-            lookahead_time: s, 0.03 to 0.2; how far ``servoj`` looks ahead: more is smoother and lags more. Not on CB2.
-            gain: 100 to 2000; how stiffly ``servoj`` follows. Not on CB2.
-            scaling: "ignore" for a trajectory by the controller's clock, whatever the scaling. Below 100 % the arm then
-                lags, leaves its path where it curves, and is led at up to the full speed of its joints to catch up;
-                `path_tolerance` should be set.
-            link: how set-points get to the robot: "reverse", over a connection that the robot makes to this computer,
-                or "rtde", over input registers of the robot, so that no connection to this computer is needed; from 3.9
-                and 5.3.
-            wait: see `Motions`.
+            trajectory: Trajectory to follow. It must be at rest at both ends, and its first point must be near the arm.
+            low_bandwidth: Whether to send single points and let the robot interpolate, instead of streaming set-points
+                at the controller's rate. Needs firmware 3.0 or later.
+            path_tolerance: Largest deviation of any joint before the end, in rad. The lag of the arm at speed is part
+                of this deviation. If None, there is no limit.
+            goal_tolerance: Largest deviation of any joint at the end, in rad.
+            goal_time: Time that the arm has after the end to reach the goal, in seconds of the trajectory's time.
+            start_tolerance: Largest distance of any joint from the first point, in rad. If it is exceeded, the
+                trajectory is rejected. After a pause, it is the largest distance of any joint from the position where
+                the arm had come to rest. If it is then exceeded, the motion ends with `ToleranceExceeded`.
+            feedback: Function that receives the actual and the desired position of the arm. It is called in a dedicated
+                thread; it may be slow, and it may raise.
+            delay: Lag of the arm behind its set-points in s, as measured by `Servo.measure_delay`. Set-points are sent
+                earlier by this time, and tolerances and feedback do not include this lag. If None, the two cycles are
+                used that a set-point takes to arrive.
+            watchdog: Longest time without a set-point, in seconds. After this time, the robot brakes on its own.
+            lookahead_time: Look-ahead of ``servoj``, 0.03 to 0.2 s. A larger one makes the motion smoother and
+                increases the lag. Has no effect on CB2.
+            gain: Stiffness of ``servoj``, 100 to 2000. Has no effect on CB2.
+            scaling: "ignore" for a trajectory that follows the controller's clock at any scaling. Below 100 %, the arm
+                then lags behind, cuts the curves of its path, and is driven at up to the full speed of its joints to
+                catch up. Set `path_tolerance` in this case.
+            link: Link for the set-points. "reverse" is a connection that the robot makes to this computer.
+                "rtde" uses input registers of the robot, so no connection to this computer is needed. It requires
+                firmware 3.9, 5.3 or later.
+            wait: See `Motions`.
 
         Raises:
-            LocalError: `low_bandwidth` on a CB2 or over "rtde"; "rtde" on a firmware without these registers.
-            BadAddress: the port for the robot's connection cannot be listened on.
-            InputInUse: another RTDE client, or a fieldbus, holds a register.
+            LocalError: If `low_bandwidth` is used on a CB2 or over "rtde", or if the firmware does not have the
+                registers for "rtde".
+            BadAddress: If the port for the robot's connection cannot be opened.
+            InputInUse: If another RTDE client, or a fieldbus, holds a register.
         """
         seconds = check_wait(wait)
         if not isinstance(trajectory, Trajectory):
-            raise BadValue(f"{trajectory!r} is no Trajectory")
+            raise BadValue(f"{trajectory!r} is not a Trajectory")
         context, firmware = self._context, self._context.who.identity.firmware
         if low_bandwidth and firmware.is_cb2:
-            raise LocalError(f"firmware {firmware} cannot interpolate by itself; leave out low_bandwidth")
+            raise LocalError(f"firmware {firmware} cannot interpolate on its own; omit low_bandwidth")
         open_link = self._opener(link)
         if low_bandwidth and link == "rtde":
             raise LocalError("low_bandwidth needs link='reverse': the program requests its points over the connection")
         if low_bandwidth and scaling == "ignore":
-            raise LocalError("low_bandwidth takes no scaling='ignore': the robot interpolates in its own time")
+            raise LocalError("low_bandwidth does not support scaling='ignore': the robot interpolates in its own time")
         if low_bandwidth and delay is not None:
-            raise LocalError("low_bandwidth takes no delay: the robot is led by its own clock")
+            raise LocalError("low_bandwidth does not support delay: the robot follows its own clock")
         tolerances = Tolerances.checked(path_tolerance, goal_tolerance, goal_time, start_tolerance)
         servoing = self._servoing(watchdog, lookahead_time, gain)
         check_choice(scaling, "scaling", get_args(ScalingName))
@@ -355,8 +370,8 @@ class Motions(StrictAttributes):
         trajectory.check(model)
         state = context.state()
         if self.current is None and stands(state.qd_target):
-            # Otherwise it is checked when the arm stands still, after the motion before. That motion may have ended
-            # already, and the state may be from a little before its end.
+            # Otherwise the start is checked when the arm is at rest, after the previous motion. That motion may have
+            # ended already, and the state may be from shortly before its end.
             trajectory.check(near=state.q_target, within=tolerances.start)
         if low_bandwidth:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
@@ -366,7 +381,7 @@ class Motions(StrictAttributes):
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
         if feedback is not None:
-            # In a queue and a thread of its own: it may be slow, and may raise.
+            # The subscription has its own queue and thread, because the function may be slow and may raise.
             subscription = context.realtime.subscribe(_reporter(following, feedback))
             life.on_end(lambda: subscription.close(0))
         LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()
@@ -386,33 +401,36 @@ class Motions(StrictAttributes):
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> Servo:
-        """Set-points for the joints from a loop of your own (URScript: `servoj`)::
+        """Return a `Servo`, which sends set-points from your own loop (URScript: `servoj`).
+
+        Use it as a ``with`` block::
 
             with robot.motion.servo() as servo:
                 for state in robot.realtime:
                     servo.send(law(state))
 
-        With ``target_filter="jerk_limited"`` the loop sends targets instead: any, at any time, however far away. The
-        arm moves to the newest one, and never exceeds the limits of speed, acceleration and jerk
-        (`urlink.motion.servo.jerk_limited`).
+        With ``target_filter="jerk_limited"``, the loop sends targets instead. It may send any target at any time,
+        however far away. The arm moves to the newest target, and never exceeds the limits of speed, acceleration and
+        jerk (`urlink.motion.servo.jerk_limited`).
 
         Args:
-            rate: set-points or targets per second that the loop intends to send, for the statistics; None for the
-                controller's rate, which set-points cannot exceed. Targets for the filter can.
+            rate: Number of set-points or targets per second that the loop intends to send, for the statistics. If None,
+                use the controller's rate. Set-points cannot exceed this rate, but targets for the filter can.
             target_filter: "jerk_limited", or None for a loop that sends set-points.
-            speed, acceleration, jerk: limits of the target filter, rad/s, rad/s² and rad/s³, of all joints or (6,) of
-                each. Without a filter they cannot be given, since nothing limits set-points to them.
-            delay: s by which the arm lags behind its set-points, as `Servo.measure_delay` measures it: waypoints of
-                `schedule` are sent so much earlier. None for the two cycles in which a set-point arrives. With a filter
-                it cannot be given.
-            watchdog: seconds without a set-point after which the robot brakes by itself.
-            lookahead_time, gain, link: see `follow`.
+            speed, acceleration, jerk: Limits of the target filter, in rad/s, rad/s² and rad/s³: one number for all
+                joints, or shape (6,). They are rejected without a filter, because nothing would limit set-points to
+                them.
+            delay: Lag of the arm behind its set-points in s, as measured by `Servo.measure_delay`. Waypoints of
+                `schedule` are sent earlier by this time. If None, the two cycles are used that a set-point takes to
+                arrive. Cannot be combined with a filter.
+            watchdog: Longest time without a set-point, in seconds. After this time, the robot brakes on its own.
+            lookahead_time, gain, link: See `follow`.
         """
         firmware = self._context.who.identity.firmware
         fastest = float(firmware.rate) if target_filter is None else _MOST_TARGETS
         whose = f"firmware {firmware}" if target_filter is None else ""
         pace = float(firmware.rate) if rate is None else check_number(rate, "rate", 0.1, fastest, "Hz", whose)
-        # With a filter, a set-point is made in each cycle, however often targets come.
+        # With a filter, a set-point is computed in each cycle, however often targets arrive.
         servoing = self._servoing(watchdog, lookahead_time, gain, 1.0 / pace if target_filter is None else 0.0)
         limits = None
         if target_filter is None:
@@ -435,30 +453,33 @@ class Motions(StrictAttributes):
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> PointStream:
-        """Points with times, appended while the arm moves through those before; from 3.4 on::
+        """Return a stream of timed points, which are appended while the arm moves.
+
+        Needs firmware 3.4 or later. Use it as a ``with`` block::
 
             with robot.motion.stream() as stream:
                 for q, qd in planner:
                     stream.append(TrajectoryPoint(q, stream.end + 0.1, qd))
                 stream.wait_until_dry()
 
-        A program on the robot holds the next points and interpolates between them by what they carry, at the robot's
-        own pace: the speed slider slows it down, and this computer may be late by what it holds. Where no point is
-        left, it brakes, and the next points go on from there.
+        A program on the robot buffers the next points. It interpolates between them by the positions, speeds and
+        accelerations that they contain, at the robot's own pace: the speed slider slows it down. This computer may be
+        late by the buffered time. If no point is left, the arm brakes, and the next points continue the motion.
 
         Args:
-            buffer: s of points that the program holds, at most 256 of them. The arm moves on for so long if this
-                program hangs; the watchdog may end that sooner.
-            acceleration, jerk: rad/s² and rad/s³, of all joints or (6,) of each: of the braking where no point is left,
-                and of the path onto points that came late or replace others.
-            watchdog: seconds without a message from this computer, which answers each state, after which the program
-                brakes and ends.
-            lookahead_time, gain: see `follow`.
-            link: see `follow`. With "rtde" other registers are held than by other motions: `input_int_register_30` to
-                `43` and `input_double_register_24` to `35`; the program reports in `output_int_register_30` to `36`.
+            buffer: Time of the points that the program buffers, in s, but at most 256 points. If your program hangs,
+                the arm keeps moving for this time. The watchdog may end the motion sooner.
+            acceleration, jerk: Limits in rad/s² and rad/s³, one number for all joints, or shape (6,). They apply to
+                braking when no point is left, and to the path onto points that arrive late or replace others.
+            watchdog: Longest time without a message from this computer, in seconds. After this time, the program brakes
+                and ends. This computer answers each state with a message.
+            lookahead_time, gain: See `follow`.
+            link: See `follow`. With "rtde", the stream occupies other registers than other motions do:
+                `input_int_register_30` to `43` and `input_double_register_24` to `35`. The program reports in
+                `output_int_register_30` to `36`.
 
         Raises:
-            LocalError: firmware before 3.4, or for registers before 3.9 and 5.3.
+            LocalError: If the firmware is older than 3.4, or with "rtde" older than 3.9 or 5.3.
         """
         arm = self._context.who.identity.arm
         servoing = self._servoing(check_number(watchdog, "watchdog", 0.1, 2.0), lookahead_time, gain)
@@ -476,23 +497,25 @@ class Motions(StrictAttributes):
         watchdog: float = 0.2,
         link: LinkName = "reverse",
     ) -> Jog:
-        """Speeds from a person, by a joystick or keys::
+        """Return a `Jog`, which moves the arm at speeds from a person, by a joystick or keys.
+
+        Use it as a ``with`` block::
 
             with robot.motion.jog("base") as jog:
                 while held():
                     jog.move([0, 0, 0.05, 0, 0, 0])
 
         A speed expires after `timeout` seconds, and the arm brakes, unless `move` has been called again. If this
-        program or the connection fails, the robot brakes by itself after `watchdog` seconds.
+        program or the connection fails, the robot brakes on its own after `watchdog` seconds.
 
         Args:
-            frame: "joints" for speeds of the joints; "base" or "tool" for those of the tool, along and about the axes
-                of that frame.
-            acceleration: rad/s² of the joint whose speed changes most, or m/s² and rad/s² of the tool, for every change
-                of speed and for braking.
-            timeout: seconds for which a speed holds.
-            watchdog: seconds without a message from this computer after which the robot brakes.
-            link: see `follow`.
+            frame: "joints" for speeds of the joints. "base" or "tool" for speeds of the tool, along and about the axes
+                of this frame.
+            acceleration: Acceleration for every change of speed and for braking. It applies to the joint whose speed
+                changes most, in rad/s², or to the tool, in m/s² and rad/s².
+            timeout: Time until a speed expires, in seconds.
+            watchdog: Longest time without a message from this computer, in seconds. After this time, the robot brakes.
+            link: See `follow`.
         """
         check_choice(frame, "frame", get_args(FrameName))
         arm = self._context.who.identity.arm
@@ -521,29 +544,33 @@ class Motions(StrictAttributes):
         retract: bool = True,
         wait: bool | float = False,
     ) -> ContactMotion:
-        """Move the tool straight until it touches something; `ContactMotion.contact` then says where that began.
+        """Move the tool straight until it touches something.
 
-        From 5.4 on the controller detects the contact, and where it began. Before that, and with `force`, a contact is
-        where the force against the direction has grown by so much.
+        `ContactMotion.contact` then reports the place where the contact began. On firmware 5.4 or later, the controller
+        detects the contact and the place where it began. On older firmware, and with `force`, there is a contact when
+        the force against the direction has grown by `force`.
 
         Args:
-            direction: (3,) in the base frame, of any length.
-            speed: m/s.
-            acceleration: m/s².
-            distance: m after which it ends with `NoContact`.
-            force: N that are a contact; None for the controller's own detection, and for 20 N if it has none. It must
-                be above the oscillations of the force while the arm accelerates, and above the force with which the
-                tool presses on what it is led away from: that this force ends is felt as one against the direction.
-            retract: go back to where the contact began, which releases the force.
-            wait: see `Motions`.
+            direction: Direction in the base frame, shape (3,), of any length.
+            speed: Speed of the tool, in m/s.
+            acceleration: Acceleration of the tool, in m/s².
+            distance: Longest distance, in m. After it, the motion ends with `NoContact`.
+            force: Force that counts as a contact, in N. If None, use the controller's own detection, or 20 N if the
+                controller has none. It must be larger than the oscillations of the force while the arm accelerates. It
+                must also be larger than the force with which the tool presses on an object that it moves away from,
+                because the end of this force is measured as a force against the direction.
+            retract: Whether to move back to the place where the contact began, which releases the force.
+            wait: See `Motions`.
 
         Raises:
-            LocalError: firmware before 3.3, on which the tool cannot be moved cycle by cycle.
+            LocalError: If the firmware is older than 3.3, because it cannot move the tool cycle by cycle.
         """
         seconds = check_wait(wait)
         context, identity = self._context, self._context.who.identity
         if identity.firmware < _TIMED_SPEED:
-            raise LocalError(f"firmware {identity.firmware} cannot do this: {_TIMED_SPEED} is the first")
+            raise LocalError(
+                f"firmware {identity.firmware} cannot move until contact; {_TIMED_SPEED} or later is required"
+            )
         way = numbers(direction, "direction")
         length = math.hypot(*way.tolist()) if way.shape == (3,) else 0.0
         if not 0.0 < length < math.inf:
@@ -580,30 +607,33 @@ class Motions(StrictAttributes):
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> ForceMode:
-        """Force mode: yield along some axes until the tool exerts a wrench there, for as long as a block::
+        """Return a `ForceMode`: the tool yields along some axes until it exerts a wrench.
+
+        Use it as a ``with`` block::
 
             with robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, -10, 0, 0, 0], [0.1] * 6) as pressing:
                 ...
                 pressing.set_wrench([0, 0, -20, 0, 0, 0])
 
-        Whatever ends the block ends the mode: an exception, `close`, a stop. If no more messages from this computer
-        arrive, the program on the robot ends it by itself.
+        The mode ends with the block, even if an exception, `close` or a stop ends the block. If no more messages from
+        this computer arrive, the program on the robot ends the mode on its own.
 
         Args:
-            frame: "base", "tool" (as the tool is now), or a (6,) pose in the base frame; only its axes have an effect.
-            selection: six of 0 and 1 for x, y, z, rx, ry, rz; 1 where the arm yields.
-            wrench: (6,) N and Nm that the tool exerts on what it touches.
-            limits: (6,) largest speed along axes that yield, m/s and rad/s; largest deviation along the others, m and
-                rad. The controller applies them.
-            kind: 1 turns the y axis of the frame from the tool to its origin, 2 leaves it, 3 turns its x axis into the
-                direction of movement in the x-y plane.
-            damping: 0 to 1; the controller's default is 0.005. From 3.5 on.
-            gain: 0 to 2; a smaller one is steadier on hard objects. From 5.0 on.
-            watchdog: seconds without a message from this computer after which the robot ends the mode.
-            link: see `follow`.
+            frame: "base", "tool" (the current pose of the tool), or a pose in the base frame, shape (6,). Only its axes
+                have an effect.
+            selection: Six values of 0 or 1, for x, y, z, rx, ry, rz. The arm yields along the axes with 1.
+            wrench: Forces and torques that the tool exerts on the object, shape (6,), in N and Nm.
+            limits: Largest speeds along axes that yield, in m/s and rad/s, and largest deviations along the other axes,
+                in m and rad; shape (6,). The controller applies them.
+            kind: Rotation of the frame. With 1, its y axis points from the tool to the origin of the frame. With 2, the
+                frame is not turned. With 3, its x axis is the direction of the motion in the x-y plane.
+            damping: Damping, 0 to 1; the controller's default is 0.005. Needs firmware 3.5 or later.
+            gain: Gain, 0 to 2. A smaller gain is steadier on hard objects. Needs firmware 5.0 or later.
+            watchdog: Longest time without a message from this computer, in seconds. After it, the robot ends the mode.
+            link: See `follow`.
 
         Raises:
-            LocalError: this firmware has no force mode, damping or gain.
+            LocalError: If this firmware does not have force mode, damping or gain.
         """
         pressing = force_control.Pressing(
             frame_of(self._context, frame),
@@ -623,23 +653,26 @@ class Motions(StrictAttributes):
         watchdog: float = 0.05,
         link: LinkName = "reverse",
     ) -> Torque:
-        """Torques for the joints from a loop of your own (`direct_torque`), from 5.23 and 10.11 on::
+        """Return a `Torque`, which sends joint torques from your loop (`direct_torque`).
+
+        Needs firmware 5.23, 10.11 or later. Use it as a ``with`` block::
 
             with robot.motion.torque() as torque:
                 for state in robot.realtime:
                     torque.send(law(state))
 
-        The controller holds the arm up against gravity; a torque is added to that. Only the loop, and the controller's
-        own limits, keep the arm from getting fast.
+        The controller compensates gravity, and adds the torques that you send. Only your loop, and the controller's own
+        limits, limit the speed of the arm.
 
         Args:
-            limits: (6,) Nm beyond which `send` refuses; None for what the joints can exert.
-            friction_compensation: whether the controller compensates the friction of the joints.
-            watchdog: seconds over which the last torque fades if none follows; then the arm brakes.
-            link: see `follow`.
+            limits: Largest torques that `send` accepts, shape (6,), in Nm. If None, use the largest torques of the
+                joints.
+            friction_compensation: Whether the controller compensates the friction of the joints.
+            watchdog: Time in which the last torque fades if no other torque follows, in seconds. Then the arm brakes.
+            link: See `follow`.
 
         Raises:
-            LocalError: this firmware has no direct torque.
+            LocalError: If this firmware does not have direct torque.
         """
         return Torque(self._context, limits, friction_compensation, watchdog, self._opener(link))
 
@@ -658,7 +691,9 @@ class Motions(StrictAttributes):
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> Impedance:
-        """Springs and dampers between the arm and a target::
+        """Return an `Impedance`: springs and dampers between the arm and a target.
+
+        Use it as a ``with`` block::
 
             with robot.motion.impedance(stiffness=[800, 800, 400, 80, 80, 80]) as soft:
                 for q in policy:
@@ -668,39 +703,44 @@ class Motions(StrictAttributes):
                 for pose in policy:
                     soft.send(pose)
 
-        The program on the robot computes them in each cycle, and leads the arm evenly from one target to the next,
-        however often they come. Where nothing has been sent, the arm is held where it is. No joint is driven faster
-        than `speed`, nor over the end of its range; a push that is stronger than what brakes it may. At the end the
-        springs are let go of within 0.2 s, and the arm stands.
+        The program on the robot computes the springs in each cycle. It moves the arm evenly from one target to the
+        next, however often targets arrive. Until a target is sent, the arm is held at its position. The springs do not
+        drive a joint faster than `speed`, nor beyond the end of its range. Only a push that is stronger than the brake
+        can do this. When the block ends, the springs are released within 0.2 s, and the arm is at rest.
 
-        From 5.23 and 10.11 on they act by direct torque. From 5.10 on an e-Series arm whose firmware is older yields by
-        the force that its wrist measures, with springs of the tool only: zero the sensor before.
+        On firmware 5.23, 10.11 or later, the springs act through direct torque. An e-Series arm with older firmware,
+        5.10 or later, yields to the force that its wrist measures. It supports only springs of the tool. Zero the force
+        sensor before you use them.
 
         Args:
-            frame: "joints" for springs in the joints. "base" or "tool" for those of the tool, along and about the axes
-                of the base, or of the target; six numbers are then x, y, z, rx, ry, rz.
-            stiffness: Nm/rad, of all joints or (6,) of each; 0 for a joint that is only damped. None for that of the
-                vendor's example of impedance control, which it has for UR3e, UR5e and UR10e. Of the tool N/m and
-                Nm/rad; None for 500 and 30.
-            damping: ratio, likewise; with 1 a joint, or the tool along an axis, would just not swing past its target.
-            torque: Nm of springs and dampers in each joint, up to half of what it can exert; None for about those of
-                the vendor's example. A joint that is too fast is braked with up to four times as much. Springs of the
-                tool have so much, and what damps them may have more.
-            speed: rad/s, or of the tool m/s and rad/s; None for 1, or 0.25 and 0.8. Targets are approached with 0.7
-                of it.
-            error: rad, or m and rad, by which a spring is stretched at most: beyond, its force does not grow. None for
-                0.2, or 0.1 and 0.5.
-            force: N and Nm of the springs of the tool at most; None for 50 and 5.
-            posture_stiffness: Nm/rad of springs in the joints, beside those of the tool, to the posture of the target
-                (`Impedance.send`); None for 0.5. They decide where the tool is free to turn, and in singular poses.
-            friction_compensation: whether the controller compensates the friction of the joints.
-            watchdog: seconds without a message from this computer, which answers each state, after which the robot ends
-                it. It may be longer than your program is ever busy: what the arm does meanwhile is bounded anyway.
-            link: see `follow`.
+            frame: "joints" for springs in the joints. "base" or "tool" for springs of the tool, along and about the
+                axes of the base or of the target. Six numbers are then x, y, z, rx, ry, rz.
+            stiffness: Stiffness in Nm/rad, one number for all joints, or shape (6,). A joint with 0 is only damped. If
+                None, use the stiffness of the vendor's example of impedance control, which exists for UR3e, UR5e and
+                UR10e. For the tool, in N/m and Nm/rad; if None, 500 and 30.
+            damping: Damping ratio, one number or shape (6,). With 1, a joint, or the tool along an axis, just does not
+                overshoot its target.
+            torque: Largest torque of springs and dampers in each joint, in Nm, up to half of the largest torque of the
+                joint. If None, use about the torques of the vendor's example. A joint that is too fast is braked with
+                up to four times this torque. With springs of the tool, it limits only the springs; damping may add to
+                it.
+            speed: Largest speed, in rad/s; if None, 1. For the tool, in m/s and rad/s; if None, 0.25 and 0.8. Targets
+                are approached at up to 0.7 of this speed.
+            error: Largest stretch of a spring, in rad; if None, 0.2. For the tool, in m and rad; if None, 0.1 and 0.5.
+                Beyond it, the force of the spring does not grow.
+            force: Largest force and torque of the springs of the tool, in N and Nm; if None, 50 and 5.
+            posture_stiffness: Stiffness in Nm/rad of springs in the joints, in addition to the springs of the tool; if
+                None, 0.5. They pull the joints to the posture of the target (`Impedance.send`). They decide the joint
+                positions when the tool can turn freely, and in singular poses.
+            friction_compensation: Whether the controller compensates the friction of the joints.
+            watchdog: Longest time without a message from this computer, in seconds. After it, the robot ends the
+                motion. This computer answers each state with a message. The time may be longer than your program is
+                ever busy, because the limits also apply while no message arrives.
+            link: See `follow`.
 
         Raises:
-            BadValue: out of range; or of no effect with this frame, or this firmware.
-            LocalError: this firmware has neither direct torque nor a force sensor; or the arm is not known.
+            BadValue: If an argument is out of range, or has no effect with this frame or this firmware.
+            LocalError: If this firmware has neither direct torque nor a force sensor, or if the arm is unknown.
         """
         check_choice(frame, "frame", get_args(FrameName))
         parameters = ImpedanceParameters(
@@ -716,7 +756,7 @@ class Motions(StrictAttributes):
         return Freedrive(self._context, free, frame_of(self._context, frame), watchdog, self._opener(link))
 
     def _tool_pose(self, q: FloatArray) -> FloatArray | None:
-        """The pose of the TCP at joint positions, with the TCP of the newest state."""
+        """Return the pose of the TCP at joint positions, with the TCP of the newest state; None if unknown."""
         identity, state = self._context.who.identity, self._context.realtime.latest
         if identity.arm is None or state is None:
             return None
@@ -726,7 +766,7 @@ class Motions(StrictAttributes):
     # ----------------------------------------------------------------------------------------------------
 
     def _check_reach(self, goal: FloatArray) -> None:
-        """Raise `Unreachable` if the arm cannot bring its TCP to a pose; if the arm is not known, it is not checked."""
+        """Raise `Unreachable` if the TCP cannot reach a pose. If the arm is unknown, nothing is checked."""
         identity = self._context.who.identity
         if identity.arm is not None:
             state = self._context.state()
@@ -744,9 +784,11 @@ class Motions(StrictAttributes):
         asks: bool = True,
         left_alone: str = _MAY_GO_ON,
     ) -> Motion:
-        """A motion that is one short program: it is sent once, and the controller executes it.
+        """Start a motion that consists of one short program, which is sent once.
 
-        After a pause one that has a goal would be led back onto its path to it.
+        Args:
+            has_goal: Whether the program has a goal. After a pause, the controller would drive the arm back onto its
+                path to the goal, so the motion is ended if the arm was moved during the pause.
         """
         context = self._context
         life = context.programs.life(name)
@@ -774,9 +816,9 @@ class Motions(StrictAttributes):
                 return held
         if duration > UNLED:
             return HeldSpeed(context, name, is_tool, speeds, acceleration, duration, open_link)
-        # A speed that follows another one asks for no start permission: that would make the arm stutter, and if calls
-        # come faster than permissions, none would ever move it. A call that the controller reads too late moves the arm
-        # for no longer than `duration`.
+        # A speed that follows another one requests no start permission. Waiting for it would make the arm stutter, and
+        # if calls come faster than permissions, no call would ever move the arm. If the controller reads a call too
+        # late, the arm moves for no longer than `duration`.
         goes_on = any(life.name.startswith("speed_") for life in context.programs.permitted)
         write = commands.speed_linear if is_tool else commands.speed_joints
         clock = context.clock
@@ -786,18 +828,23 @@ class Motions(StrictAttributes):
             write(context.who.identity.firmware, speeds.tolist(), acceleration, duration),
             lambda state: (clock() - began) / duration,
             asks=not goes_on,
-            left_alone=f"the arm brakes by itself, {duration:g} s after it began",
+            left_alone=f"the arm brakes on its own {duration:g} s after the motion started",
         )
 
     def _opener(self, link: LinkName, registers: RegisterPort[Any] | None = None) -> Callable[[], Link]:
-        """The function that opens the link to a program; `registers`: other than those of messages of two times six."""
+        """Return the function that opens the link to a program.
+
+        Args:
+            link: Name of the link.
+            registers: Registers for "rtde". If None, use the registers for messages of two times six numbers.
+        """
         check_choice(link, "link", get_args(LinkName))
         if link == "reverse":
             return self._context.reverse.open
         firmware = self._context.who.identity.firmware
         if firmware not in HAS_REGISTERS:
             raise LocalError(
-                f"firmware {firmware} has no input registers for this (3.9 and 5.3 are the first): without link='rtde'"
+                f"firmware {firmware} does not have the registers for link='rtde'; 3.9, 5.3 or later is required"
             )
         return (registers or self._context.registers).open
 
@@ -812,19 +859,22 @@ class Motions(StrictAttributes):
         )
 
     def _repr_html_(self) -> str:
-        from linkcore.text import html_table  # imported here: importing the library stays cheap
+        from linkcore.text import html_table  # imported here to keep importing the library cheap
 
         current = self.current
         now = "no motion runs" if current is None else f"{current!r}, {current.progress:.0%}"
         begins = [name for name in dir(type(self)) if name[0] != "_" and name != "current"]
-        return html_table("Motions", (), [("now", now), ("begun by", ", ".join(begins))])
+        return html_table("Motions", (), [("now", now), ("started by", ", ".join(begins))])
 
     def __repr__(self) -> str:
         return f"<Motions current={self.current!r}>"
 
 
 def _arriving(goal: FloatArray, where: Callable[[RealtimeState], FloatArray]) -> Callable[[RealtimeState], float]:
-    """Progress by the distance to a goal: that of the furthest coordinate, relative to the first state."""
+    """Return a function that measures progress: the distance to a goal relative to the distance in the first state.
+
+    The distance is the largest difference of a coordinate.
+    """
     whole: list[float] = []
 
     def gauge(state: RealtimeState) -> float:
@@ -839,7 +889,7 @@ def _arriving(goal: FloatArray, where: Callable[[RealtimeState], FloatArray]) ->
 def _reporter(
     following: Following, feedback: Callable[[TrajectoryFeedback], object]
 ) -> Callable[[RealtimeState], None]:
-    """A callback that reports, for each state, where the arm is and should be."""
+    """Return a callback that reports, for each state, the actual and the desired position of the arm."""
 
     def report(state: RealtimeState) -> None:
         times = following.times(state.time)
@@ -869,7 +919,7 @@ def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> fl
 
 
 def _time(time: float | None, speed: float, acceleration: float) -> float | None:
-    """The duration of a move; raises `BadValue` if a speed or an acceleration was given with it."""
+    """Check the duration of a move. Raises `BadValue` if a speed or an acceleration was also given."""
     if time is None:
         return None
     check_overridden("time sets the duration", speed=speed, acceleration=acceleration)

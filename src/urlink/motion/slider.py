@@ -1,6 +1,6 @@
-"""What the speed slider does to each motion, as the class of the motion states it.
+"""Effect of the speed slider on each motion, as the class of the motion declares it.
 
-The table in docs/speed-scaling.md is that of `EFFECTS`, and a test measures each row on the simulated controller.
+docs/speed-scaling.md shows `EFFECTS` as a table, and a test measures each row on the simulated controller.
 """
 
 from __future__ import annotations
@@ -13,43 +13,43 @@ C = TypeVar("C", bound=type)
 
 
 class SliderEffect(enum.Enum):
-    """The speed of the arm with the slider at 50 %, and at 0, as fractions of the speed with the slider at 100 %."""
+    """Speed of the arm with the slider at 50 %, and at 0, as fractions of the speed with the slider at 100 %."""
 
     SCALED = (0.5, 0.0)
-    #: its times are those of this computer or of the controller's clock, but at 0 the program moves nothing
+    #: its times are on the clock of this computer or of the controller, but at 0 the program does not move the arm
     KEPT_UNTIL_0 = (1.0, 0.0)
-    #: forces or torques move the arm, and no set-points of a program
+    #: the arm is moved by forces or torques instead of the set-points of a program
     UNSCALED = (1.0, 1.0)
 
     @property
     def half(self) -> float:
-        """The fraction with the slider at 50 %."""
+        """Fraction with the slider at 50 %."""
         return self.value[0]
 
     @property
     def zero(self) -> float:
-        """The fraction with the slider at 0."""
+        """Fraction with the slider at 0."""
         return self.value[1]
 
 
-#: a motion, as users call it -> the class that states the effect, and the effect
+#: motion, as users call it -> the class that declares the effect, and the effect
 EFFECTS: dict[str, tuple[type, SliderEffect]] = {}
 
 
 def slider(**effects: SliderEffect) -> Callable[[C], C]:
-    """Let a class of motions state what the slider does to them.
+    """Declare the effect of the slider on the motions of a class.
 
     Args:
-        effects: the effect for each motion, by the name of the method that begins it.
+        effects: Effect on each motion, by the name of the method that starts it.
     """
     return slider_by_use(effects)
 
 
 def slider_by_use(effects: dict[str, SliderEffect]) -> Callable[[C], C]:
-    """As `slider`, for a motion on which the effect depends on how it is used.
+    """Do the same as `slider`, for a motion that can be used in several ways with different effects.
 
     Args:
-        effects: the effect for each use: the name of the method, a comma, and the use.
+        effects: Effect on each use: the name of the method, a comma, and the use.
     """
 
     def state(kind: C) -> C:

@@ -1,6 +1,6 @@
 """Teaching: a person moves the arm, and waypoints are recorded by a call, a digital input, or the arm's own button.
 
-They are saved, loaded and played as they were taught.
+Taught waypoints are saved, loaded and played in their order.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
     from .motions import Motions
 
-#: What a file begins with; other programs may read it too.
+#: Beginning of a file, which other programs may also read.
 _FORMAT, _VERSION = "urlink taught waypoints", 1
 
 
 class _Player(Protocol):
-    """A robot."""
+    """Interface of a robot that can play waypoints."""
 
     @property
     def model(self) -> str | None: ...
@@ -48,9 +48,9 @@ class TaughtPoint:
     """A waypoint: the position of the arm when it was recorded.
 
     Attributes:
-        q: (6,) joint positions, rad.
-        pose: (6,) of the TCP in the base frame, m and rad; for display and other programs: the joint positions are
-            played.
+        q: Joint positions, shape (6,), in rad.
+        pose: Pose of the TCP in the base frame, shape (6,), in m and rad. It is for display and for other programs; the
+            joint positions are played.
     """
 
     q: FloatArray
@@ -58,11 +58,11 @@ class TaughtPoint:
 
 
 class Taught(StrictAttributes):
-    """Waypoints in the order in which they were taught.
+    """Waypoints in their order of teaching.
 
     Args:
-        points: the first ones.
-        model: name of the arm; None if it is not known.
+        points: First waypoints.
+        model: Name of the arm; None if it is unknown.
     """
 
     def __init__(self, points: Iterable[TaughtPoint] = (), model: str | None = None) -> None:
@@ -71,7 +71,7 @@ class Taught(StrictAttributes):
 
     @property
     def points(self) -> tuple[TaughtPoint, ...]:
-        """The waypoints so far."""
+        """Waypoints so far."""
         return tuple(self._points)
 
     def __len__(self) -> int:
@@ -91,7 +91,7 @@ class Taught(StrictAttributes):
         """Remove the last waypoint, and return it.
 
         Raises:
-            BadValue: there is none.
+            BadValue: If there is no waypoint.
         """
         if not self._points:
             raise BadValue("no waypoint was taught yet")
@@ -100,10 +100,13 @@ class Taught(StrictAttributes):
     # -- playing -------------------------------------------------------------------------------------
 
     def waypoints(self, blend: float = 0.0) -> list[Joint]:
-        """The waypoints for `Motions.path`: straight in joint space from one to the next.
+        """Return the waypoints for `Motions.path`.
+
+        The path between two waypoints is a straight line in joint space.
 
         Args:
-            blend: radius in m, at all but the last, at which the arm begins to round the corner; 0 to stop there.
+            blend: Radius in m, at all waypoints except the last, where the arm begins to round the corner. 0 to stop
+                there.
         """
         last = len(self) - 1
         return [Joint(point.q, blend=blend if i < last else 0.0) for i, point in enumerate(self.points)]
@@ -117,33 +120,36 @@ class Taught(StrictAttributes):
         blend: float = 0.0,
         wait: bool | float = False,
     ) -> PathMotion:
-        """Move through all of them in one motion, which is checked before it is sent, as any path.
+        """Move through all waypoints in one motion.
 
-        The arm first moves straight in joint space to the first waypoint, from wherever it is.
+        The motion is checked before it is sent, like any path. The arm first moves in a straight line in joint space
+        from its current position to the first waypoint.
 
         Args:
-            robot: the robot, with an arm of the same model.
-            speed: rad/s of the joint that moves furthest.
-            acceleration: rad/s² of that joint.
-            blend: see `waypoints`.
-            wait: see `Motions`.
+            robot: The robot, with an arm of the same model.
+            speed: Speed of the joint that moves furthest, in rad/s.
+            acceleration: Acceleration of this joint, in rad/s².
+            blend: See `waypoints`.
+            wait: See `Motions`.
 
         Raises:
-            BadValue: there is no waypoint, the arm is of another model, or the path fails its checks.
+            BadValue: If there is no waypoint, if the arm is of another model, or if the path fails its checks.
         """
         if not self._points:
             raise BadValue("no waypoint was taught, so there is nothing to play")
         if None not in (self.model, robot.model) and self.model != robot.model:
-            raise BadValue(f"the waypoints were taught on a {self.model}, and this is a {robot.model}")
+            raise BadValue(f"the waypoints were taught on a {self.model}, but this is a {robot.model}")
         return robot.motion.path(self.waypoints(blend), joint_speed=speed, joint_acceleration=acceleration, wait=wait)
 
     # -- files ---------------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write them as JSON; an older file of that name is replaced completely or not at all.
+        """Write the waypoints as JSON.
+
+        An older file of this name is replaced completely or not at all.
 
         Raises:
-            BadValue: it cannot be written.
+            BadValue: If the file cannot be written.
         """
         held = {
             "format": _FORMAT,
@@ -162,17 +168,17 @@ class Taught(StrictAttributes):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Taught:
-        """Read what `save` has written.
+        """Read waypoints that `save` has written.
 
         Raises:
-            BadValue: it cannot be read, or holds something else; the message says what.
+            BadValue: If the file cannot be read, or has other content; the message names it.
         """
         try:
             held = json.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise BadValue(f"cannot read {path}: {error.strerror or error}") from error
         except (ValueError, RecursionError) as error:
-            raise BadValue(f"{path} is no JSON: {error}") from None
+            raise BadValue(f"{path} is not a JSON file: {error}") from None
         try:
             return cls._of(held)
         except BadValue as error:
@@ -183,12 +189,12 @@ class Taught(StrictAttributes):
         if not isinstance(held, dict) or held.get("format") != _FORMAT:
             raise BadValue(f'expected an object whose "format" is "{_FORMAT}"')
         if held.get("version") != _VERSION:
-            raise BadValue(f"version {held.get('version')!r} is not known; expected {_VERSION}")
+            raise BadValue(f"unknown version {held.get('version')!r}; expected {_VERSION}")
         model, waypoints = held.get("model"), held.get("waypoints")
         if model is not None and not isinstance(model, str):
             raise BadValue(f'"model" is {model!r}; expected a name or null')
         if not isinstance(waypoints, list):
-            raise BadValue('"waypoints" is no list')
+            raise BadValue('"waypoints" is not a list')
         points = []
         for number, point in enumerate(waypoints):
             if not isinstance(point, dict) or not {"q", "pose"} <= point.keys():
@@ -197,24 +203,24 @@ class Taught(StrictAttributes):
         return cls(points, model)
 
 
-#: Seconds after a waypoint in which an input that bounces does not record another one.
+#: Time in s after a waypoint. Within it, an input that bounces does not record another one.
 _BOUNCE = 0.2
 
 
 class Teaching(StrictAttributes):
-    """Teaching of waypoints while a ``with`` block is open; made by `robot.teach`.
+    """Teaching of waypoints for as long as a ``with`` block is open. `robot.teach` returns it.
 
     Args:
-        realtime: the stream with the positions of the arm.
-        model: name of the arm; None if it is not known.
-        freedrive: to be open meanwhile; None if the arm is moved with its own button.
-        input_bit: of the digital inputs; switching it on records a waypoint. None for none.
-        buttons: the stream with `robot_status_bits`; releasing the arm's own button, as these show it, records one.
-            None for no button.
-        on_point: called with each waypoint, in the thread that has recorded it.
+        realtime: Stream with the positions of the arm.
+        model: Name of the arm; None if it is unknown.
+        freedrive: Freedrive that is open meanwhile; None if the arm is moved with its own button.
+        input_bit: Bit of a digital input. Switching it on records a waypoint. None for no input.
+        buttons: Stream with `robot_status_bits`. When these show that the arm's own button is released, a waypoint is
+            recorded. None for no button.
+        on_point: Function that is called with each waypoint, in the thread that has recorded it.
 
     Attributes:
-        taught: the waypoints so far; they remain after the block.
+        taught: Waypoints so far; they remain after the block.
     """
 
     def __init__(
@@ -232,25 +238,25 @@ class Teaching(StrictAttributes):
         self._input_bit = input_bit
         self._buttons = buttons
         self._on_point = on_point
-        #: closed when the block is left; None outside of it
+        #: closed when the block is left; None outside of the block
         self._open: contextlib.ExitStack | None = None
-        # An input that is on, or a button that is not held, in the first state is not an event.
+        # In the first state, an input that is on, or a button that is not held, is not an event.
         self._was_on, self._was_held = True, False
         self._kept_at = -math.inf
 
     @property
     def freedrive(self) -> Freedrive | None:
-        """The freedrive of this block; None if the arm is moved with its own button."""
+        """Freedrive of this block; None if the arm is moved with its own button."""
         return self._freedrive
 
     @starts_motion
     def __enter__(self) -> Self:
-        """Begin freedrive.
+        """Start freedrive.
 
         Raises:
-            SafetyStop, NotRunning: the arm may not be moved now.
-            LinkError: another reason why it cannot begin.
-            LocalError: it was used before.
+            SafetyStop, NotRunning: If the arm may not be moved now.
+            LinkError: If it cannot start for another reason.
+            LocalError: If this object was used before.
         """
         with contextlib.ExitStack() as opened:
             if self._freedrive is not None:
@@ -266,20 +272,20 @@ class Teaching(StrictAttributes):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """End freedrive; the waypoints stay."""
+        """End freedrive. The waypoints remain."""
         opened, self._open = self._open, None
-        assert opened is not None, "a block is left that was entered"
+        assert opened is not None, "only an entered block is left"
         opened.close()
 
     def record(self) -> TaughtPoint:
-        """Record the present position of the arm as the next waypoint.
+        """Record the current position of the arm as the next waypoint.
 
         Raises:
-            LocalError: not within the block.
-            LinkError: freedrive is over, and the error says why; or no state comes.
+            LocalError: If not called within the block.
+            LinkError: If freedrive has ended (the error is its reason), or if no state arrives.
         """
         if self._open is None:
-            raise LocalError("waypoints are recorded within the block: with robot.teach() as teaching: ...")
+            raise LocalError("the block is not open; record waypoints within it: with robot.teach() as teaching: ...")
         if self._freedrive is not None and self._freedrive.error is not None:
             raise self._freedrive.error
         return self._keep(self._realtime.wait())

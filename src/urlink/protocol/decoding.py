@@ -105,7 +105,7 @@ def _known(firmware: str | Firmware) -> Firmware:
 
 
 def _strict_decoder(interface: Interface, version: Firmware | None) -> Callable[[bytes], State]:
-    """Return a decoder that accepts only packets in which every byte is known."""
+    """Return a decoder that accepts only packets without unknown bytes."""
     if interface != "realtime":
         return strictly(PackageDecoder(version))
     decode_state = partial(RealtimeState.LAYOUTS.decode, version=version)

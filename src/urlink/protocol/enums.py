@@ -1,7 +1,7 @@
-"""The numbers that stand for something, on all interfaces. Every list stays open: see `OpenInt`.
+"""Enumerations and bit masks of all interfaces. Unknown values of an enumeration are kept: see `OpenInt`.
 
-Source: docs/protocols/primary.md, section Numbers that stand for something: the vendor's lists and those of public
-decoders, put together.
+Source: docs/protocols/primary.md, section Numbers that stand for something, which combines the vendor's lists and those
+of public decoders.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class RobotMode(OpenInt):
 
 
 class RobotModeCB2(OpenInt):
-    """Robot mode of CB2 controllers: other numbers than later ones."""
+    """Robot mode of CB2 controllers: the numbers differ from those of later controllers."""
 
     RUNNING = 0
     FREEDRIVE = 1
@@ -56,7 +56,7 @@ class RobotModeCB2(OpenInt):
 
 
 class ControlMode(OpenInt):
-    """What the controller regulates."""
+    """Quantity that the controller regulates."""
 
     POSITION = 0
     TEACH = 1
@@ -105,7 +105,7 @@ class ToolMode(OpenInt):
 
 
 class SafetyMode(OpenInt):
-    """Safety mode, and safety status with its finer numbers from 12 on (e-Series only)."""
+    """Safety mode, and safety status with its finer numbers, 12 and higher (e-Series only)."""
 
     NORMAL = 1
     REDUCED = 2
@@ -154,7 +154,7 @@ class MasterOnOffState(OpenInt):
 
 
 class ProgramState(OpenInt):
-    """What the program does; the same numbers as RTDE `runtime_state`."""
+    """State of the program; the same numbers as RTDE `runtime_state`."""
 
     STOPPING = 0
     STOPPED = 1
@@ -165,14 +165,14 @@ class ProgramState(OpenInt):
 
 
 class AnalogDomain(OpenInt):
-    """What an analogue input or output measures or drives."""
+    """Quantity that an analogue input or output measures or drives."""
 
     CURRENT = 0
     VOLTAGE = 1
 
 
 class RobotType(OpenInt):
-    """Arm, by size; the firmware's generation distinguishes UR5 from UR5e."""
+    """Size of the arm; the generation of the firmware distinguishes UR5 from UR5e."""
 
     UR5 = 1
     UR10 = 2
@@ -186,7 +186,7 @@ class RobotType(OpenInt):
 
 
 class ToolOutputMode(OpenInt):
-    """How the two tool outputs are used."""
+    """Use of the two tool outputs."""
 
     DIGITAL = 0
     DUAL_PIN_POWER = 1
@@ -202,7 +202,7 @@ class ToolDigitalOutputMode(OpenInt):
 
 
 class TimeScaleSource(OpenInt):
-    """What slows the arm down, as RTDE says it."""
+    """Cause for slowing down the arm, as RTDE reports it."""
 
     OTHER = -1
     PROGRAM_NOT_RUNNING = 0
@@ -241,7 +241,7 @@ class MessageType(OpenInt):
 
 
 class MessageSource(OpenInt):
-    """The sender of a robot message. Signed on the wire; joints are 100-105, 110-115, 120-125."""
+    """Sender of a robot message. Signed on the wire; joints are 100-105, 110-115, 120-125."""
 
     GUI = -5
     SIMULATED_ROBOT = -4
@@ -263,7 +263,7 @@ class MessageSource(OpenInt):
 
 
 class ReportLevel(OpenInt):
-    """How grave a robot comm message is; 128 and up are for the vendor's developers."""
+    """Severity of a robot comm message; 128 and higher are for the vendor's developers."""
 
     DEBUG = 0
     INFO = 1
@@ -280,7 +280,7 @@ class ReportLevel(OpenInt):
 
 
 class ReportDataType(OpenInt):
-    """Coding of the four data bytes of a safety mode or robot comm message."""
+    """Encoding of the four data bytes of a safety mode or robot comm message."""
 
     NONE = 0
     UNSIGNED = 1
@@ -306,7 +306,7 @@ class RequestedType(OpenInt):
 class DigitalBits(IntFlag):
     """Bits of the digital inputs and outputs on CB3 and e-Series; unknown bits are kept.
 
-    On CB2, 0-7 are the inputs and outputs and the tool is at 8-9 or 16-17: public decoders differ.
+    On CB2, 0-7 are the inputs and outputs. Public decoders differ on whether the tool is at 8-9 or 16-17.
     """
 
     STANDARD_0 = 1 << 0

@@ -1,8 +1,8 @@
-"""The table of firmware releases: which release sends which packets and sizes.
+"""Table of firmware releases: the packets of each release and their sizes.
 
-The layouts say what each field is and since when it is sent. This table says what sizes that must add up to, release by
-release, and what stands behind each row. A test holds the two against each other, so a release that appends fields is
-one row here and the fields with their `since`.
+The layouts define each field and the version that sends it first. This table defines the resulting sizes, release by
+release, and the evidence for each row. A test compares the two. For a release that appends fields, add one row here and
+the fields with their `since`.
 
 Sources: docs/protocols/realtime.md, section Length by firmware; docs/protocols/primary.md, section Robot state.
 """
@@ -16,13 +16,13 @@ from typing import NamedTuple
 from linkcore.errors import BadVersion
 from linkcore.wire.fields import parse_version
 
-# Types of sub-packages. Kinematics and configuration come with the first state of a connection only.
+# Types of sub-packages. Only the first state of a connection contains kinematics and configuration.
 _MASTERBOARD = 3
 _FIRST_STATE_ONLY = frozenset({5, 6})
 
 
 class Firmware(NamedTuple):
-    """A controller's software version; compares as a version does.
+    """Software version of a controller. Versions are compared number by number.
 
     >>> Firmware.parse("5.11") < Firmware.parse("5.12.2")
     True
@@ -37,34 +37,34 @@ class Firmware(NamedTuple):
 
     @classmethod
     def parse(cls, text: str | tuple[int, ...]) -> Firmware:
-        """From ``"5.11"`` or ``"5.11.1.108318"``, or from a tuple of two to four numbers.
+        """Parse ``"5.11"`` or ``"5.11.1.108318"``, or a tuple of two to four numbers.
 
         Raises:
-            BadVersion: it is neither.
+            BadVersion: If `text` is neither.
         """
         numbers = parse_version(text)
         if not isinstance(numbers, tuple) or not 2 <= len(numbers) <= 4:
-            raise BadVersion(f"{text!r} is not a firmware; expected something like '5.11' or '3.4.3'")
+            raise BadVersion(f"{text!r} is not a firmware version; expected a string such as '5.11' or '3.4.3'")
         return cls(*numbers)
 
     @property
     def is_cb2(self) -> bool:
-        """A CB2 controller (1.x)."""
+        """Whether it belongs to a CB2 controller (1.x)."""
         return self.major < 3
 
     @property
     def is_e_series(self) -> bool:
-        """An e-Series controller (5.x), or a later one."""
+        """Whether it belongs to an e-Series controller (5.x) or a later one."""
         return self.major >= 5
 
     @property
     def is_polyscope_x(self) -> bool:
-        """PolyScope X (10.x), which has a Robot API instead of the dashboard server."""
+        """Whether it is PolyScope X (10.x), which has a Robot API instead of the dashboard server."""
         return self.major >= 10
 
     @property
     def rate(self) -> int:
-        """Packets a second on the real-time interface: 125 on CB2 and CB3, 500 on e-Series."""
+        """Packets per second on the real-time interface: 125 on CB2 and CB3, 500 on e-Series."""
         return 500 if self.major >= 5 else 125
 
     def __str__(self) -> str:
@@ -76,13 +76,13 @@ class Firmware(NamedTuple):
 
 @dataclass(frozen=True)
 class Release:
-    """The first firmware with these sizes; they hold until the next row of the same generation.
+    """First firmware with these sizes, which are valid until the next row of the same generation.
 
     Attributes:
-        since: the first version.
-        realtime: bytes of the real-time packet.
-        state: type of sub-package -> its bytes without Euromap, in the order in which they are sent.
-        evidence: what backs the row, for the compatibility table.
+        since: First version with these sizes.
+        realtime: Size of the real-time packet, in bytes.
+        state: Type of sub-package -> its size in bytes without Euromap, in the order of sending.
+        evidence: Evidence for the row, shown in the compatibility table.
     """
 
     since: Firmware
@@ -92,18 +92,18 @@ class Release:
 
     @property
     def first_state_size(self) -> int:
-        """Bytes of the first robot state of a connection, with kinematics and configuration."""
+        """Size of the first robot state of a connection, with kinematics and configuration, in bytes."""
         return 5 + sum(self.state.values())
 
     @property
     def state_size(self) -> int:
-        """Bytes of the later states, which leave kinematics and configuration out."""
+        """Size of the later states, which do not contain kinematics and configuration, in bytes."""
         return 5 + sum(size for kind, size in self.state.items() if kind not in self.first_state_only)
 
     @property
     def first_state_only(self) -> frozenset[int]:
-        """Types of the sub-packages that only the first state of a connection has."""
-        # The laser pointer of the oldest firmware shares its number with the kinematics, which have 225 bytes.
+        """Types of the sub-packages that only the first state of a connection contains."""
+        # In the oldest firmware, the laser pointer has the number of the kinematics, which have 225 bytes.
         return _FIRST_STATE_ONLY if self.state.get(5) == 225 else frozenset()
 
 
@@ -125,7 +125,7 @@ def _e_series(masterboard: int, additional: int, **more: int) -> dict[int, int]:
     return order | ({12: more["tool_mode"]} if "tool_mode" in more else {})
 
 
-#: Oldest first. A row holds from its version to the next row of the same major version.
+#: Releases, oldest first. A row is valid from its version to the next row of the same major version.
 RELEASES: tuple[Release, ...] = (
     # -- CB2
     Release(
@@ -204,36 +204,37 @@ RELEASES: tuple[Release, ...] = (
     # -- a later generation
 )
 
-#: The newest firmware of the e-Series that the table knows: the default of a simulated arm.
+#: Newest firmware of the e-Series in the table, and the default of a simulated arm.
 NEWEST = [row.since for row in RELEASES if row.since.major == 5][-1]
-#: The last releases of CB2 and CB3, which get no further ones.
+#: Last releases of CB2 and CB3, which receive no further updates.
 LAST_CB2, LAST_CB3 = Firmware(1, 8), Firmware(3, 15)
 
 _MAJORS = sorted({row.since.major for row in RELEASES})
 
 
 def release_of(firmware: Firmware) -> Release:
-    """The row that holds for `firmware`; one that is later than all of its generation has the newest row below it.
+    """Return the row that is valid for `firmware`.
 
-    A generation that is newer than the whole table has the newest row, since a controller may be newer than this
+    If `firmware` is later than all rows of its generation, return the newest row of that generation. If its generation
+    is newer than the whole table, return the newest row of the table, because a controller may be newer than this
     library. A number between two generations of the table, such as 6.1, was never released.
 
     Raises:
-        BadVersion: older than every row of the table, or of a generation that does not exist.
+        BadVersion: If `firmware` is older than every row of the table, or of a generation that does not exist.
     """
     rows = [row for row in RELEASES if row.since <= firmware]
     same = [row for row in rows if row.since.major == firmware.major]
     if not rows or (not same and firmware.major < _MAJORS[-1]):
         known = ", ".join(f"{major}.x" for major in _MAJORS)
-        raise BadVersion(f"nothing is known of firmware {firmware}; the table has {known}, from {RELEASES[0].since} on")
+        raise BadVersion(f"unknown firmware {firmware}; expected {RELEASES[0].since} or later, of {known}")
     return (same or rows)[-1]
 
 
 def known_firmware(text: str | Firmware) -> Firmware:
-    """The firmware, if the table has a row for it.
+    """Return the firmware if the table has a row for it.
 
     Raises:
-        BadVersion: it is not a version, one that is older than every row, or of a generation that does not exist.
+        BadVersion: If `text` is not a version, is older than every row, or is of a generation that does not exist.
     """
     firmware = Firmware.parse(text)
     release_of(firmware)
@@ -241,9 +242,9 @@ def known_firmware(text: str | Firmware) -> Firmware:
 
 
 def existing_firmware(text: str | Firmware) -> Firmware:
-    """The firmware, if a controller can have it: what a simulated controller can be asked to be.
+    """Return the firmware if a controller can have it, so that a simulated controller can use it.
 
-    Later releases of a generation that still gets releases are accepted.
+    Later releases of a generation that is still updated are accepted.
 
     Raises:
         BadVersion: If `known_firmware` raises it, the generation is newer than the table, or it is later than the last
@@ -260,14 +261,14 @@ def existing_firmware(text: str | Firmware) -> Firmware:
 
 
 def infer(sizes: Mapping[int, int]) -> Firmware | None:
-    """The oldest firmware that sends such a robot state: what a controller without a version message is known by.
+    """Return the oldest firmware that sends such a robot state, for a controller without a version message.
 
     Args:
-        sizes: type of sub-package -> its bytes, as `RobotState.sizes`. Of the masterboard, with or without Euromap;
-            kinematics and configuration may be missing, since only the first state has them.
+        sizes: Type of sub-package -> its size in bytes, as in `RobotState.sizes`. The masterboard may be with or
+            without Euromap. Kinematics and configuration may be missing, because only the first state contains them.
 
     Returns:
-        None where no row of the table has these sizes.
+        Oldest firmware with these sizes; None if no row of the table has them.
     """
 
     def telling(state: Mapping[int, int]) -> dict[int, int]:

@@ -52,7 +52,7 @@ def statement_line(text: str) -> str:
         raise BadValue(f"the statement is {type(text).__name__}; expected a string")
     line = " ".join(filter(None, (_without_comment(each).strip() for each in text.splitlines())))
     if not line:
-        raise BadValue(f"{text[:80]!r} is not a statement")
+        raise BadValue(f"{text[:80]!r} is not a statement; expected a line of URScript")
     if line in WORDS:
         raise BadValue(f"{line!r} is not a statement; use the method of Interpreter for this word")
     for character in line:
@@ -92,7 +92,7 @@ def parse_reply(line: str) -> Reply:
 
 
 class InterpreterProtocol:
-    """State of one connection, on which lines and replies alternate. There is no greeting.
+    """State of one connection. Lines and replies alternate, without a greeting.
 
     Attributes:
         is_greeted: Always True.

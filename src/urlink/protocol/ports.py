@@ -41,7 +41,7 @@ def interface_of(port: str) -> str:
 
 
 def service_of(host: str, port: int) -> Hashable:
-    """Return the key by which this process recognises a service."""
+    """Return the key that identifies a service within this process."""
     return host.casefold(), port
 
 
@@ -61,5 +61,5 @@ def refusal_hint(firmware: Firmware | None) -> str:
     ''
     """
     if firmware is None:
-        return f"from firmware {_SINCE} on, and on PolyScope X, {_WHERE}"
+        return f"on firmware {_SINCE} or later, and on PolyScope X, {_WHERE}"
     return f"on firmware {firmware} {_WHERE}" if firmware >= _SINCE else ""

@@ -84,7 +84,7 @@ class ToolSerial(StrictAttributes, Closing):
             self._send(data, until)
 
     def read(self, size: int, *, timeout: float = 1.0) -> bytes:
-        """Read `size` bytes.
+        """Read `size` bytes from the line.
 
         Raises:
             LinkTimeout: If fewer bytes arrive in time. The received bytes are kept for the next `read`.

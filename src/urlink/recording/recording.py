@@ -61,7 +61,7 @@ class Recording(StrictAttributes):
 
     Attributes:
         path: Path of the file.
-        channels: Name of each stream -> its description by the recorder.
+        channels: Description of each stream by the recorder, by the name of the stream.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
@@ -341,7 +341,7 @@ class Recording(StrictAttributes):
             said.append(f"{len(channel.failed)} packets could not be read; the first: {channel.failed[0]}")
         return said
 
-    # -- how it shows ------------------------------------------------------------------------------
+    # -- representation ---------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         streams = ", ".join(self.channels) or "nothing"

@@ -24,21 +24,21 @@ _CLASSES = {
     if kind is not UnknownSubPackage
 }
 
-#: Sub-packages that come only in the first state of a connection.
+#: Sub-packages that are only in the first state of a connection.
 _FIRST_ONLY = ("kinematics_info", "configuration_data")
 
-#: Gives, for numbers of records, their times in s since the recording began, and their wall times.
+#: Function that converts numbers of records to their times, in s since the recording began, and their wall times.
 Timed = Callable[[Any], tuple[Any, Any]]
 
 
 class RobotStates(Table):
-    """A row for each robot state: ``run.primary["joint_data.q_actual"]``.
+    """Table with a row for each robot state: ``run.primary["joint_data.q_actual"]``. Made by `Recording`.
 
-    The columns are those of the sub-packages that every robot state has. `of`, and the attributes ``joint_data``,
-    ``tool_data`` and so on, give a table of one class with its own times. Made by `Recording`.
+    Its columns are the columns of the sub-packages that every robot state has. `of`, and attributes such as
+    ``joint_data`` and ``tool_data``, return a table of one class with its own times.
 
     Attributes:
-        messages: robot messages and other packages as they came, in order, with their stamps.
+        messages: Robot messages and other packages, in order of arrival, with their stamps.
     """
 
     def __init__(
@@ -71,14 +71,14 @@ class RobotStates(Table):
 
     @property
     def robot_messages(self) -> list[State]:
-        """The robot messages in `messages`: the rows of ``of(RobotMessage)``."""
+        """Robot messages in `messages`; they are the rows of ``of(RobotMessage)``."""
         return [state for state in self.messages if isinstance(state, RobotMessage)]
 
     def of(self, kind: type[State]) -> Table:
-        """A table of all packets of one class: of sub-packages, of robot messages, or `OtherPackage`.
+        """Return a table of all packets of one class: sub-packages, robot messages, or `OtherPackage`.
 
         Raises:
-            BadValue: `kind` is none of these classes.
+            BadValue: If `kind` is not one of these classes.
         """
         if not (isinstance(kind, type) and issubclass(kind, (SubPackage, RobotMessage, OtherPackage))):
             raise BadValue(f"kind={kind!r}; expected a class of sub-packages or messages, such as JointData")

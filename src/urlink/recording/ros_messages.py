@@ -1,10 +1,10 @@
-"""Recorded packets of a robot as messages of ROS 2, with the definitions of their types.
+"""Recorded packets of a robot as ROS 2 messages, with the definitions of their types.
 
-Joint states, poses, twists, wrenches and logs have the standard types, which every viewer knows. Each packet as a whole
-also becomes a message, of a type that is defined by the fields of its stream.
+Joint states, poses, twists, wrenches and logs have the standard types, which every viewer supports. In addition, each
+whole packet becomes a message, whose type is defined by the fields of its stream.
 
-`JointState.effort` has the joint currents in A, as the vendor's ROS driver puts them there. Poses, twists and wrenches
-are as the controller reports them: in the frame of the base, and wrenches about the TCP.
+`JointState.effort` contains the joint currents in A, as in the vendor's ROS driver. Poses, twists and wrenches are as
+the controller reports them: in the base frame, and wrenches about the TCP.
 """
 
 from __future__ import annotations
@@ -78,9 +78,9 @@ _LEVELS = {
 
 
 def topics_of(name: str, table: Table, arm: Arm | None) -> Iterator[Topic]:
-    """The topics of a stream called `name`, as far as it has the fields for them. Fields with text are left out.
+    """Yield the topics of a stream called `name` for which it has the fields. Fields with text are skipped.
 
-    With the arm, `/tf` has the frames of its links.
+    With the arm, `/tf` contains the frames of its links.
     """
     wall = table.wall
 
@@ -115,14 +115,14 @@ def topics_of(name: str, table: Table, arm: Arm | None) -> Iterator[Topic]:
 
 
 def _orientation(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions of poses; NaN where the pose is NaN, as in resampled rows while a connection was lost."""
+    """Return quaternions of poses; NaN for a NaN pose, as in rows resampled while the connection was lost."""
     quaternions = rotvec_to_quaternion(np.nan_to_num(poses[:, 3:]))
     quaternions[np.isnan(poses[:, 3:]).any(axis=1)] = np.nan
     return quaternions
 
 
 def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:
-    """The messages of the controller as a log."""
+    """Return the messages of the controller as a log topic."""
     encoded = []
     for message, stamp in zip(messages, wall, strict=True):
         one = Message(1).stamp(np.array([stamp])).numbers(np.array([_level(message)], np.uint8))
@@ -133,7 +133,7 @@ def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:
 
 
 def _level(message: State) -> int:
-    """The level, as `rcl_interfaces/msg/Log` numbers it."""
+    """Return the level, as `rcl_interfaces/msg/Log` numbers it."""
     if isinstance(message, RobotCommMessage):
         return _INFO if message.report_level is None else _LEVELS.get(message.report_level, _INFO)
     if isinstance(message, PopupMessage):
@@ -147,12 +147,12 @@ def _words(message: State) -> str:
     if isinstance(message, (KeyMessage, PopupMessage)):
         return f"{message.title}: {message.text}"
     text = getattr(message, "text", None)
-    # A reader written in C would take a NUL for the end of the text.
+    # A reader written in C would interpret a NUL as the end of the text.
     return (text if isinstance(text, str) else str(message)).replace("\0", "")
 
 
 def description_topic(arm: Arm, wall: np.datetime64) -> Topic:
-    """The arm as URDF, in one message, for viewers that draw it."""
+    """Return a topic with the arm as URDF, in one message, for viewers that draw it."""
     message = Message(1).text(to_urdf(arm, shapes=True))
     return _topic("/robot_description", "std_msgs/msg/String", np.array([wall]), message.encoded())
 

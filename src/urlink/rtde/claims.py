@@ -25,14 +25,14 @@ from .inputs import checked, dialogue_of, put_whole
 
 #: Maximum time for connecting and claiming, in seconds. In a local network, it takes a few cycles of the controller.
 CLAIM_TIMEOUT = 0.25
-#: Time after the last setting at which all inputs are released, in seconds.
+#: Time from the last setting until all inputs are released, in seconds.
 HOLD = 2.0
 #: Packages per second while inputs are claimed. The first one completes the connection; each one checks `HOLD`.
 _HEARTBEAT = 50.0
 
 
 class Claims:
-    """Connection on which sets of inputs are claimed when they are needed.
+    """Connection for claiming sets of inputs when they are needed.
 
     Args:
         connection: Connection that sends the requests of `plan`.

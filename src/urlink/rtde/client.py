@@ -204,7 +204,7 @@ class Rtde(StrictAttributes):
         return Registers(self._claimed, self.outputs, self._source.timeout, lower=lower)
 
     def _claimed(self) -> Claims:
-        """Return the connection on which registers are claimed."""
+        """Return the connection for claiming registers."""
         self._check_writable()
         claims = self._claims.made
         if claims is None:

@@ -13,10 +13,10 @@ from linkcore.names import StrictAttributes
 from .claims import Claims
 from .outputs import OutputStream
 
-#: Kind of register -> first number of the upper range, and total number of registers.
+#: First number of the upper range, and total number of registers, of each kind.
 _RANGES = {"bit": (64, 128), "int": (24, 48), "double": (24, 48)}
 
-#: Packages per second with which registers are read.
+#: Packages per second for reading registers.
 _FREQUENCY = 125.0
 
 

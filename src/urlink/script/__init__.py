@@ -1,1 +1,1 @@
-"""URScript as text: the one package in which it is built."""
+"""The only package that builds URScript text."""

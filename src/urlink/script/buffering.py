@@ -1,37 +1,41 @@
-"""The program that holds points of a stream in a buffer, moves through them by itself, and brakes where none is left.
+"""The program that buffers points of a stream, moves through them on its own, and brakes when the buffer is empty.
 
-From 3.4 on. A message is twenty-four big-endian int32: what to do (`STOP`, `POINT`, `WAIT` or `CUT`), the epoch, a
-number, the microseconds of the step to the point, the degree of the curve that leads there, six positions in `FINE`
-parts of a rad, six speeds and six accelerations in millionths, and the date of `urlink.script.links`. Points are
-counted from 1; a step ends at the point of its number, and begins with the position, speed and acceleration in which
-the step before ends. A step of degree 1 is straight, one of degree 3 or 5 is the polynomial that its end prescribes.
-Accelerations leap where cubics meet, so one of degree 3 ends without; one of degree 4 is the beginning of a cubic, and
-its end keeps the acceleration.
+It needs firmware 3.4 or later. A message consists of twenty-four big-endian int32:
 
-A `WAIT` brings the pace, in millionths, as its number: the seconds on the steps that pass in one of the program. That
-is less than 1 where other arms are slower, and 0 where the arm is to stand on its way until they are ready. It is
-approached evenly. At rest it holds at once; while the arm brakes it goes back to 1. Where the program is to end, the
-arm brakes from the speed that it has.
+- the command (`STOP`, `POINT`, `WAIT` or `CUT`), the epoch, and a number;
+- the length of the step to the point in microseconds, and the degree of the curve of the step;
+- six positions in `FINE` parts of a rad, six speeds and six accelerations in millionths;
+- the date, see `urlink.script.links`.
 
-A `CUT` replaces what comes after a place that the arm has not passed: the step after the point of its number is cut to
-the time that is given, and its end is the next point. It opens an epoch, and points of other epochs are refused. If the
-arm has passed that place, the whole epoch is refused, and the arm goes on as if nothing had come.
+Points are counted from 1. A step ends at the point with its number. It begins with the position, speed and acceleration
+at the end of the previous step. A step of degree 1 is straight. A step of degree 3 or 5 is the polynomial that its end
+prescribes. Accelerations jump where cubics meet, so a step of degree 3 ends without an acceleration. A step of degree 4
+is the beginning of a cubic, and its end keeps the acceleration.
 
-After the last point, and where the program is to end, all joints brake together, from any speed v and acceleration a:
-in T seconds the speed goes to zero on the cubic with the slopes a and 0. No joint exceeds an acceleration A, which |a|
-must not exceed, if T is at least 1.5 sqrt(2) |v| / A; nor a jerk J if 6 |v| / T² + 4 |a| / T is at most J. But an
-acceleration alone leads a joint by a T² / 12, which is to stay below `STRAY`. Then the
-epoch is closed, and a `CUT` opens the next, within the braking or at rest. So it is where the arm is found at rest
-elsewhere, after a pause: it stays there.
+The number in a `WAIT` is the pace, in millionths: the seconds of the steps that pass in one second of the program. The
+pace is less than 1 if other arms are slower. It is 0 if the arm must wait on its path until they are ready. The program
+changes its pace gradually. At rest the new pace applies immediately. While the arm brakes, the pace returns to 1. If
+the program must end, the arm brakes from its current speed.
 
-After each `CUT`, each change of its phase, and every fiftieth of a second it reports, six int32: messages that were
-read, the last epoch taken, the number of the last point it holds, that of the point at which its step began, the
-microseconds since, and its phase.
+A `CUT` replaces the path after a place that the arm has not passed. The step after the point with its number is cut to
+the given time, and its end is the next point. A `CUT` opens an epoch, and points of other epochs are rejected. If the
+arm has passed that place, the whole epoch is rejected, and the arm continues as if no message had arrived.
 
-Over `PointRegisters` a message is in input registers, whose numbers are those of the message; `messages` is the number
-of the last that was seen, since a register holds the newest only: a point that was missed is one that was refused. A
-`CUT` is written until it is answered, and one of an epoch that is taken already is not taken again. The report is in
-output registers, anew in each cycle.
+After the last point, and when the program must end, all joints brake together, from any speed v and acceleration a: in
+T seconds, the speed falls to zero on the cubic with the slopes a and 0. No joint exceeds an acceleration A, which |a|
+must not exceed, if T is at least 1.5 sqrt(2) |v| / A. No joint exceeds a jerk J if 6 |v| / T² + 4 |a| / T is at most J.
+However, the acceleration alone moves a joint by a T² / 12, which must stay below `STRAY`. Then the epoch is closed. A
+`CUT` opens the next epoch, either during braking or at rest. The epoch is also closed if the arm is found at rest in
+another place after a pause; the arm then stays there.
+
+The program reports after each `CUT`, after each change of its phase, and every fiftieth of a second. A report consists
+of six int32: the number of messages read, the last accepted epoch, the number of the last buffered point, the number of
+the point where the current step began, the microseconds since then, and the phase.
+
+With `PointRegisters`, a message is in input registers, which contain the same numbers. `messages` is then the number of
+the last message that was read. A register holds only the newest value, so a missed point counts as a rejected point. A
+`CUT` is written until it is answered, and a `CUT` for an epoch that was already accepted is not accepted again. The
+report is written to output registers in each cycle.
 """
 
 from __future__ import annotations
@@ -59,32 +63,32 @@ from .links import (
 from .streaming import LAST_PLACE, found_elsewhere, servo_cycle
 from .text import each, indented, integer, lines, number, quoted, vector
 
-#: Numbers of a message without its date, and of a report.
+#: Numbers in a message without its date, and in a report.
 MESSAGE, REPORTED = 23, 6
-#: What to do, beside `STOP` and `WAIT`: keep a point, or replace what comes after a place.
+#: Commands in addition to `STOP` and `WAIT`: buffer a point, or replace the path after a place.
 POINT, CUT = 1, 3
-#: Phases: at rest and closed, on its way through points, braking, and at rest with an epoch open.
+#: Phases: at rest with the epoch closed, moving through points, braking, and at rest with an epoch open.
 RESTING, MOVING, BRAKING, OPEN = 0, 1, 2, 3
-#: Parts of a rad. Chosen: as fine as 32 bits allow for three turns, because points may be a few milliseconds apart, and
-#: a part of a microradian would then be a jolt of some rad/s².
+#: Parts of a rad. Chosen: as fine as 32 bits allow for three turns. Points may be a few milliseconds apart, where one
+#: part of a microradian would be a jolt of several rad/s².
 FINE = 100_000_000
-#: T >= this times |v| / A keeps every acceleration within A.
+#: Braking time T that keeps every acceleration within A, divided by |v| / A.
 BRAKING_FACTOR = 1.5 * 2.0**0.5
-#: rad that an acceleration may lead a joint beyond the last point: where the jerk of the stream would let it be more,
+#: Distance, in rad, that an acceleration may move a joint beyond the last point. If the stream's jerk would allow more,
 #: the joint brakes with more jerk.
 STRAY = 0.05
-#: 1/s, of the program, with which the pace changes at most. Chosen: four times as fast as it is sent
-#: (`urlink.command.program_time.RAMP`) while nothing is scaled, because at a slider of 50 % it has to be.
+#: Maximum rate of change of the pace, in 1/s of the program. Chosen: four times the rate at which the sent pace changes
+#: (`urlink.command.program_time.RAMP`) without scaling, because a slider of 50 % requires it.
 PACING = 25.0
-#: Seconds between two reports.
+#: Interval between two reports, in seconds.
 _REPORTING = 0.02
-#: Seconds that the controller's own watchdog leaves to braking, beside the second that it has for that anyway.
+#: Time, in seconds, that the controller's own watchdog allows for braking, in addition to its usual second.
 _BRAKES = 2.0
-#: rad between the place where the arm is and the one from which the stream is to begin.
+#: Largest allowed distance, in rad, between the arm and the beginning of the stream.
 _NEAR = 0.05
-#: Names of the lists in which points are held, one for each of their eighteen numbers.
+#: Names of the lists that buffer points, one for each of their eighteen numbers.
 _KEPT = [f"kept_{quantity}{joint}" for quantity in "qva" for joint in range(6)]
-#: The position on the present step, `t` s after its beginning.
+#: Position on the current step, `t` s after its beginning.
 _PLACE = "c0[{i}] + t * (c1[{i}] + t * (c2[{i}] + t * (c3[{i}] + t * (c4[{i}] + t * c5[{i}]))))"
 _SPEED = "c1[{i}] + t * (2.0 * c2[{i}] + t * (3.0 * c3[{i}] + t * (4.0 * c4[{i}] + t * 5.0 * c5[{i}])))"
 _ACCELERATION = "2.0 * c2[{i}] + t * (6.0 * c3[{i}] + t * (12.0 * c4[{i}] + t * 20.0 * c5[{i}]))"
@@ -92,16 +96,16 @@ _REST = "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
 
 
 class PointRegisters(NamedTuple):
-    """Registers that hold a message, and those in which the program reports.
+    """Registers that hold a message, and registers for the report of the program.
 
     Fourteen integer registers hold the first five numbers of a message, the six positions, the date, the number of the
-    message and the token; twelve floating point registers the speeds and accelerations, in millionths too. Of the
-    output registers, the seventh holds the token: what is in the others is this program's.
+    message, and the token. Twelve floating point registers hold the speeds and accelerations, also in millionths. The
+    seventh output register holds the token, which shows that the other output registers belong to this program.
 
     Attributes:
-        first_float, first_integer: number of the first input register of each kind.
-        first_output: of the first output register.
-        token: what is in its register as long as this program's messages are.
+        first_float, first_integer: Number of the first input register of each kind.
+        first_output: Number of the first output register.
+        token: Value of the token register while the messages belong to this program.
     """
 
     first_float: int
@@ -111,17 +115,17 @@ class PointRegisters(NamedTuple):
 
     @property
     def date(self) -> int:
-        """The register that holds the date."""
+        """Number of the register with the date."""
         return self.first_integer + 11
 
     @property
     def message(self) -> int:
-        """The register that numbers the messages."""
+        """Number of the register with the message number."""
         return self.first_integer + 12
 
     @property
     def proof(self) -> int:
-        """The register that holds the token."""
+        """Number of the register with the token."""
         return self.first_integer + 13
 
 
@@ -136,18 +140,18 @@ def buffering(
     lookahead_time: float = 0.03,
     gain: float = 300.0,
 ) -> list[str]:
-    """Hold points, move through them, and brake where none is left.
+    """Return a program that buffers points, moves through them, and brakes when the buffer is empty.
 
     Args:
-        link: how the messages come.
-        capacity: points that it holds.
-        acceleration, jerk: (6,) rad/s² and rad/s³ with which the joints brake.
-        watchdog: seconds without a message after which it brakes and ends.
-        lookahead_time, gain: of ``servoj``.
+        link: Link that carries the messages.
+        capacity: Maximum number of buffered points.
+        acceleration, jerk: Limits for braking the joints, shape (6,), in rad/s² and rad/s³.
+        watchdog: Maximum time without a message, in seconds; then the program brakes and ends.
+        lookahead_time, gain: Parameters of ``servoj``.
     """
     period, change = number(1.0 / firmware.rate), number(PACING / firmware.rate)
     most_missed = missable(watchdog, firmware.rate)
-    # Reading waits, and a scaled servoj takes several cycles, so a thread of its own moves the arm.
+    # Reading blocks, and a scaled servoj takes several cycles, so a separate thread moves the arm.
     if isinstance(link, ReverseSocket):
         rates, follow = "message[12 + {at}]", _over_socket(firmware, link, most_missed)
     else:
@@ -211,7 +215,7 @@ def buffering(
 
 
 def _over_socket(firmware: Firmware, link: ReverseSocket, most_missed: int) -> str:
-    """Connect, and hand over what comes until the link ends."""
+    """Return code that connects and handles messages until the link ends."""
     cycles = max(round(_REPORTING * firmware.rate), 1)
     return f"""
         if socket_open({quoted(link.host)}, {integer(link.port, 1, 65535)}):
@@ -271,7 +275,7 @@ def _over_socket(firmware: Firmware, link: ReverseSocket, most_missed: int) -> s
 
 
 def _over_registers(firmware: Firmware, link: PointRegisters, most_missed: int, watchdog: float) -> str:
-    """Take what is new in each cycle, and report."""
+    """Return code that handles a new message in each cycle, and reports."""
     whole = [f"read_input_integer_register({at})" for at in range(link.first_integer, link.date)]
     parts = [f"read_input_float_register({at})" for at in range(link.first_float, link.first_float + 12)]
     report = [*("messages", "taken", "head", "base", f"floor(passed * {SCALE}.0)", "phase"), str(link.token)]
@@ -360,11 +364,13 @@ def _variables(capacity: int, acceleration: Sequence[float], jerk: Sequence[floa
 
 
 def _geometry(period: str, change: str) -> str:
-    """Where the arm is to be, cycle by cycle: `at_q`, `at_v` and `at_a` are those at the end of a step.
+    """Return code that computes the commanded position of each cycle.
+
+    `at_q`, `at_v` and `at_a` are the position, speed and acceleration at the end of a step.
 
     Args:
-        period: s of a cycle.
-        change: of the pace in a cycle.
+        period: Duration of a cycle, in s.
+        change: Maximum change of the pace in a cycle.
     """
     way = "(kept_q{i}[first] - at_q[{i}]) / h"
     v0, v1, a0, a1 = "at_v[{i}]", "kept_v{i}[first]", "at_a[{i}]", "kept_a{i}[first]"
@@ -504,10 +510,10 @@ def _geometry(period: str, change: str) -> str:
 
 
 def _messages(capacity: int, rates: str) -> str:
-    """What is done with a message; each is called in a critical section.
+    """Return the functions that handle messages; each is called in a critical section.
 
     Args:
-        rates: where its speeds and accelerations are.
+        rates: Expression for the speeds and accelerations of a message.
     """
     places = [f"message[{at}] / {number(FINE)}" for at in range(6, 12)]
     places += [f"{rates.format(at=at)} / {number(SCALE)}" for at in range(12)]

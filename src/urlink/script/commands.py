@@ -1,15 +1,16 @@
-"""The commands as URScript of each firmware: those that move the arm, as the lines of a program, and those that do not.
+"""URScript commands for each firmware: programs that move the arm, and statements that do not move it.
 
-Of those that move nothing, what is sure: the names of the output functions by generation and the numbering of digital
-outputs (three public drivers), `set_payload` with a mass alone, `set_tool_voltage`, `set_flag`, `set_tcp`, `popup`,
-`set_target_payload` from 5.10, and the line ``set speed`` (reports of users). What is not:
+For the statements that move nothing, these facts are certain: the names of the output functions of each generation and
+the numbering of digital outputs (three public drivers), `set_payload` with only a mass, `set_tool_voltage`, `set_flag`,
+`set_tcp`, `popup`, `set_target_payload` since 5.10, and the line ``set speed`` (reports of users). Assumptions:
 
-- that tool outputs of CB2 are 8 and 9 of `set_digital_out`: its masterboard has 16 bits, of which 0 to 7 are the box's;
-- that analogue outputs take a fraction of their range, 0 to 1, whether they drive a current or a voltage: so the
-  vendor's manual is commonly quoted, and the public drivers hand a number through unchecked;
-- that `set_payload` takes a centre of gravity from 3.0 on, and `popup` a title and two flags in every generation;
-- that flags go up to 31;
-- that `set_gravity` is in every generation: the clients of other people send it to CB3 and e-Series.
+- The tool outputs of CB2 are 8 and 9 of `set_digital_out`. Its masterboard has 16 bits, of which 0 to 7 belong to the
+  control box.
+- Analogue outputs take a fraction of their range, 0 to 1, for a current as well as a voltage. The vendor's manual is
+  commonly quoted this way, and the public drivers pass a number on unchecked.
+- `set_payload` takes a centre of gravity since 3.0, and `popup` takes a title and two flags in every generation.
+- Flag numbers end at 31.
+- `set_gravity` exists in every generation. Other public clients send it to CB3 and e-Series.
 """
 
 from __future__ import annotations
@@ -25,41 +26,42 @@ from linkcore.wire.fields import Since
 from ..protocol.firmware import Firmware
 from .text import boolean, floats, integer, number, pose, quoted, vector
 
-#: Bd; those of the tool's serial line.
+#: Baud rates of the tool's serial line, in Bd.
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 1_000_000, 2_000_000, 5_000_000)
 
 _TARGET_PAYLOAD = Since("5.10")
 
-#: s; longer is a mistake. m/s²; another length has another unit. Chosen: a base that moves is accelerated by less.
+#: Longest plausible transition, in s. Plausible lengths of gravity, in m/s²; others have another unit. Chosen: a moving
+#: base has a smaller acceleration.
 _LONGEST_TRANSITION, _GRAVITIES = 60.0, (5.0, 15.0)
-#: kg. No arm lifts it; it distinguishes kilograms from grams.
+#: Mass in kg that no arm can lift. It distinguishes kilograms from grams.
 _HEAVIEST = 100.0
 
-#: What announces a movement of a path, before its number.
+#: Prefix of the message that announces a movement of a path, before its number.
 _SEGMENT = "urlink: segment "
 
 
-# -- what moves the arm --------------------------------------------------------------------------------
+# -- commands that move the arm -----------------------------------------------------------------------
 
 
 def move_joints(
     q: Sequence[float], speed: float, acceleration: float, time: float | None = None, blend: float = 0.0
 ) -> list[str]:
-    """Move the joints to `q` (6, rad), at most so fast (rad/s, rad/s²), or in `time` seconds."""
+    """Move the joints to `q` (6, rad), limited by speed and acceleration (rad/s, rad/s²), or in `time` seconds."""
     return [f"movej({vector(q, what='q')}, {_how(speed, acceleration, time, blend)})"]
 
 
 def move_linear(
     target: Sequence[float], speed: float, acceleration: float, time: float | None = None, blend: float = 0.0
 ) -> list[str]:
-    """Move the tool in a straight line to a pose (m, rad), at most so fast (m/s, m/s²), or in `time` seconds."""
+    """Move the tool straight to a pose (m, rad), limited to `speed` (m/s) and `acceleration`, or in `time` seconds."""
     return [f"movel({pose(target)}, {_how(speed, acceleration, time, blend)})"]
 
 
 def move_circular(
     via: Sequence[float], to: Sequence[float], speed: float, acceleration: float, blend: float = 0.0
 ) -> list[str]:
-    """Move the tool along the circle through one pose to another (m, rad), at most so fast (m/s, m/s²)."""
+    """Move the tool along the circle through one pose to another (m, rad), limited by m/s and m/s²."""
     return [f"movec({pose(via, 'via')}, {pose(to, 'to')}, {_how(speed, acceleration, None, blend)})"]
 
 
@@ -71,16 +73,16 @@ def _how(speed: float, acceleration: float, time: float | None, blend: float) ->
 
 
 def segment(index: int) -> str:
-    """The `textmsg` before movement `index` of a path; after a blend it is executed as the blend begins.
+    """Return the `textmsg` before movement `index` of a path. After a blend, it is executed when the blend begins.
 
-    A `textmsg` takes no time. That it does not end a blend, as no statement does that takes none, is how the vendor's
-    own programs look, which set outputs between blended waypoints.
+    A `textmsg` takes no time. Assumption: it does not end a blend, like any statement that takes no time. This follows
+    from the vendor's own programs, which set outputs between blended waypoints.
     """
     return f"textmsg({quoted(f'{_SEGMENT}{index}')})"
 
 
 def segment_of(text: str) -> int | None:
-    """Which movement a line of text announces; None if it is another text."""
+    """Return the index of the movement that a text line announces; None for any other text."""
     found = re.fullmatch(rf"{_SEGMENT}(\d{{1,4}})", text)
     return int(found[1]) if found else None
 
@@ -105,40 +107,40 @@ def _speed(
 
 
 def takes_duration(firmware: Firmware) -> bool:
-    """Whether ``speedj`` and ``speedl`` take a time.
+    """Whether ``speedj`` and ``speedl`` accept a duration.
 
-    In 3.1 and 3.2 they do not: they return once the speed is reached, and keep it (docs/protocols/urscript.md,
-    Differences).
+    In 3.1 and 3.2 they do not. There they return when the speed is reached, and the arm keeps that speed
+    (docs/protocols/urscript.md, Differences).
     """
     return not (3, 1) <= firmware[:2] < (3, 3)
 
 
 def interpreter_mode() -> list[str]:
-    """Take statements of clients until one of them ends it."""
+    """Accept statements of clients until a client ends interpreter mode."""
     return ["interpreter_mode()"]
 
 
 def stop(acceleration: float) -> list[str]:
-    """Brake all joints with so many rad/s²."""
+    """Brake all joints with this acceleration, in rad/s²."""
     return [f"stopj({number(acceleration, 'acceleration')})"]
 
 
-# -- what moves nothing --------------------------------------------------------------------------------
+# -- commands that move nothing -----------------------------------------------------------------------
 
 
 def secondary(*statements: str) -> str:
-    """Statements as a program that runs beside the one that moves the arm, and takes no time."""
+    """Wrap statements in a program that runs in addition to the main program and takes no time."""
     return "\n".join(["sec urlink_command():", *(f"  {statement}" for statement in statements), "end"]) + "\n"
 
 
 class DigitalBank(NamedTuple):
-    """Digital inputs or outputs that are counted from 0; the one place that knows which is which bit.
+    """Digital inputs or outputs of one kind, numbered from 0. Only this class maps their numbers to bits.
 
     Attributes:
-        name: in messages, and in the names of functions.
-        size: how many there are.
-        first: bit of the first in the robot state, on CB3 and e-Series.
-        first_of_cb2: the same on CB2, where it is the number of the function too; None if there are none.
+        name: Name used in messages and in URScript function names.
+        size: Number of inputs or outputs.
+        first: Bit of the first one in the robot state, on CB3 and e-Series.
+        first_of_cb2: The same on CB2, where it is also the number in the function call; None if CB2 has none.
     """
 
     name: str
@@ -147,10 +149,10 @@ class DigitalBank(NamedTuple):
     first_of_cb2: int | None
 
     def bit(self, firmware: Firmware, number: int, what: str) -> int:
-        """Which bit of the robot state is input or output `number`.
+        """Return the bit of input or output `number` in the robot state.
 
         Raises:
-            BadValue: there is no such one.
+            BadValue: If there is no such input or output.
         """
         index = int(integer(number, 0, self.size - 1, f"{self.name} digital {what}"))
         if not firmware.is_cb2:
@@ -169,7 +171,7 @@ def digital_out(firmware: Firmware, bank: DigitalBank, number: int, on: bool) ->
     """Switch a digital output.
 
     Raises:
-        BadValue: there is no such output, or `on` is neither True nor False.
+        BadValue: If there is no such output, or `on` is neither True nor False.
     """
     bit = bank.bit(firmware, number, "output")
     value = boolean(on, f"{bank.name} digital output {number}")
@@ -182,24 +184,24 @@ def analog_out(firmware: Firmware, output: int, fraction: float) -> str:
     """Set analogue output 0 or 1 to a fraction of its range.
 
     Raises:
-        BadValue: there is no such output, or the fraction is not from 0 to 1.
+        BadValue: If there is no such output, or the fraction is not from 0 to 1.
     """
     name = "set_analog_out" if firmware.is_cb2 else "set_standard_analog_out"
     value = number(fraction, "fraction", 0.0, 1.0)
     return f"{name}({integer(output, 0, 1, 'analogue output')}, {value})"
 
 
-#: Names of the parities of the tool's serial line -> their numbers.
+#: Number of each parity of the tool's serial line.
 PARITIES = {"none": 0, "odd": 1, "even": 2}
 
 
 def tool_communication(
     enabled: bool, baud_rate: int, parity: str, stop_bits: int, rx_idle_chars: float, tx_idle_chars: float
 ) -> str:
-    """Set the serial line of the tool connector. The ranges are those of the vendor's script manual.
+    """Configure the serial line of the tool connector. The ranges are from the vendor's script manual.
 
     Raises:
-        BadValue: a value that the line cannot have.
+        BadValue: If the line cannot have a value.
     """
     if baud_rate not in BAUD_RATES:
         raise BadValue(f"baud_rate is {baud_rate!r}; expected one of {', '.join(map(str, BAUD_RATES))}")
@@ -217,10 +219,10 @@ def tool_communication(
 
 
 def tool_voltage(volts: int) -> str:
-    """Supply the tool with 0, 12 or 24 V.
+    """Set the supply voltage of the tool to 0, 12 or 24 V.
 
     Raises:
-        BadValue: another voltage.
+        BadValue: If it is another voltage.
     """
     if isinstance(volts, bool) or volts not in (0, 12, 24):
         raise BadValue(f"tool voltage is {volts!r}; expected 0, 12 or 24")
@@ -231,7 +233,7 @@ def flag(index: int, on: bool) -> str:
     """Set flag 0 to 31.
 
     Raises:
-        BadValue: there is no such flag, or `on` is neither True nor False.
+        BadValue: If there is no such flag, or `on` is neither True nor False.
     """
     return f"set_flag({integer(index, 0, 31, 'flag')}, {boolean(on, 'flag')})"
 
@@ -243,36 +245,38 @@ def payload(
     inertia: Sequence[float] | None = None,
     transition_time: float = 0.0,
 ) -> str:
-    """Tell what the arm carries: kg; m in the flange's frame; inertia about that: xx, yy, zz, xy, xz, yz in kg m².
+    """Set the payload of the arm: mass in kg, centre of gravity, and inertia about it.
+
+    The centre of gravity is in m in the flange frame. The inertia is xx, yy, zz, xy, xz, yz in kg m².
 
     Args:
-        transition_time: s over which the controller goes over to it.
+        transition_time: Duration of the transition to the new payload, in s.
 
     Raises:
-        BadValue: a number out of range, or what this firmware cannot be set to.
+        BadValue: If a number is out of range, or the firmware does not support a value.
     """
     weight = number(mass, "payload mass", 0.0, _HEAVIEST, "kg")
     seconds = number(transition_time, "transition_time", 0.0, _LONGEST_TRANSITION, "s")
     if transition_time and (cog is None or inertia is None):
-        raise BadValue("a payload with a transition_time needs cog and inertia: the controller takes all three then")
+        raise BadValue("missing cog or inertia; a payload with a transition_time needs both")
     if cog is None and inertia is None:
         return f"set_payload({weight})"
     if firmware.is_cb2:
-        raise BadValue(f"firmware {firmware} takes the mass of a payload only")
+        raise BadValue(f"firmware {firmware} accepts only the mass of a payload; omit cog and inertia")
     centre = vector((0.0, 0.0, 0.0) if cog is None else cog, 3, "payload cog")
     if inertia is None:
         return f"set_payload({weight}, {centre})"
     if firmware not in _TARGET_PAYLOAD:
-        raise BadValue(f"firmware {firmware} takes no inertia; that needs 5.10")
+        raise BadValue(f"firmware {firmware} accepts no inertia; 5.10 or later is required")
     moments = vector(inertia, 6, "payload inertia")
     return f"set_target_payload({weight}, {centre}, {moments}{f', {seconds}' if transition_time else ''})"
 
 
 def gravity(acceleration: Sequence[float]) -> str:
-    """Tell the acceleration of an arm at rest, (3,) m/s² in the base frame.
+    """Set the acceleration that an arm at rest measures, shape (3,), in m/s², in the base frame.
 
     Raises:
-        BadValue: not three numbers, or of a length that is none of gravity.
+        BadValue: If it is not three numbers, or its length is not plausible for gravity.
     """
     components = floats(acceleration, 3, "gravity")
     length = math.hypot(*components)
@@ -282,19 +286,19 @@ def gravity(acceleration: Sequence[float]) -> str:
 
 
 def tcp(offset: Sequence[float]) -> str:
-    """Put the tool centre point at a pose in the flange's frame.
+    """Set the tool centre point to a pose in the flange frame.
 
     Raises:
-        BadValue: not six finite numbers.
+        BadValue: If it is not six finite numbers.
     """
     return f"set_tcp({pose(offset, 'tcp')})"
 
 
 def speed_slider(fraction: float) -> str:
-    """The line that moves the speed slider; no function, so it stands alone.
+    """Return the line that moves the speed slider. It is not a function, so it is sent on its own.
 
     Raises:
-        BadValue: not from 0 to 1.
+        BadValue: If the fraction is not from 0 to 1.
     """
     return f"set speed {number(fraction, 'speed slider', 0.0, 1.0)}\n"
 
@@ -303,7 +307,7 @@ def popup(text: str, title: str, warning: bool, error: bool) -> str:
     """Show a text on the pendant.
 
     Raises:
-        BadValue: a string that cannot be carried.
+        BadValue: If a string contains a character that URScript cannot hold.
     """
     flags = f"{boolean(warning, 'warning')}, {boolean(error, 'error')}"
     return f"popup({quoted(text)}, {quoted(title, 'title')}, {flags})"

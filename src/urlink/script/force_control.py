@@ -1,11 +1,10 @@
-"""The programs of force control: force mode, freedrive, direct torque, and a movement that ends at a contact.
+"""Programs for force control: force mode, freedrive, direct torque, and a movement that ends at a contact.
 
-The first three are loops by messages (`links.message_loop`): they go on as long as messages come, and end their mode
-and brake where none has come for the watchdog's time, where the link ends, or by the message that says so. Should the
-program be stopped by something else, the controller ends the mode with it.
+The first three are message loops (`links.message_loop`) and run as long as messages arrive. They end their mode and
+brake if no message arrives for the watchdog's time, if the link ends, or if a message requests it. If anything else
+stops the program, the controller also ends the mode.
 
-Since when a controller has each function is documented in the URScript manual and by public drivers
-(docs/protocols/urscript.md).
+The URScript manual and public drivers document which firmware has each function (docs/protocols/urscript.md).
 """
 
 from __future__ import annotations
@@ -19,21 +18,21 @@ from ..protocol.firmware import Firmware
 from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
 from .text import each, indented, lines, number, pose, quoted, vector
 
-#: The messages of a movement to a contact at its end; the first is followed by the joint positions.
+#: Messages at the end of a movement to a contact. The first one is followed by the joint positions.
 CONTACT = "urlink: contact "
 NO_CONTACT = "urlink: no contact"
 
 
 @dataclass(frozen=True)
 class Pressing:
-    """The parameters of force mode that are set once, when it begins.
+    """Parameters of force mode that are set once, when it begins.
 
     Attributes:
-        frame: (6,) pose in the base frame.
-        selection: (6,) the compliant axes.
-        limits: (6,) of speed along them, m/s and rad/s; of deviation along the others, m and rad.
-        kind: 1, 2 or 3: how the controller turns the frame; see `Motions.force_mode`.
-        damping, gain: None for those of the controller.
+        frame: Pose in the base frame, shape (6,).
+        selection: Whether each axis is compliant, shape (6,).
+        limits: Limits, shape (6,): speed along compliant axes, in m/s and rad/s; deviation along others, in m and rad.
+        kind: How the controller turns the frame, 1, 2 or 3; see `Motions.force_mode`.
+        damping, gain: Parameters of the mode; None for the controller's values.
     """
 
     frame: tuple[float, ...]
@@ -47,12 +46,12 @@ class Pressing:
 def force_mode(
     firmware: Firmware, link: ReverseSocket | InputRegisters, pressing: Pressing, *, watchdog: float
 ) -> list[str]:
-    """Force mode with the wrench that the messages hold, which may change.
+    """Return a program in force mode with the wrench of the newest message.
 
     Args:
-        link: how the messages come.
-        pressing: all but the wrench.
-        watchdog: s without a message after which it ends.
+        link: Link that carries the messages.
+        pressing: All parameters except the wrench.
+        watchdog: Maximum time without a message, in s; then the program ends.
     """
     frame, limits = pose(pressing.frame, "frame"), vector(pressing.limits, what="limits")
     start = ["wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"]
@@ -83,13 +82,13 @@ def freedrive(
     *,
     watchdog: float,
 ) -> list[str]:
-    """Freedrive as long as messages come.
+    """Return a program that stays in freedrive as long as messages arrive.
 
     Args:
-        link: how the messages come.
-        axes: (6,) of the frame that are free; None for all, which every firmware can.
-        frame: (6,) pose in the base frame.
-        watchdog: s without a message after which it ends.
+        link: Link that carries the messages.
+        axes: Whether each axis of the frame is free, shape (6,); None for all, which every firmware supports.
+        frame: Pose in the base frame, shape (6,).
+        watchdog: Maximum time without a message, in s; then the program ends.
     """
     arguments = ""
     if axes is not None:
@@ -110,12 +109,14 @@ def freedrive(
 def torque(
     firmware: Firmware, link: ReverseSocket | InputRegisters, *, friction_compensation: bool, watchdog: float
 ) -> list[str]:
-    """Direct torque, a message for each cycle. Where one is late, the last torque fades over the watchdog's time.
+    """Return a direct torque program that needs a message in each cycle.
+
+    If a message is late, the last torque fades over the watchdog's time.
 
     Args:
-        link: how the messages come.
-        friction_compensation: the controller makes up for friction.
-        watchdog: s without a message after which it ends.
+        link: Link that carries the messages.
+        friction_compensation: Whether the controller compensates for friction.
+        watchdog: Maximum time without a message, in s; then the program ends.
     """
     call = f"direct_torque({{}}, friction_comp={'True' if friction_compensation else 'False'})"
     received = f"""
@@ -139,12 +140,12 @@ def _mode_loop(
     *,
     watchdog: float,
 ) -> list[str]:
-    """A `message_loop` whose mode begins with the first message.
+    """Return a `message_loop` whose mode begins with the first message.
 
     Args:
-        link, start, end, watchdog: as there.
-        received: as there; it sets ``begun`` to True.
-        late: as there; a part ``share`` of the watchdog's time is left.
+        link, start, end, watchdog: See `message_loop`.
+        received: See `message_loop`; it must set ``begun`` to True.
+        late: See `message_loop`; ``share`` is the remaining fraction of the watchdog's time.
     """
     start += "\nmissed = 0\nbegun = False"
     most_missed = missable(watchdog, firmware.rate)
@@ -162,17 +163,17 @@ def until_contact(
     force: float | None,
     retracts: bool,
 ) -> list[str]:
-    """Move straight until the tool touches something, brake, and go back to where the contact began.
+    """Move straight until the tool touches something, brake, and return to where the contact began.
 
-    It says `CONTACT` with the joint positions there, or `NO_CONTACT` after the distance.
+    The program sends `CONTACT` with the joint positions at the contact, or `NO_CONTACT` after the distance.
 
     Args:
-        direction: (3,) unit vector in the base frame.
-        speed, acceleration: m/s and m/s².
-        distance: m after which it gives up.
-        force: N against the direction, on top of what was there at first, that is a contact; None leaves it to the
-            controller (``tool_contact``, from 5.4 on), which knows where it began as well.
-        retracts: goes back.
+        direction: Unit vector in the base frame, shape (3,).
+        speed, acceleration: Limits in m/s and m/s².
+        distance: Maximum distance, in m; then the movement ends without a contact.
+        force: Force in N against the direction that counts as a contact, relative to the initial force. With None, the
+            controller detects it (``tool_contact``, firmware 5.4 or later), and also determines where it began.
+        retracts: Whether the arm returns to where the contact began.
     """
     velocity = vector([each_axis * speed for each_axis in direction] + [0.0] * 3, what="direction")
     cycles = math.ceil((distance / speed + speed / acceleration) * firmware.rate)
@@ -215,7 +216,7 @@ def until_contact(
 
 
 def contact_of(text: str) -> list[float] | None:
-    """The joint positions in what a movement says at a contact, rad; None of any other text."""
+    """Return the joint positions, in rad, from the message at a contact; None for any other text."""
     found = re.fullmatch(rf"{CONTACT}\[([^\]]*)\]", text.strip())
     if found is None:
         return None

@@ -1,28 +1,28 @@
-"""The programs that this computer drives cycle by cycle: how messages reach them, and the loop that obeys them.
+"""Programs that this computer drives cycle by cycle: how they receive messages, and the loop that executes them.
 
-A message is fourteen big-endian int32: six numbers in millionths (`SCALE`), six more, what to do: `STOP`, `FOLLOW` or
-`WAIT`, and a date. In `urlink.script.streaming` the numbers are positions of the joints, rad, and their speeds,
-rad/s. After the n-th pause of the program, `WAIT` + n stands for `FOLLOW`: a program that finds the arm elsewhere after
-a pause follows no message from before it.
+A message consists of fourteen big-endian int32: six numbers in millionths (`SCALE`), six more, the command (`STOP`,
+`FOLLOW` or `WAIT`), and a date. In `urlink.script.streaming`, the numbers are joint positions in rad and speeds in
+rad/s. After the n-th pause of the program, `WAIT` + n replaces `FOLLOW`. If a program finds the arm in another place
+after a pause, it follows no message from before the pause.
 
-The date is the cycle of the controller's clock in which the state was sent that the message answers, counted from the
-first state of the motion. URScript cannot read that clock on every firmware, so the program counts its own cycles, and
-keeps the smallest difference between its count and a date: that of the message that came quickest. A set-point whose
-difference exceeds it by more than the watchdog's cycles counts as none. So set-points that waited in the socket while
-the controller hung are followed for one watchdog time at most. A round of the loop takes one cycle at least, so the
-program counts no faster than the controller's clock, and messages do not grow old by counting.
+The date identifies the state that the message answers: the cycle of the controller's clock in which the state was sent,
+counted from the first state of the motion. URScript cannot read that clock on every firmware. Therefore the program
+counts its own cycles, and keeps the smallest difference between its count and a date, which belongs to the fastest
+message. A set-point is ignored if its difference is larger by more than the watchdog's cycles. Set-points queued in
+the socket while the controller hung are therefore followed for at most one watchdog time. A round of the loop takes at
+least one cycle, so the program counts no faster than the controller's clock, and counting alone makes no message old.
 
-Over a `ReverseSocket` the program connects back to this computer, as those of public drivers do, and sends a token that
-only its text holds: another peer that finds the port must not be taken for the robot. The answer of
-``socket_read_binary_integer`` begins with the count that was read, which is less than fourteen after two seconds
-without a message, or once the connection is lost. Over `InputRegisters` the program waits for the token instead.
+With a `ReverseSocket`, the program connects back to this computer, as programs of public drivers do. It sends a token
+that only its text contains, so that another peer that finds the port is not mistaken for the robot. The result of
+``socket_read_binary_integer`` begins with the number of integers that were read. It is less than fourteen after two
+seconds without a message, or when the connection is lost. With `InputRegisters`, the program waits for the token
+instead.
 
-Assignments in a thread or a nested function reach the variables of the program around them, as the programs of public
-drivers rely on; nothing here needs ``global`` or ``local``, which the oldest firmware may not have. Lists are
-written out element by element, since arithmetic on whole lists came late.
+Assignments in a thread or a nested function change the variables of the enclosing program; programs of public drivers
+rely on this. No program here needs ``global`` or ``local``, which the oldest firmware may not have. Lists are written
+element by element, because arithmetic on whole lists came late.
 
-Why such a program ended before its time is in its last ``textmsg``: `NO_CONNECTION`, `LINK_ENDED`, `STARVED`,
-`TOO_FAR`.
+The last ``textmsg`` of such a program shows why it ended early: `NO_CONNECTION`, `LINK_ENDED`, `STARVED` or `TOO_FAR`.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from typing import NamedTuple
 from ..protocol.firmware import Firmware
 from .text import each, indented, integer, lines, number, quoted
 
-#: How many tokens there are: what a signed 32-bit integer holds.
+#: Number of possible tokens: the range of a signed 32-bit integer.
 TOKENS = 1 << 31
 #: Factor between rad or rad/s and the integers of a message.
 SCALE = 1_000_000
-#: The last number but one: brake and end, go to this set-point, or do nothing yet.
+#: Commands, the second to last number of a message: brake and end, go to this set-point, or do nothing yet.
 STOP, FOLLOW, WAIT = 0, 1, 2
 
 NO_CONNECTION = "urlink: cannot connect"
@@ -46,9 +46,9 @@ LINK_ENDED = "urlink: the link ended"
 STARVED = "urlink: nothing to go to"
 TOO_FAR = "urlink: the first point is too far away"
 
-#: What brakes an arm whose program ends, with 4 rad/s².
+#: Statement that brakes the arm when its program ends, with 4 rad/s².
 BRAKE = "stopj(4.0)"
-#: Seconds for which a program waits for the first message in its registers.
+#: Time, in seconds, that a program waits for the first message in its registers.
 _LINK_TIMEOUT = 5.0
 
 
@@ -56,8 +56,8 @@ class ReverseSocket(NamedTuple):
     """A connection that the program makes back to this computer.
 
     Attributes:
-        host, port: where it reaches this computer.
-        token: by which the program proves to be the expected one.
+        host, port: Address of this computer for the robot.
+        token: Number that proves that the connecting program is the expected one.
     """
 
     host: str
@@ -66,15 +66,16 @@ class ReverseSocket(NamedTuple):
 
 
 class InputRegisters(NamedTuple):
-    """Input registers that this computer writes by RTDE: nothing has to be reached from the robot.
+    """Input registers that this computer writes over RTDE, so the robot need not connect to it.
 
-    Set-points are in twelve floating point registers: positions, rad, and speeds, rad/s. Four integer registers hold
-    the date; the number of the message, by which a new one is known; what to do; and the token. That a program sees all
-    inputs of one RTDE package in the same cycle is what public clients with such programs rely on.
+    Set-points are in twelve floating point registers: positions in rad and speeds in rad/s. Four integer registers hold
+    the date, the number of the message (which identifies a new message), the command, and the token. Assumption: a
+    program sees all inputs of one RTDE package in the same cycle. Public clients with such programs rely on this.
 
     Attributes:
-        first_float, first_integer: number of the first register of each kind.
-        token: what is in its register as long as this program's messages are: registers keep what others wrote.
+        first_float, first_integer: Number of the first register of each kind.
+        token: Value of the token register while the messages belong to this program. It is needed because registers
+            keep the values of other clients.
     """
 
     first_float: int
@@ -83,26 +84,26 @@ class InputRegisters(NamedTuple):
 
     @property
     def date(self) -> int:
-        """The register that holds the date."""
+        """Number of the register with the date."""
         return self.first_integer
 
     @property
     def message(self) -> int:
-        """The register that numbers the messages."""
+        """Number of the register with the message number."""
         return self.first_integer + 1
 
     @property
     def mode(self) -> int:
-        """The register that says what to do."""
+        """Number of the register with the command."""
         return self.first_integer + 2
 
     @property
     def proof(self) -> int:
-        """The register that holds the token."""
+        """Number of the register with the token."""
         return self.first_integer + 3
 
 
-#: Makes the lines of a program, for the link by which its messages come.
+#: Function that returns the lines of a program for the link that carries its messages.
 Writer = Callable[[ReverseSocket | InputRegisters], list[str]]
 
 
@@ -118,22 +119,22 @@ def message_loop(
     most_missed: int,
     guard: str = "",
 ) -> list[str]:
-    """A program that does something in each cycle, by the messages that come over a link.
+    """Return a program that does something in each cycle, according to messages from a link.
 
     Args:
-        link: how they come.
-        start: what it does first; it sets ``missed`` to 0.
-        received: for a new message that is not too old, whose numbers are ``goal`` and ``speed``; it sets ``missed`` to
-            0, and takes a cycle.
-        late: for the cycle ``missed`` without a message; it takes a cycle.
-        end: what it does last, also when no message has come for longer.
-        watchdog: seconds without a message after which the program ends.
-        most_missed: rounds without one in these seconds, after which it says `STARVED` and ends; and rounds by which a
-            message may be older than the one that came quickest.
-        guard: for each round; where it sets ``held`` to True, messages from before the next pause count as none.
+        link: Link that carries the messages.
+        start: Code to run first; it must set ``missed`` to 0.
+        received: Code for a new message that is not too old, with its numbers in ``goal`` and ``speed``. It must set
+            ``missed`` to 0 and take one cycle.
+        late: Code for cycle number ``missed`` without a message; it must take one cycle.
+        end: Code to run last, even if no message has arrived for too long.
+        watchdog: Maximum time without a message, in seconds; then the program ends.
+        most_missed: Maximum number of rounds without a message; then the program sends `STARVED` and ends. It is also
+            the maximum delay of a message, in rounds, compared with the fastest one.
+        guard: Code for each round. If it sets ``held`` to True, messages from before the next pause are ignored.
     """
     if isinstance(link, ReverseSocket):
-        # Reading waits, so a thread of its own moves the arm.
+        # Reading blocks, so a separate thread moves the arm.
         kind, shared, take, follow = "thread", _SHARED, _TAKE_SHARED, _over_socket(link, firmware, watchdog)
     else:
         kind, shared, take, follow = (
@@ -194,13 +195,13 @@ def message_loop(
     return lines(text)
 
 
-#: More than the difference between a count of cycles and a date can be at first.
+#: Larger than any possible initial difference between a cycle count and a date.
 SLOWEST = 1_000_000_000
-#: Numbers of a message.
+#: Number of integers in a message.
 _MESSAGE = 14
-#: Seconds for which a read waits for one.
+#: Time, in seconds, that a read waits for a message.
 _READ = 2.0
-#: The variables by which the thread that reads the socket hands messages to the one that moves the arm.
+#: Variables for passing messages from the thread that reads the socket to the thread that moves the arm.
 _SHARED = f"""
     target = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     target_speed = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -221,11 +222,11 @@ _TAKE_SHARED = """
 
 
 def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> str:
-    """Connect, and hand over what comes until the link ends.
+    """Return code that connects and passes on messages until the link ends.
 
-    A read that has waited for `_READ` s is tried again until the watchdog's time is over. One that returns sooner
-    without a message finds the connection closed: so it is in the simulator. How soon a real controller returns then is
-    not known; if it takes as long, the program ends by its watchdog.
+    A read that has timed out after `_READ` s is repeated until the watchdog's time has passed. A read that returns
+    sooner without a message means that the connection is closed; this holds for the simulator. How soon the read
+    returns on a real controller is unknown. If it takes as long there, the watchdog ends the program.
     """
     most_silent, waited = int(watchdog / _READ) + 1, round(firmware.rate * _READ / 2)
     return f"""
@@ -275,12 +276,12 @@ def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> st
     """
 
 
-#: The number of the last message; they are counted from 1, so the one that comes with the token is new.
+#: Number of the last message. Messages are counted from 1, so the message that arrives with the token is new.
 _SEEN = "seen = 0"
 
 
 def _take_registers(link: InputRegisters) -> str:
-    """The newest message, and whether it is a new one."""
+    """Return code that reads the newest message, and determines whether it is new."""
     return f"""
         wanted = read_input_integer_register({link.mode})
         number = read_input_integer_register({link.message})
@@ -296,15 +297,15 @@ def _take_registers(link: InputRegisters) -> str:
 
 
 def over_registers(at: int, message: int, token: int, follow: str, firmware: Firmware, watchdog: float) -> str:
-    """Wait for the token, for a bounded time, and follow what the registers say.
+    """Return code that waits for the token, for a limited time, and then follows the registers.
 
-    The controller's own watchdog over the registers ends the program where this one cannot: it is given a second more,
-    in which an arm has braked.
+    The controller's own watchdog on the registers ends the program if this program cannot. It is set one second longer,
+    so that the arm comes to rest first.
 
     Args:
-        at: the register that holds the token.
-        message: the one that numbers the messages.
-        follow: the call that follows them.
+        at: Number of the register with the token.
+        message: Number of the register with the message number.
+        follow: Call that follows the registers.
     """
     proof = f"read_input_integer_register({at})"
     variable = quoted(f"input_int_register_{message}")
@@ -324,7 +325,7 @@ def over_registers(at: int, message: int, token: int, follow: str, firmware: Fir
 
 
 def keep_quickest(date: str) -> str:
-    """Keep the difference of the message that came quickest; messages without a set-point count too."""
+    """Return code that keeps the difference of the fastest message; messages without a set-point count too."""
     return f"""
         behind = cycle - {date}
         if behind < quickest:
@@ -334,10 +335,10 @@ def keep_quickest(date: str) -> str:
 
 
 def missable(watchdog: float, rate: int) -> int:
-    """Cycles without a set-point after which the streaming program brakes: `watchdog` seconds, and two at least."""
+    """Return the number of cycles without a set-point before the program brakes: `watchdog` seconds, at least two."""
     return max(math.ceil(watchdog * rate), 2)
 
 
 def introduction(token: int) -> str:
-    """The statement that sends the token: four bytes, the highest first."""
+    """Return the statement that sends the token as four bytes, the most significant byte first."""
     return f"socket_send_int({integer(token, 0, TOKENS - 1)})"

@@ -1,12 +1,14 @@
-"""The programs of an impedance: springs and dampers between the arm and an aim, computed in each cycle by the robot.
+"""Programs for impedance control: springs and dampers between the arm and an aim, computed by the robot in each cycle.
 
-Their text is in files beside this one, for who wants to read what runs on the robot: `springs.script` with
-`springs_of_joints.script` or `springs_of_tool.script`, whose torques are those of ``direct_torque``, and
-`admittance.script` for arms that have a force sensor only; in each, `aim.script` follows the targets, and `tool.script`
-finds the tool. They are put into a loop by messages (`links.message_loop`). A message holds the target and its number,
-by which a new one is known, 0 before the first; with `GAINS` in the place of what to do, the stiffness of each axis in
-thousands and its damping ratio; with `POSTURE`, joint positions and the number of their target. Lists are computed with
-as a whole: whatever has ``direct_torque`` does, and so do others from 5.10 on.
+Their text is in files next to this module, for readers who want to know what runs on the robot. `springs.script`, with
+`springs_of_joints.script` or `springs_of_tool.script`, computes torques for ``direct_torque``. `admittance.script` is
+for arms that have only a force sensor. In each, `aim.script` follows the targets, and `tool.script` computes the place
+of the tool. The text is put into a message loop (`links.message_loop`).
+
+A message contains the target and its number, which identifies a new target and is 0 before the first one. If the
+command is `GAINS`, the message contains the stiffness of each axis in thousands, and its damping ratio. If it is
+`POSTURE`, the message contains joint positions and the number of their target. The programs compute with whole lists.
+Every firmware that has ``direct_torque`` can do this, and so can other firmware since 5.10.
 """
 
 from __future__ import annotations
@@ -20,40 +22,41 @@ from ..protocol.firmware import Firmware
 from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
 from .text import indented, number, vector
 
-#: What to do, beside `STOP`, `FOLLOW` and `WAIT`: take gains, or a posture.
+#: Commands in addition to `STOP`, `FOLLOW` and `WAIT`: set the gains, or the posture.
 GAINS, POSTURE = -1, -2
-#: The part of its largest speed at which a joint begins to be braked, and that with which the aim moves at most.
+#: Fractions of the largest speed: from the first one, a joint is braked; the second one is the maximum for the aim.
 TOP, _RAMP = 0.9, 0.7
-#: s that the way to a new target takes at most, if its joints may be so fast.
+#: Maximum duration of the movement to a new target, in s, if the joints may be that fast.
 _LONGEST = 0.25
-#: 1/s: the aim follows its ramp as a critically damped second order does.
+#: Rate of the critically damped second-order filter that makes the aim follow its ramp, in 1/s.
 _ROUNDING = 40.0
-#: s in which gains have reached two thirds of the change that was sent.
+#: Time, in s, for two thirds of a change of the gains.
 _BLENDING = 0.1
-#: rad in all joints together, in one cycle: no arm is as fast, but a person may have moved one while it was paused.
+#: Movement in one cycle, in rad, summed over all joints, that no arm can reach: a person has moved it during a pause.
 _MOVED = 0.03
-#: 1/s: of its distance to the end of its range, a joint may go so much in a second; rad that are left there.
+#: Maximum speed of a joint towards the end of its range, per distance, in 1/s; distance that is always kept, in rad.
 _APPROACH, MARGIN = 5.0, 0.02
-#: 1/s with which a joint that is too fast is braked, for its inertia at the beginning. Chosen: a cycle of 2 ms takes
-#: away 15 % of what is too much, so that it does not tremble where the inertia has become a sixth.
+#: Rate of braking a joint that is too fast, in 1/s, for its initial inertia. Chosen: a cycle of 2 ms removes
+#: 15 % of the excess speed, so that the joint does not oscillate if its inertia has fallen to a sixth.
 _GRIP = 75.0
-#: s after which the inertia of the tool is looked at again, by which it is damped.
+#: Interval, in s, for computing the inertia of the tool, which determines its damping.
 _WEIGHING = 0.05
-#: 1/s of damping without any stiffness.
+#: Damping without any stiffness, in 1/s.
 LOOSE = 1.0
-#: s in which the springs are let go of.
+#: Duration of releasing the springs, in s.
 _FADING = 0.2
-#: The speed slider does not scale torques; so it scales the way to the target.
+#: The speed slider does not scale torques, so it scales the movement to the target instead.
 _SLIDER = 'get_rtde_value("target_speed_fraction")'
-#: The branch for messages that have a posture.
+#: Branch for messages that contain a posture.
 _TAKE_POSTURE = f"""
     elif wanted == {POSTURE}:
       take_posture(goal, speed[0])
 """
-#: kg and kg m², the mass of the tool of an arm that is led by the force that it measures; 1/s in which its speed dies
-#: away without any spring; m/s² and rad/s². Chosen: it rests on things of 20 kN/m, with what a cycle comes late.
+#: For an arm that moves according to its measured force: mass of the tool, in kg and kg m². Rate of decay of its speed
+#: without any spring, in 1/s. Limits in m/s² and rad/s². Chosen: the tool rests on objects of 20 kN/m, even with
+#: a delay of one cycle.
 MASS, SETTLING, _HARDEST = (10.0, 10.0, 10.0, 0.3, 0.3, 0.3), 20.0, 5.0
-#: From the axes of the base to those of the aim.
+#: Code that converts from the axes of the base to the axes of the aim.
 _TOOL_AXES = """\
   x = pose_trans(aimed, p[1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
   y = pose_trans(aimed, p[0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
@@ -62,7 +65,7 @@ _TOOL_AXES = """\
 [0.0, 0.0, 0.0, x[0], x[1], x[2]], [0.0, 0.0, 0.0, y[0], y[1], y[2]], [0.0, 0.0, 0.0, z[0], z[1], z[2]]]
   away = axes * away
   aim_rate = axes * aim_rate"""
-#: The arm was moved while its program was paused: its posture is where it is.
+#: Code for an arm that was moved while its program was paused: its current position becomes its posture.
 _STAYS = """\
   posture = get_actual_joint_positions()
   posture_told = posture
@@ -71,13 +74,13 @@ _STAYS = """\
 
 @dataclass(frozen=True)
 class ToolSprings:
-    """What springs of the tool need beside those of the joints.
+    """Parameters of springs of the tool, in addition to the parameters of `Springs`.
 
     Attributes:
-        in_tool: the axes are those of the aim, and turn with it; False for those of the base.
-        speed: (6,) m/s and rad/s, the largest along and about each axis.
-        force: (6,) N and Nm of the springs along and about each axis.
-        posture: (6,) Nm/rad with which the joints are drawn to the posture.
+        in_tool: Whether the axes belong to the aim and turn with it; otherwise they belong to the base.
+        speed: Largest speed along and about each axis, shape (6,), in m/s and rad/s.
+        force: Largest force and torque of the springs along and about each axis, shape (6,), in N and Nm.
+        posture: Stiffness of the springs that pull the joints to the posture, shape (6,), in Nm/rad.
     """
 
     in_tool: bool
@@ -88,20 +91,22 @@ class ToolSprings:
 
 @dataclass(frozen=True)
 class Springs:
-    """What is set once, when an impedance begins.
+    """Parameters that are set once, when an impedance begins.
 
     Attributes:
-        stiffness: (6,) Nm/rad of the joints; with `tool`, N/m along and Nm/rad about its axes.
-        damping: (6,) ratios, likewise: 1 is critical.
-        speed: (6,) rad/s, the largest of each joint.
-        torque: (6,) Nm of springs and dampers; with `tool`, of springs, and dampers have `braking` less this at least.
-        braking: (6,) Nm with which a joint is braked that is too fast, or too close to the end of its range; at least
-            twice the torque.
-        error: (6,) that each spring can be stretched: rad of the joints; with `tool`, m and rad.
-        lowest, highest: (6,) rad.
-        friction_compensation: the controller makes up for friction.
-        watchdog: s without a message after which it ends.
-        tool: for springs of the tool; None for those of the joints.
+        stiffness: Stiffness, shape (6,), of the joints in Nm/rad; with `tool`, along its axes in N/m and about them in
+            Nm/rad.
+        damping: Damping ratios, shape (6,), of the same axes; 1 is critical.
+        speed: Largest speed of each joint, shape (6,), in rad/s.
+        torque: Largest torque of springs and dampers, shape (6,), in Nm; with `tool`, of the springs only. The dampers
+            then have at least `braking` minus this.
+        braking: Torque that brakes a joint that is too fast or too close to the end of its range, shape (6,), in Nm. It
+            is at least twice the torque.
+        error: Largest extension of each spring, shape (6,), in rad of the joints; with `tool`, in m and rad.
+        lowest, highest: Range of the joints, shape (6,), in rad.
+        friction_compensation: Whether the controller compensates for friction.
+        watchdog: Maximum time without a message, in s; then the program ends.
+        tool: Parameters for springs of the tool; None for springs of the joints.
     """
 
     stiffness: Sequence[float]
@@ -118,7 +123,7 @@ class Springs:
 
 
 def impedance(firmware: Firmware, link: ReverseSocket | InputRegisters, springs: Springs) -> list[str]:
-    """Draw the arm to the aim that the messages lead; at the end the springs are let go of, and the arm stands."""
+    """Pull the arm to the aim given by messages; at the end, the springs are released and the arm stays in place."""
     cycle, tool = 1.0 / firmware.rate, springs.tool
     if tool is None:
         law = _text("springs_of_joints", error=vector(springs.error), loose=number(LOOSE))
@@ -152,11 +157,11 @@ def admittance(
     tool: ToolSprings,
     watchdog: float,
 ) -> list[str]:
-    """Move the tool as a mass on such springs would move, by the force that the wrist measures.
+    """Move the tool as a mass on such springs would move, according to the force that the wrist measures.
 
     Args:
-        stiffness, damping, error, watchdog: as of `Springs`.
-        tool: without its posture.
+        stiffness, damping, error, watchdog: See `Springs`.
+        tool: Parameters of the tool; its posture is not used.
     """
     cycle = 1.0 / firmware.rate
     law = _place(tool, "")
@@ -187,10 +192,10 @@ def _led(
     brake: str,
     watchdog: float,
 ) -> list[str]:
-    """A program that does `call` in each cycle, while messages lead its aim; then its springs fade, and it brakes.
+    """Return a program that executes `call` in each cycle, while messages move its aim; then it releases and brakes.
 
     Args:
-        received: the branch for messages of another kind.
+        received: Branch for messages of another kind.
     """
     take = f"""
         if wanted == {GAINS}:
@@ -224,11 +229,11 @@ def _aim(
     pace: str,
     law: str,
 ) -> str:
-    """The part that follows the targets, with the law between arm and aim.
+    """Return the part that follows the targets, with the law between arm and aim.
 
     Args:
-        speed: (6,) the largest of the aim.
-        pace: cycles by which it goes on in one cycle: less, where the speed slider slows it down.
+        speed: Largest speed of the aim, shape (6,).
+        pace: Number of cycles that the aim advances in one cycle; less than 1 if the speed slider slows it down.
     """
     cycle = 1.0 / firmware.rate
     return _text(
@@ -268,16 +273,16 @@ def _of_tool(springs: Springs, tool: ToolSprings, cycle: float) -> str:
 
 
 def _place(tool: ToolSprings, here: str) -> str:
-    """The place of the tool.
+    """Return the code that computes the place of the tool.
 
     Args:
-        here: what else is where the arm is when it stays there.
+        here: Code for other values that are reset when the arm stays where it is.
     """
     frame, axes = ("axes = [away, away, away, away, away, away]", _TOOL_AXES) if tool.in_tool else ("", "")
     return _text("tool", here=here, frame=frame, axes=axes)
 
 
 def _text(name: str, **values: str) -> str:
-    """The text of a template, with its values."""
+    """Return the text of a template with its values inserted."""
     template = Path(__file__).with_name(f"{name}.script").read_text(encoding="utf-8")
     return "\n".join(line.rstrip() for line in Template(template).substitute(values).splitlines())

@@ -1,6 +1,6 @@
-"""Programs that obey a stream of messages: set-points, one for each cycle of the controller, or speeds to jog at.
+"""Programs that follow a stream of messages: set-points, one for each cycle of the controller, or jogging speeds.
 
-The messages of both are the same, with speeds in the place of positions; where none comes, the arm brakes.
+The messages are the same, but jogging sends speeds in place of positions. If no message arrives, the arm brakes.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ from .commands import takes_duration
 from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
 from .text import each, indented, lines, number
 
-#: Seconds for which the streaming program goes on by itself, whatever its watchdog lets it. Chosen: the default
-#: watchdog. Longer, an arm would be led a good way past the end of a movement by a computer that is too busy.
+#: Maximum time, in seconds, that the streaming program continues without a set-point, even if its watchdog is longer.
+#: Chosen: the default watchdog. With a longer time, a computer that is too busy would drive the arm far past the end of
+#: a movement.
 COASTING = 0.1
-#: rad/s² with which a set-point is approached at most on CB2. Chosen: twice what the arms of that generation report as
-#: the limit of their wrists, so that what is sent in time is left as it is; a third of what the simulated one stops at.
+#: Maximum acceleration, in rad/s², to a set-point on CB2. Chosen: twice the limit that arms of that generation
+#: report for their wrists, so that set-points in time are not changed. The simulated arm stops at three times as
+#: much.
 _HARDEST = 50.0
-#: rad/s, all joints together, below which an arm is at rest; and rad by which it has to be elsewhere then.
+#: For all joints together: speed of an arm at rest, in rad/s, and distance that counts as another place, in rad.
 _RESTING, _ELSEWHERE = 1e-4, 5e-4
-#: What comes before the first `found_elsewhere`.
+#: Code that must precede the first `found_elsewhere`.
 LAST_PLACE = "last_here = get_target_joint_positions()\nlast_way = 0.0"
 
 
@@ -36,23 +38,25 @@ def streaming(
     lookahead_time: float = 0.1,
     gain: float = 300.0,
 ) -> list[str]:
-    """Follow set-points, one per cycle, and brake where they stay away.
+    """Follow set-points, one per cycle, and brake if none arrives.
 
-    While one is late the arm goes on at the speed that came with the last, ever slower, and rests after `coasting`
-    seconds, or when the watchdog's time is up, if that is sooner. The speed is sent, and not derived from the last two
-    positions: where set-points come only every tenth cycle, a difference between positions holds mostly what the
-    program itself went on by, and so it would go on in a direction that is not wanted any more. No set-point is
-    followed faster than the joints can move: where it is further away, it is approached at their largest speed. So
-    whatever goes wrong on the way, the arm does not leap. Where the arm is found at rest in another place than in the
-    round before, the program was paused: it stays there until a set-point comes from after the pause, so that those
-    from before do not lead the arm back. On CB2, where ``servoj`` does not smooth, the change of speed is bounded too.
+    If a set-point is late, the arm continues at the speed of the last one and slows down steadily. It comes to rest
+    after `coasting` seconds, or after the watchdog's time if that is shorter. The speed is part of the message rather
+    than the difference of the last two positions. If set-points arrive only every tenth cycle, such a difference mostly
+    contains the program's own extrapolation, and the arm would continue in an outdated direction.
+
+    No set-point is followed faster than the joints can move: a distant set-point is approached at their largest speed.
+    Therefore the arm does not jump, whatever goes wrong during transmission. If the arm is found at rest in another
+    place than in the previous round, the program was paused. The arm stays there until a set-point arrives that was
+    sent after the pause, so that older set-points do not drive it back. On CB2, where ``servoj`` does not smooth, the
+    change of speed is limited too.
 
     Args:
-        link: how the set-points come.
-        speeds: (6,) rad/s at most of each joint.
-        watchdog: seconds without a set-point after which it brakes.
-        coasting: seconds without one after which the arm has come to rest.
-        lookahead_time, gain: of ``servoj``, where the firmware has them.
+        link: Link that carries the set-points.
+        speeds: Largest speed of each joint, shape (6,), in rad/s.
+        watchdog: Maximum time without a set-point, in seconds; then the program brakes.
+        coasting: Time without a set-point, in seconds, until the arm is at rest.
+        lookahead_time, gain: Parameters of ``servoj``, if the firmware has them.
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
     most_missed = missable(watchdog, firmware.rate)
@@ -63,7 +67,7 @@ def streaming(
         easing = _eased(firmware)
         move = f"moved = [{each('eased(aim[{i}], q[{i}], pace[{i}], moved[{i}], {way})', ways)}]"
         move += f"\nq = [{each('q[{i}] + moved[{i}]')}]"
-        # The first, too, may be one of several that come at once.
+        # The first set-point may also be one of several that arrive at once.
         begin = f"if not begun:\n  q = get_actual_joint_positions()\nend\npace = step\n{move}"
         coast = f"pace = [{each('step[{i}] * share')}]\n{move}"
     else:
@@ -126,11 +130,12 @@ def streaming(
 
 
 def _eased(firmware: Firmware) -> str:
-    """How far a joint goes in a cycle where the controller does not smooth: before 3.0 ``servoj`` has no look-ahead.
+    """Return code that limits the movement of a joint in a cycle, because ``servoj`` has no look-ahead before 3.0.
 
-    As far as the set-point, if the speed changes by no more than `_HARDEST` allows. Else as fast towards it as can be
-    braked until there, beside the speed with which the set-point itself goes on. Several set-points that come at once,
-    after this computer and the controller were both held up, are otherwise one leap.
+    The joint moves to the set-point if the speed changes by no more than `_HARDEST` permits. Otherwise it moves as fast
+    as it can while still being able to brake at the set-point, in addition to the speed of the set-point itself.
+    Without this, several set-points that arrive at once would be one jump. This happens if this computer and the
+    controller were both delayed.
     """
     hard = _HARDEST / firmware.rate**2
     braking = f"sqrt({number(0.25 * hard * hard)} + {number(2.0 * hard)} * left) - {number(0.5 * hard)}"
@@ -155,9 +160,10 @@ def _eased(firmware: Firmware) -> str:
 
 
 def found_elsewhere(firmware: Firmware) -> str:
-    """Sets ``elsewhere``: whether the arm, ``here``, is at rest in another place than in the round before, further away
-    than its speed was then. Nothing but a pause, in which the controller has braked it and a person may have moved it,
-    explains that.
+    """Return code that sets ``elsewhere``: whether the arm, ``here``, is at rest at a new place.
+
+    The place is new if the arm was somewhere else in the previous round, further away than its speed then explains.
+    Only a pause explains this: the controller has braked the arm, and a person may have moved it.
     """
     way = _length("(here[{i}] - last_here[{i}])")
     return f"""
@@ -176,9 +182,9 @@ def _length(each_joint: str) -> str:
 
 
 def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
-    """One cycle of ``servoj`` to `q`.
+    """Return one cycle of ``servoj`` to `q`.
 
-    Before 3.0 it has neither lookahead nor gain (docs/protocols/urscript.md, Differences).
+    Before 3.0, ``servoj`` has neither lookahead nor gain (docs/protocols/urscript.md, Differences).
     """
     smoothing = (
         ""
@@ -194,16 +200,17 @@ def servo_cycle(firmware: Firmware, lookahead_time: float, gain: float) -> str:
 def jogging(
     firmware: Firmware, link: ReverseSocket | InputRegisters, *, is_tool: bool, acceleration: float, watchdog: float
 ) -> list[str]:
-    """Move at the speeds of the newest message, and brake where none has come for a while.
+    """Move at the speeds of the newest message, and brake if none has arrived for some time.
 
-    ``speedj`` and ``speedl`` are called anew in each cycle, with the time of one cycle, as public drivers do. So the
-    arm goes over from one speed to the next with `acceleration`.
+    ``speedj`` and ``speedl`` are called again in each cycle, with the time of one cycle, as public drivers do. The arm
+    therefore changes from one speed to the next with `acceleration`.
 
     Args:
-        link: how the messages come.
-        is_tool: they are speeds of the tool in the base frame, m/s and rad/s, rather than of the joints, rad/s.
-        acceleration: m/s² or rad/s².
-        watchdog: seconds without a message after which it brakes.
+        link: Link that carries the messages.
+        is_tool: Whether the speeds are of the tool in the base frame, in m/s and rad/s; otherwise of the joints, in
+            rad/s.
+        acceleration: Acceleration in m/s² or rad/s².
+        watchdog: Maximum time without a message, in seconds; then the program brakes.
     """
     function, brake = ("speedl", "stopl") if is_tool else ("speedj", "stopj")
     hardness = number(acceleration, "acceleration")
@@ -211,7 +218,7 @@ def jogging(
     if takes_duration(firmware):
         go_on = f"{function}(speeds, {hardness}, {number(1.0 / firmware.rate)})"
     else:
-        # The call takes a cycle or none, so that two cycles are the longest that a round can take at a steady speed.
+        # The call takes one cycle or none, so at a steady speed a round takes at most two cycles.
         go_on = f"{function}(speeds, {hardness})\nsync()"
         most_missed = max(most_missed // 2, 2)
     start = "speeds = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\nmissed = 0"

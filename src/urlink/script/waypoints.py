@@ -1,9 +1,9 @@
 """The program that receives a trajectory point by point and interpolates on its own; firmware 3.x and later.
 
-It asks for a point by its number, a line of text, and is answered with a list of floats in brackets. The line `BEAT`
-asks whether to go on, which ``(1)`` answers, and `ARRIVED` says that the last point is reached. After a pause the
-arm is not where it was; it stays there, and `HELD` asks how many seconds of the path are behind it by that: ``(1.1)``
-for 0.1. See `urlink.script.links` for what it has in common with other programs.
+It requests a point by sending its number as a line of text. The answer is a list of floats in brackets. The line `BEAT`
+asks whether to continue, and the answer is ``(1)``. The line `ARRIVED` reports that the last point is reached. If the
+arm was moved during a pause, it stays where it is. `HELD` then asks how many seconds of the path have passed at that
+place; for example, ``(1.1)`` means 0.1. See `urlink.script.links` for what it has in common with other programs.
 """
 
 from __future__ import annotations
@@ -17,24 +17,28 @@ from .text import each, indented, integer, lines, number, quoted
 
 #: Lines of the program that are not the number of a point.
 BEAT, ARRIVED, HELD = -1, -2, -3
-#: The number of the answer after the last waypoint.
+#: Number in the answer after the last waypoint.
 NO_MORE = -1
 
-#: Seconds for which the last waypoint is held, so that the arm catches up.
+#: Time, in seconds, that the last waypoint is held, so that the arm catches up.
 _SETTLING = 0.2
-#: Seconds in which a difference to the path is faded out after a pause.
+#: Time, in seconds, for fading out a difference from the path after a pause.
 FADING = 0.4
-#: rad/s; at a waypoint that is faster there is no waiting for the next one: it brakes at once. Seconds for which it
-#: waits where the last one was slow.
+#: Speed of a waypoint, in rad/s, above which the program does not wait for the next one, but brakes immediately. Time,
+#: in seconds, that it waits if the last waypoint was slow.
 _SLOW, _PATIENCE = 0.05, 2.0
-#: rad that the first waypoint may be away from the joints.
+#: Largest allowed distance, in rad, between the first waypoint and the joints.
 _NEAR = 0.01
-#: Seconds between two questions whether this computer is there, while it needs no waypoint.
+#: Interval, in seconds, for checking that this computer is present while no waypoint is needed.
 _HEARTBEAT = 0.25
 
 
 def numbers_of_point(is_quintic: bool) -> int:
-    """Numbers in an answer: its own, positions, velocities, accelerations if it is quintic, seconds since the last."""
+    """Return the count of numbers in an answer.
+
+    An answer contains its own number, positions, velocities, accelerations if it is quintic, and the seconds since the
+    last waypoint.
+    """
     return 20 if is_quintic else 14
 
 
@@ -48,15 +52,15 @@ def interpolating(
     lookahead_time: float = 0.1,
     gain: float = 300.0,
 ) -> list[str]:
-    """Ask for waypoints one after the other and interpolate between them; for 3.x and later.
+    """Request waypoints one after the other and interpolate between them; for 3.x and later.
 
-    One waypoint is under way to the robot while it moves to the one before.
+    One waypoint is in transit to the robot while it moves to the previous waypoint.
 
     Args:
-        host: address at which the robot reaches this computer.
-        token: by which it shows that it is the program that is waited for.
-        is_quintic: waypoints have accelerations.
-        lookahead_time, gain: of ``servoj``.
+        host: Address of this computer for the robot.
+        token: Number that proves that the connecting program is the expected one.
+        is_quintic: Whether waypoints have accelerations.
+        lookahead_time, gain: Parameters of ``servoj``.
     """
     servo = servo_cycle(firmware, lookahead_time, gain)
     go = f"""
@@ -271,7 +275,7 @@ def interpolating(
     return lines(text)
 
 
-#: One joint of the polynomial between two waypoints, in u from 0 to 1.
+#: Polynomial of one joint between two waypoints, in u from 0 to 1.
 _CUBIC = """
     v0 = before[8 + i] * h
     v1 = next[8 + i] * h

@@ -1,25 +1,26 @@
-"""A user's source, checked and wrapped so that its end can be distinguished from a stop.
+"""Checks a user's source and wraps it so that its end can be distinguished from a stop.
 
-A program says by itself when it begins and when it comes to its end: its first and last statement are a `textmsg`.
-What the user wrote stands between as a function that is called, so that its own `return` is an end too, while
-`halt` and a stop from elsewhere are none. That a function may be declared within a program, and threads and functions
-within that, is how public drivers' programs look; how deep the nesting may go is not known.
+A program itself reports that it begins and that it has reached its end: its first and last statements are a `textmsg`.
+The user's source is between them, as a function that is called. Its own `return` is therefore also an end, while `halt`
+and a stop by another client are not. Programs of public drivers show that a function can be defined within a program,
+and threads and functions within that function. How deep the nesting may be is unknown.
 
-A text may be read by the controller long after it was sent: the network was away, or the controller itself was held up.
-By then nobody may want it any more. So a program that may move the arm asks before it does (`Permission`). It clears
-the `StartPlace`, reports that it begins, and waits, cycle by cycle and for a bounded time, until its own token stands
-there. Whoever sent it answers with a `sec` that writes this token, but only if it is still wanted. Without an answer
-the program ends, and the arm has not moved. Each program has a token of its own, since several clients may send
-programs to one controller: the permission of one must not start the program of another, whose client may be gone.
+The controller may read a text long after it was sent, because the network or the controller itself was delayed. By then
+the program may no longer be wanted. Therefore a program that might move the arm first asks for permission
+(`Permission`). It clears the `StartPlace`, reports that it begins, and waits, cycle by cycle and for a limited time,
+until its own token is written there. The sender answers with a `sec` that writes this token, but only if the program is
+still wanted. Without an answer, the program ends, and the arm has not moved. Each program has a unique token, because
+several clients may send programs to one controller. The permission for one program must not start the program of
+another client, which may no longer exist.
 
-The place is an output register for integers (a token of 31 bits) where programs have those of the upper range, which no
-fieldbus uses: from 3.9 and 5.3 on (docs/protocols/rtde.md, Releases). That one program reads what another has written
-there is documented: output registers are in the memory of the system, and programs can read them. Older firmwares have
-flags, one bit each, which public drivers set by a `sec` (docs/protocols/urscript.md, Flags). A `sec` is executed within
-one cycle of the controller, so no program sees a part of a token (script manual, "Secondary Programs"). What is not
-known is how long a real controller takes from the `textmsg` to the `sec`.
+The place is an integer output register (a token of 31 bits) if programs have the upper range of registers, which no
+fieldbus uses: since 3.9 and 5.3 (docs/protocols/rtde.md, Releases). It is documented that one program can read there
+what another program has written: output registers are in the memory of the system, and programs can read them. Older
+firmware has flags of one bit each, which public drivers set with a `sec` (docs/protocols/urscript.md, Flags). A `sec`
+is executed within one cycle of the controller, so no program sees a part of a token (script manual, "Secondary
+Programs"). How long a real controller takes from the `textmsg` to the `sec` is unknown.
 
-The check counts what opens a block and what ends one. The controller judges the rest.
+The check only counts words that open and end a block. The controller checks the rest.
 """
 
 from __future__ import annotations
@@ -36,48 +37,48 @@ from .text import identifier, quoted
 
 #: The first firmwares with the upper range of registers, 24 to 47 (RTDE guide of the vendor).
 HAS_REGISTERS = Since("3.9/5.3")
-#: Bytes. What the controller takes at most is not known; the largest public driver program has some 60 kB.
+#: Maximum size in bytes. The controller's own limit is unknown; the largest public driver program has about 60 kB.
 LARGEST = 1 << 20
 
 _INDENT = "  "
 # A string, a comment, or a word that opens or ends a block.
 _TOKEN = re.compile(r"\"[^\"]*\"|#.*|\b(?:def|sec|thread|while|if|for|end)\b")
 _HEAD = re.compile(r"\s*(def|sec)\s+([A-Za-z_][A-Za-z0-9_]*)\s*\(\s*([^)]*)\)\s*:")
-# A statement that wants more, and would take the marker that follows for it.
+# A statement that is incomplete, and would take the following marker as its continuation.
 _UNFINISHED = re.compile(r"(?:[-+*/%=<>,(\[]|\b(?:and|or|not|xor))$")
 _NUMBER_IN_TEXT = re.compile(r"^(syntax_error_on_line:)(\d+)")
 
 
 class StartPlace(NamedTuple):
-    """Where on the controller the token of the program that may go on is written.
+    """Place on the controller where the token of a permitted program is written.
 
     Attributes:
-        register: number of the output register for integers; None for none.
-        flags: numbers of flags; the first is the lowest bit of the token.
+        register: Number of the integer output register; None for none.
+        flags: Numbers of flags; the first one is the lowest bit of the token.
     """
 
     register: int | None
     flags: tuple[int, ...]
 
     def on(self, firmware: Firmware) -> StartPlace:
-        """What of it is used on a firmware: the register, the flags, or nothing."""
+        """Return the part that is used on a firmware: the register, the flags, or nothing."""
         if self.register is not None and firmware in HAS_REGISTERS:
             return StartPlace(self.register, ())
         return StartPlace(None, self.flags)
 
     @property
     def tokens(self) -> int:
-        """How many tokens there are, counted from 1; 0 is what stands in a place that was cleared."""
+        """Number of tokens, which are counted from 1; a cleared place contains 0."""
         return (1 << 31) - 1 if self.register is not None else (1 << len(self.flags)) - 1
 
     def writing(self, token: int) -> list[str]:
-        """The statements that write a token."""
+        """Return the statements that write a token."""
         if self.register is not None:
             return [f"write_output_integer_register({self.register}, {token})"]
         return [f"set_flag({flag}, {bool(token >> bit & 1)})" for bit, flag in enumerate(self.flags)]
 
     def holds(self, token: int) -> str:
-        """The condition that this token stands there."""
+        """Return the condition that this token is written in the place."""
         if self.register is not None:
             return f"read_output_integer_register({self.register}) == {token}"
         parts = [f"get_flag({flag})" for flag in self.flags]
@@ -85,12 +86,12 @@ class StartPlace(NamedTuple):
 
 
 class Permission(NamedTuple):
-    """The permission that a program waits for before it moves the arm.
+    """Permission that a program waits for before it moves the arm.
 
     Attributes:
-        place: where its token has to stand.
-        token: of this program, 1 to `StartPlace.tokens`.
-        cycles: of the controller, for which it waits.
+        place: Place where its token must be written.
+        token: Token of this program, 1 to `StartPlace.tokens`.
+        cycles: Time that it waits, in cycles of the controller.
     """
 
     place: StartPlace
@@ -102,14 +103,14 @@ class Wrapped(NamedTuple):
     """A program as it is sent.
 
     Attributes:
-        name: as the controller will call it.
-        text: whole lines.
-        is_secondary: a `sec`, which runs beside the program.
-        first: what to take from the number of the first line to have the user's.
-        above: the same for all others.
-        indent: columns by which the user's lines are moved to the right.
-        lines: how many lines the user wrote.
-        permission: what it waits for before it moves the arm; None if it begins at once.
+        name: Name that the controller reports.
+        text: Whole lines of URScript.
+        is_secondary: Whether it is a `sec`, which runs in addition to the main program.
+        first: Number to subtract from the number of the first line to get the user's line number.
+        above: The same for all other lines.
+        indent: Indentation of the user's lines, in columns.
+        lines: Number of lines that the user wrote.
+        permission: Permission that it waits for before it moves the arm; None if it begins at once.
     """
 
     name: str
@@ -122,15 +123,15 @@ class Wrapped(NamedTuple):
     permission: Permission | None
 
     def place(self, line: int, column: int) -> tuple[int, int]:
-        """Line and column in what the user wrote, of those in the text that was sent."""
+        """Convert a line and column of the sent text to those of the user's source."""
         own = line - (self.first if line == 1 else self.above)
         return min(max(own, 1), self.lines), max(column - self.indent, 1)
 
     def words(self, text: str) -> str:
-        """The controller's words with the line in them, where there is one, as `place`.
+        """Return the controller's error text, with a line number in it converted as by `place`.
 
-        A program that ends in the middle of a statement is found wrong in the line after it, which is not the user's:
-        that line is not quoted.
+        The controller finds a program that ends in the middle of a statement wrong in the line after it. That line does
+        not belong to the user, so it is not quoted.
         """
         found = _NUMBER_IN_TEXT.match(text)
         if found is None:
@@ -144,7 +145,7 @@ class Wrapped(NamedTuple):
 
 
 class _Item(NamedTuple):
-    """A statement at the top of the source: its first and last line, counted from 0."""
+    """A statement at the top level of the source, with its first and last line, counted from 0."""
 
     word: str
     first: int
@@ -152,61 +153,61 @@ class _Item(NamedTuple):
 
 
 def start_marker(name: str) -> str:
-    """The first `textmsg` of a program."""
+    """Return the first `textmsg` of a program."""
     return f"{name} started"
 
 
 def finish_marker(name: str) -> str:
-    """The last `textmsg` of a program."""
+    """Return the last `textmsg` of a program."""
     return f"{name} finished"
 
 
 def expiry_marker(name: str) -> str:
-    """The `textmsg` of a program that ends because it was not permitted."""
+    """Return the `textmsg` of a program that ends because it was not permitted."""
     return f"{name} was not permitted to go on"
 
 
 def grant(permission: Permission) -> str:
-    """The secondary program that permits the program which waits for this; it takes no time."""
+    """Return the secondary program that permits the program waiting for this permission; it takes no time."""
     statements = [_INDENT + statement for statement in permission.place.writing(permission.token)]
     return "\n".join(["sec urlink_permission():", *statements, "end"]) + "\n"
 
 
 def _read(source: str) -> list[str]:
-    """The lines of a source.
+    """Return the lines of a source.
 
     Raises:
-        BadValue: it is not a text that could be a program.
+        BadValue: If it is not a text that could be a program.
     """
     if not isinstance(source, str):
-        raise BadValue(f"a program is text; got {type(source).__name__}")
+        raise BadValue(f"the program is of type {type(source).__name__}; expected a string")
     try:
         size = len(source.encode())
     except UnicodeEncodeError as error:
-        raise BadValue(f"the program holds {source[error.start]!r}, which is no character") from None
+        raise BadValue(f"the program contains {source[error.start]!r}, which is not a valid character") from None
     if size > LARGEST:
-        raise BadValue(f"the program has {size} bytes; {LARGEST} are the most")
+        raise BadValue(f"the program has {size} bytes; the maximum is {LARGEST}")
     lines = source.replace("\r\n", "\n").rstrip("\n").split("\n")
     for number, line in enumerate(lines, 1):
         for character in line:
             if character != "\t" and (character < " " or character == "\x7f"):
-                raise BadValue(f"line {number} of the program holds the control character {character!r}")
+                raise BadValue(f"line {number} of the program contains the control character {character!r}")
     return lines
 
 
 def wrap(source: str, token: str, permission: Permission | None = None) -> Wrapped:
-    """A user's source as it is sent.
+    """Wrap a user's source as it is sent.
 
-    Statements at the top run in order. Where the last thing at the top is a function (`def`), it is the program and is
-    called at the end, as the controller itself would end up running the last of several; a `sec` stays one.
+    Statements at the top level run in order. If the last top-level item is a function (`def`), it is the program and is
+    called at the end. A controller would also run the last of several functions. A `sec` remains a `sec`.
 
     Args:
-        token: makes the name unique.
-        permission: what it waits for; None to begin at once. A `sec`, which may not take time, never waits.
+        token: Text that makes the name unique.
+        permission: Permission that it waits for; None to begin at once. A `sec`, which must not take time, never waits.
 
     Raises:
-        BadValue: nothing to run, a block without its `end` or an `end` without its block, a last statement that is
-            not whole, a program that wants arguments, several functions of which only the last would run, or a `sec`
+        BadValue: If there is nothing to run, a block without its `end`, an `end` without its block, an incomplete last
+            statement, a program that needs arguments, several functions of which only the last would run, or a `sec`
             that is not alone.
     """
     lines = _read(source)
@@ -224,7 +225,7 @@ def wrap(source: str, token: str, permission: Permission | None = None) -> Wrapp
 
 
 def program(name: str, body: Sequence[str], permission: Permission | None = None) -> Wrapped:
-    """The lines of a program of the library's own as they are sent."""
+    """Return the lines of a program of this library as they are sent."""
     return _program(identifier(name), list(body), "", permission)
 
 
@@ -254,7 +255,7 @@ def _program(name: str, lines: list[str], last: str, permission: Permission | No
 
 
 def _asking(name: str, begin: list[str], permission: Permission) -> list[str]:
-    """`begin`, and then the wait for the answer; it is begun anew if another program's token is found."""
+    """Return `begin`, followed by the wait for the answer, which restarts if another program's token is found."""
     place = permission.place
     begin = [*place.writing(0), *begin]
     is_permitted = place.holds(permission.token)
@@ -276,12 +277,12 @@ def _asking(name: str, begin: list[str], permission: Permission) -> list[str]:
 
 
 def _secondary(lines: list[str], item: _Item, token: str) -> Wrapped:
-    # A function within a `sec` is something that no public program has, so its own statements stay where they are.
+    # No public program has a function within a `sec`, so the statements of a `sec` stay where they are.
     head = _HEAD.match(lines[item.first])
     called = _called(lines[item.first], item.first)
     end = lines[item.last].rpartition("end")[0]
     if head is None or end.strip() or item.first == item.last or lines[item.first][head.end() :].strip():
-        raise BadValue("the head of a sec and its `end` have lines of their own")
+        raise BadValue("a sec must have its head and its `end` on separate lines")
     name = f"{called}_{token}"
     text = [
         f"sec {name}():",
@@ -308,25 +309,25 @@ def _kind(items: list[_Item]) -> Literal["def", "sec", "body"]:
         raise BadValue("the program is empty")
     if "sec" in words:
         if len(words) > 1:
-            raise BadValue("a sec has to be sent alone: it runs beside the program, not within it")
+            raise BadValue("a sec must be sent alone, because it runs in addition to the program, not within it")
         return "sec"
     spoken = [word for word in words if word != "thread"]
     return "def" if spoken[-1:] == ["def"] else "body"
 
 
 def _called(line: str, number: int) -> str:
-    """The name of the function that is to be called without arguments."""
+    """Return the name of the function that is called without arguments."""
     head = _HEAD.match(line)
     if head is None:
         raise BadValue(f"line {number + 1} of the program: expected something like 'def name():'; got {line.strip()!r}")
     arguments = [each for each in head[3].split(",") if each.strip()]
     if not all("=" in each for each in arguments):
-        raise BadValue(f"line {number + 1} of the program: {head[2]} takes arguments, so it cannot be run by itself")
+        raise BadValue(f"line {number + 1} of the program: {head[2]} takes arguments; a program must not need any")
     return head[2]
 
 
 def _check_used(lines: list[str], others: Sequence[_Item], called: str) -> None:
-    """Check that the functions above the one that is called are not all programs of their own.
+    """Check that the functions above the called one are not all separate programs.
 
     A function that is not used is legal, as in a collection of helpers. But if none of them is used, the source is
     several programs, of which only the last would run.
@@ -346,13 +347,13 @@ def _check_used(lines: list[str], others: Sequence[_Item], called: str) -> None:
         names.append(head[2])
     if names:
         raise BadValue(
-            f"the program has several functions and nothing calls {', '.join(names)}, so only the last one, {called}, "
-            f"would run; call them in {called}, or send each in a run() of its own"
+            f"the program has several functions, but nothing calls {', '.join(names)}, so only the last one, {called}, "
+            f"would run; call them in {called}, or send each with a separate run()"
         )
 
 
 def _items(lines: list[str]) -> list[_Item]:
-    """The statements and functions at the top."""
+    """Return the statements and functions at the top level."""
     items: list[_Item] = []
     opened: list[tuple[str, int]] = []
     end = (0, "")
@@ -367,7 +368,7 @@ def _items(lines: list[str]) -> list[_Item]:
             if word != "end":
                 opened.append((word, number))
             elif not opened:
-                raise BadValue(f"line {number + 1} of the program: an `end` that ends nothing")
+                raise BadValue(f"line {number + 1} of the program: an `end` without a block")
             else:
                 opened.pop()
                 if not opened:
@@ -376,12 +377,12 @@ def _items(lines: list[str]) -> list[_Item]:
         word, number = opened[-1]
         raise BadValue(f"line {number + 1} of the program: `{word}` has no `end`")
     if _UNFINISHED.search(end[1]):
-        raise BadValue(f"line {end[0] + 1} of the program: it ends in the middle of a statement, {end[1]!r}")
+        raise BadValue(f"line {end[0] + 1} of the program: the program ends in the middle of a statement, {end[1]!r}")
     return items
 
 
 def _tokens(line: str, number: int) -> Iterator[str]:
-    """The words in a line that open or end a block; strings and comments are passed over."""
+    """Yield the words in a line that open or end a block; strings and comments are skipped."""
     bare = _TOKEN.sub(lambda found: "" if found[0][0] in '"#' else found[0], line)
     if '"' in bare:
         raise BadValue(f"line {number + 1} of the program: a string that is not closed")

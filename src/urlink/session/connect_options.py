@@ -18,7 +18,7 @@ from .address import Address, RecordingAddress, parse_address
 #: How settings are sent: "auto" uses RTDE inputs if they are free, otherwise URScript; "script" uses only URScript.
 CommandsVia = Literal["auto", "script"]
 
-#: When `enable()` must be called: never; once; at first and after every stop.
+#: When `enable()` must be called: never, once at startup, or at startup and after every stop.
 Policy = Literal["never", "on_startup", "always"]
 
 #: Default age in seconds above which the last state is too old to permit a motion: ten states of the primary interface.

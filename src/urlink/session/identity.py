@@ -39,7 +39,7 @@ class Identity:
     """Identity of a controller.
 
     Attributes:
-        firmware: Firmware version. If the controller did not report it, the oldest one that sends such states.
+        firmware: Firmware version. If the controller did not report it, the oldest firmware that sends such states.
         said_so: Whether the controller reported the firmware.
         model: Name of the arm, such as "UR5e"; None if no configuration was received.
         dh_table: Calibrated Denavit-Hartenberg parameters; None if they were not received.
@@ -174,7 +174,7 @@ def identify(host: str, port: int, timeout: float) -> Identity:
 
 
 class Introduction:
-    """Decoder of the first packets of a connection, from which the identity is read. Sans-IO.
+    """Decoder of the first packets of a connection, which contain the identity. Sans-IO.
 
     Args:
         name: Name of the peer, used in messages.

@@ -1,7 +1,7 @@
 """Conversion between a controller's clock and this computer's clock, for other sensors and for simultaneous actions.
 
 The measurement is in `linkcore.streaming.peer_clock`. No packet shows the delay between the time in a state and the
-moment at which the controller sends the state. This delay is assumed to be one cycle (`state_latency`).
+moment when the controller sends the state. This delay is assumed to be one cycle (`state_latency`).
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Source(NamedTuple):
         transport: Function that makes the transport of an interface.
         backoff: Waiting times between attempts to reconnect; None for the default.
         timeout: Maximum time to make a connection, in seconds.
-        silence: Time without a packet after which a connection counts as lost, in seconds; None for no limit.
+        silence: Maximum time without a packet, in seconds; then the connection counts as lost. None for no limit.
         is_lossless: Whether the source waits for consumers that set no policy.
         channel: Function that returns the description of a recorded interface; None if this is not a recording.
         connection: Class or function that makes a `Connection`, with the same arguments.

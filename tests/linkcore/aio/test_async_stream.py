@@ -271,7 +271,7 @@ async def test_who_gives_up_waiting_loses_no_packet_and_leaves_nothing() -> None
         writer.write(counts(20, 21, 22, 23))
         assert (await found).number == 22
         asyncio.get_running_loop().call_later(0.02, lambda: writer.write(counts(24)))
-        with pytest.raises(LinkTimeout, match="the condition held for none of 1 Count"):
+        with pytest.raises(LinkTimeout, match="the condition was true for none of 1 Count"):
             await stream.wait_until(lambda packet: packet.number == 99, 0.3)
         assert stream.latest == Count(number=24)
         # A loop that was left takes its queue with it.
@@ -318,12 +318,12 @@ async def test_closing_ends_loops_and_does_not_wait_for_a_connection() -> None:
 async def test_other_threads_wait_send_and_abort_and_the_loop_is_refused() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         threaded, connection = stream.stream, stream.stream._connection
-        with pytest.raises(LocalError, match=r"thread of the event loop.*await it"):
+        with pytest.raises(LocalError, match=r"thread of the event loop.*await the call instead"):
             threaded.start()
         waiting = asyncio.create_task(asyncio.to_thread(threaded.wait, SOON))
         writer = await peer.accepted()
         await come(lambda: connection.fan_out._routes)
-        with pytest.raises(LocalError, match="await it"):
+        with pytest.raises(LocalError, match="await the call instead"):
             threaded.wait()
         writer.write(counts(5))
         assert (await waiting).number == 5

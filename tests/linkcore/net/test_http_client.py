@@ -82,8 +82,8 @@ def test_a_redirect_is_followed_with_method_and_body(serve: Serve) -> None:
     ("location", "error"),
     [
         ("/again", "redirects more than 5 times"),
-        ("https://127.0.0.1/", "only http is spoken here"),
-        ("http://[", "is no address"),
+        ("https://127.0.0.1/", "only http is supported"),
+        ("http://[", "is not a valid address"),
     ],
 )
 def test_where_a_redirect_is_not_followed(serve: Serve, location: str, error: str) -> None:
@@ -108,7 +108,7 @@ def test_the_deadline_is_for_all_of_the_answer(serve: Serve) -> None:
 
 def test_what_answers_otherwise(serve: Serve) -> None:
     other = serve(lambda request: iter([b"Connected: Universal Robots Dashboard Server\r\n"]))
-    with pytest.raises(WrongPeer, match="does not talk like a web server"):
+    with pytest.raises(WrongPeer, match="does not respond like a web server"):
         HttpClient("127.0.0.1", other.port).ask(HttpRequest("GET", "/"), TIMEOUT)
     half = serve(lambda request: iter([b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nhalf"]))
     with pytest.raises(ConnectionLost):

@@ -429,7 +429,7 @@ def test_the_end_of_the_loop_ends_everything() -> None:
     links = [bench.client() for _ in range(3)]
     bench.close()
     bench.loop.close()
-    assert all(handler.losses == [("the server ends", False)] for _, handler in links)
+    assert all(handler.losses == [("the server was closed", False)] for _, handler in links)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", bench.port.number), timeout=TIMEOUT)
     assert descriptors() == before

@@ -98,7 +98,7 @@ def test_a_newer_command_waits_for_it_or_is_not_sent(undos: PendingUndos) -> Non
     peer = Peer()
     give_up(undos, peer)
     with (
-        pytest.raises(LinkTimeout, match="'set' was not sent: 'play' was given up before, it may still be carried out"),
+        pytest.raises(LinkTimeout, match="'set' was not sent, because the abandoned command 'play' might still"),
         undos.command("set", 0.05),
     ):
         pytest.fail("sent")

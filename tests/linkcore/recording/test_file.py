@@ -117,7 +117,7 @@ def test_a_channel_is_found_by_name_or_what_there_is_is_told(tmp_path: Path) -> 
     writer.close()
     recording = RecordingFile(tmp_path / "run")
     assert recording.channel("right") == 1
-    with pytest.raises(BadRecording, match="holds no middle; it holds left, right"):
+    with pytest.raises(BadRecording, match="contains no middle; it contains left, right"):
         recording.channel("middle")
 
 

@@ -245,7 +245,7 @@ def test_nothing_can_be_sent_to_a_recording(tmp_path: Path) -> None:
 
 def test_a_channel_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a")])
-    with pytest.raises(BadRecording, match="holds no realtime; it holds 0"):
+    with pytest.raises(BadRecording, match="contains no realtime; it contains 0"):
         ReplayTransport(recording, "realtime", ReplayTimeline(recording))
 
 

@@ -256,7 +256,7 @@ def test_a_disk_too_slow_to_close_is_told_and_the_file_is_as_after_a_crash(
     subscription = recorder.add(stream, SCRIPT)
     transport.put(counts(1), counts(2))
     assert gate.waiting.wait(10)
-    with pytest.raises(LinkTimeout, match="not everything was written"):
+    with pytest.raises(LinkTimeout, match="could not write all data"):
         recorder.close(timeout=0.01)
     recorder.close()  # idempotent: it was told
     gate.open.set()

@@ -206,7 +206,7 @@ def test_a_reader_is_woken_by_abort(sim: Simulation, robot: Computer) -> None:
     transport.open(1.0)
     sim.at(5.0, lambda: None)
     threading.Timer(3.0, transport.abort).start()
-    with pytest.raises(ConnectionLost, match="closed here"):
+    with pytest.raises(ConnectionLost, match="closed by this program"):
         transport.receive()
     assert sim.now == pytest.approx(3.0, abs=0.01)
 

@@ -65,7 +65,7 @@ def test_single_elements_are_columns() -> None:
     with pytest.raises(BadValue, match="has no field 'q_actual_6'"):
         of_states((1.0, state)).array("q_actual_6")
     names: list[str] = ["q_actual"]
-    with pytest.raises(BadValue, match="expected names one by one"):
+    with pytest.raises(BadValue, match="expected each name as an argument"):
         of_states((1.0, state)).array(names)  # type: ignore[arg-type]
 
 

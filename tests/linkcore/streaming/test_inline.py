@@ -114,7 +114,7 @@ def test_quick_calls_are_not_slow(stream: Stream[Count], transport: ScriptedTran
 
 
 def test_it_takes_no_policy(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    with pytest.raises(BadValue, match="no queue"):
+    with pytest.raises(BadValue, match="without a queue"):
         stream.subscribe(print, policy=latest, inline=True)
     assert transport.opened == 0
 
@@ -135,7 +135,7 @@ def test_whatever_it_raises_reading_goes_on(
     assert got == [1, 2]
     assert (failing.stats.offered, failing.stats.raised, failing.stats.delivered) == (2, 2, 0)
     assert after.stats.delivered == 2
-    assert "raised; its subscription goes on" in caplog.text
+    assert "raised; its subscription continues" in caplog.text
 
 
 def test_closing_it_waits_for_the_call_that_runs(stream: Stream[Count], transport: ScriptedTransport) -> None:

@@ -170,7 +170,7 @@ def test_what_is_no_lifespan(lifespan: Any) -> None:
 
 def test_an_inline_callback_has_none() -> None:
     stream = scripted(ScriptedTransport())
-    with pytest.raises(BadValue, match="no lifespan"):
+    with pytest.raises(BadValue, match="cannot be combined with policy or lifespan"):
         stream.subscribe(print, lifespan=1.0, inline=True)
 
 

@@ -48,7 +48,7 @@ def test_nothing_is_kept_for_the_next_connection() -> None:
 def test_half_a_text_ends_the_connection(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream._connection.send(b"one\n", 1.0)
     transport.make_room(2)
-    with pytest.raises(LinkTimeout, match="did not take"):
+    with pytest.raises(LinkTimeout, match="did not accept"):
         stream._connection.send(b"two\n", 0.05)
     until(lambda: transport.opened == 2 and stream.connection is ConnectionState.CONNECTED)
     transport.make_room(None)
@@ -70,6 +70,6 @@ def test_a_recording_takes_nothing(stream: Stream[Count], transport: ScriptedTra
         until(lambda: stream.stats.received == 2)
     recording = RecordingFile(tmp_path / "run.log")
     played = scripted(ReplayTransport(recording, "script", ReplayTimeline(recording, 0)), name="played", lossless=True)
-    with pytest.raises(LocalError, match=r"recording|is over"):
+    with pytest.raises(LocalError, match=r"recording|has ended"):
         played._connection.send(b"text\n", 1.0)
     played.close()

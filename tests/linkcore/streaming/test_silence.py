@@ -32,7 +32,7 @@ def test_waits_that_ran_out_add_up() -> None:
     silence.timed_out()
     assert told == [0.5]
     assert silence.wait == pytest.approx(1.5)
-    with pytest.raises(LinkTimeout, match="script: nothing came for 2 s"):
+    with pytest.raises(LinkTimeout, match="script: nothing was received for 2 s"):
         silence.timed_out()
     assert told == [0.5], "once for each silence"
 
@@ -117,7 +117,7 @@ def test_bytes_without_a_packet_are_silence() -> None:
     silence.no_packet(100.8)
     assert told == [pytest.approx(0.6)]
     silence.no_packet(102.1)
-    with pytest.raises(LinkTimeout, match="bytes came, but no packet, for 2 s"):
+    with pytest.raises(LinkTimeout, match="bytes, but no complete packet, were received for 2 s"):
         silence.no_packet(102.2)
 
 
@@ -187,7 +187,7 @@ def test_bytes_without_packets_count_as_silence() -> None:
     babbler = threading.Thread(target=babble, daemon=True)
     babbler.start()
     try:
-        with pytest.raises(LinkTimeout, match="bytes came, but no packet"):
+        with pytest.raises(LinkTimeout, match="bytes, but no complete packet"):
             next(stream.iterate(timeout=10))
     finally:
         stop.set()

@@ -76,7 +76,7 @@ def test_the_error_says_how_many_there_were(stream: Stream[Count], transport: Sc
         return False
 
     transport.put(counts(1, 2, 3))
-    with pytest.raises(LinkTimeout, match=r"held for none of \d Count from script within 0\.2 s"):
+    with pytest.raises(LinkTimeout, match=r"was true for none of \d Count from script within 0\.2 s"):
         stream.wait_until(never, 0.2)
     assert seen
 

@@ -154,7 +154,7 @@ def test_somebody_else_is_told_by_the_first_bytes_and_only_by_them() -> None:
 def test_a_peer_that_sends_no_packet_is_given_up() -> None:
     framer = Framer(HashBoundary(), limit=1000)
     assert framer.feed(b"x" * 1000) == []
-    with pytest.raises(WrongPeer, match="no packet among them"):
+    with pytest.raises(WrongPeer, match="without a valid packet"):
         framer.feed(b"x" * 10)
     # Somebody who has sent a packet once is right, however much is lost later.
     framer = Framer(HashBoundary(), limit=1000)
@@ -171,12 +171,12 @@ def test_exactly_as_much_as_the_limit_is_forgiven() -> None:
     framer = Framer(HashBoundary(), limit=1000)
     framer.feed(b"x" * 1002)
     assert framer.skipped == 1000
-    with pytest.raises(WrongPeer, match="1002 bytes came"):
+    with pytest.raises(WrongPeer, match="received 1002 bytes"):
         framer.feed(b"xx")
     # By default it is 64 KiB.
     framer = Framer(HashBoundary())
     framer.feed(b"x" * (65536 + 2))
-    with pytest.raises(WrongPeer, match="65538 bytes came"):
+    with pytest.raises(WrongPeer, match="received 65538 bytes"):
         framer.feed(b"xx")
 
 

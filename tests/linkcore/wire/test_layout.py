@@ -253,7 +253,7 @@ def test_dtype_reads_many_packets_at_once() -> None:
     assert mixed["joint"]["modes"].tolist() == [5, 200]
     assert mixed["checksum"].tolist() == [1, 2**32 - 1]
     assert mixed["flag"] == 1
-    with pytest.raises(BadValue, match="Note has text in it"):
+    with pytest.raises(BadValue, match="Note contains text"):
         Note.dtype()
 
 

@@ -103,8 +103,8 @@ def test_a_critical_plugin_that_fails_ends_it_with_1(spawn: Spawn, config: str) 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("<rhd>", "this is not XML"),
-        ("<rhd/>x", "this is not XML"),
+        ("<rhd>", "invalid XML"),
+        ("<rhd/>x", "invalid XML"),
         (CONFIG.format(period=-1, lib="x:Y"), "is not a whole number"),
         (CONFIG.format(period=2000, lib="libauserial.so.1"), "is a plugin in C"),
         (CONFIG.format(period=2000, lib="no_such_module_here:Robot"), "cannot import no_such_module_here"),

@@ -84,7 +84,7 @@ def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
         (("watch", "127.0.0.1:1"), "connection refused"),
         (("dissect", "/no/such/file"), "cannot read /no/such/file"),
         (("serve", "/no/such/file"), "cannot read /no/such/file"),
-        (("turtle", "--picture", "way.bmp"), "an .svg or a .png"),
+        (("turtle", "--picture", "way.bmp"), "expected .svg or .png"),
     ],
 )
 @pytest.mark.real_time

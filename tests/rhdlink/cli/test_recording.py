@@ -106,7 +106,7 @@ def test_play_as_json_and_at_speed(run: Run, recording: Path) -> None:
 @pytest.mark.parametrize(
     ("chunks", "name", "argv", "said"),
     [
-        ([], "realtime", (), "holds no rhd; it holds realtime"),
+        ([], "realtime", (), "contains no rhd; it contains realtime"),
         ([b"nothing"], "rhd", (), "cannot begin a package"),
         ([robot().encode_handshake("r")], "rhd", ("speedl", "--rate", "max"), "contains no variable 'speedl'"),
     ],

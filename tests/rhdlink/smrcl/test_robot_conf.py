@@ -76,7 +76,7 @@ def test_calibrations_stand_beside_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("<mrc>", "not XML"),
+        ("<mrc>", "invalid XML"),
         ('<mrc><robotinfo type="ackerman"/></mrc>', "differential and velomega"),
         ('<mrc><odometry ts="0"/></mrc>', "ts has to be above 0"),
         ('<mrc><odometry w="x"/></mrc>', "w"),

@@ -220,7 +220,7 @@ def test_a_server_that_ends_leaves_a_robot_that_stands(turtle: Turtle) -> None:
     assert client.line() == ""
     client.close()
     assert "ended" in repr(server)
-    with pytest.raises(Closed, match="runs once"):
+    with pytest.raises(Closed, match="has already run"):
         server.start()
 
 

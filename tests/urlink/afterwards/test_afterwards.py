@@ -206,7 +206,7 @@ def called_meanwhile(rig: Rig, expected: str, *, is_answered: bool) -> None:
         assert (rig.ask("moved"), way, position) == ((0.0, 0.0), pytest.approx(0.0, abs=1e-6), fingers)
         assert is_same
     elif expected == BACK:
-        assert "may still be carried out" in failed
+        assert "might still be executed" in failed
         assert is_same
         assert way < BEGUN[0]
         assert position - fingers < BEGUN[1]

@@ -165,7 +165,7 @@ def test_vectors_of_another_size_are_refused() -> None:
         Dynamics("UR5e", gravity=9.82)
     with pytest.raises(BadValue, match="joint speeds"):
         Dynamics("UR5e").coriolis_torque([0.0] * 6, [0.0] * 5)
-    with pytest.raises(BadValue, match="do not go together"):
+    with pytest.raises(BadValue, match="do not broadcast"):
         Dynamics("UR5e").torque(np.zeros((3, 6)), np.zeros((2, 6)), np.zeros(6))
 
 

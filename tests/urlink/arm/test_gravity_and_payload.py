@@ -65,9 +65,9 @@ def test_a_payload_is_gone_over_to_while_a_program_runs() -> None:
 @pytest.mark.parametrize(
     ("firmware", "options", "what"),
     [
-        ("5.11", {}, "needs cog and inertia"),
-        ("5.11", {"cog": [0, 0, 0.1]}, "needs cog and inertia"),
-        ("5.9", {"cog": [0, 0, 0.1], "inertia": INERTIA}, "takes no inertia; that needs 5.10"),
+        ("5.11", {}, "needs both"),
+        ("5.11", {"cog": [0, 0, 0.1]}, "needs both"),
+        ("5.9", {"cog": [0, 0, 0.1], "inertia": INERTIA}, "accepts no inertia; 5.10 or later is required"),
     ],
 )
 def test_what_a_transition_needs(firmware: str, options: dict[str, list[float]], what: str) -> None:

@@ -260,7 +260,7 @@ def test_the_message_says_which_row_is_wrong() -> None:
 
 
 def test_shapes_that_do_not_broadcast_are_refused() -> None:
-    with pytest.raises(BadValue, match="do not go together"):
+    with pytest.raises(BadValue, match="do not broadcast"):
         compose(np.zeros((3, 6)), np.zeros((2, 6)))
 
 

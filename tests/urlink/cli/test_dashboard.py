@@ -25,7 +25,7 @@ def test_start(run: Run) -> None:
     with Controller("UR5e", "5.11") as controller:
         controller.faults.power_off()
         until(lambda: controller.modes.robot_mode is RobotMode.POWER_OFF)  # an arm that still runs is left alone
-        assert run("dashboard", controller.address, "start") == (0, "the arm runs\n", "")
+        assert run("dashboard", controller.address, "start") == (0, "the arm is running\n", "")
         assert controller.modes.may_move
 
 

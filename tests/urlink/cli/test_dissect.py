@@ -240,7 +240,7 @@ def test_recording_with_both_interfaces(run: Run, recording: Path) -> None:
     assert [strict(line)["type"] for line in only.splitlines()] == types[20:]
     status, _, err = run("dissect", str(recording), "--interface", "secondary")
     assert status == 1
-    assert "holds no secondary" in err
+    assert "contains no secondary" in err
 
 
 def test_each_connection_of_a_recording_by_itself(run: Run, tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_unknown_field_lists_those_there_are(run: Run) -> None:
 def test_type_of_another_interface(run: Run) -> None:
     status, _, err = run("echo", "sim://", "--type", "JointData", "--interface", "realtime")
     assert status == 2
-    assert "JointData does not come on the realtime interface" in err
+    assert "the realtime interface does not send JointData" in err
     assert run("echo", "sim://", "--type", "Nonsense")[0] == 2
 
 
@@ -154,7 +154,7 @@ def test_drops_are_told(capsys: pytest.CaptureFixture[str], address: str) -> Non
         assert capsys.readouterr().err == ""
         # As if nobody had read for half a minute.
         tap._queue.offer([robot.realtime.wait()] * 20000)
-    assert "packets were dropped: the output was too slow for them" in capsys.readouterr().err
+    assert "packets were dropped, because the output was too slow" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_recording_is_measured_to_its_end(run: Run, recording: Path) -> None:
 def test_nothing_came(run: Run, controller: Controller, address: str, silent_address: str) -> None:
     status, _, err = run("hz", silent_address)
     assert status == 1
-    assert "realtime: no state came" in err
+    assert "realtime: no state arrived" in err
     controller.faults.stall(30, "realtime")
     try:
         status, out, _ = run("hz", address, "--duration", "0.2")

@@ -17,7 +17,7 @@ def test_text(run: Run, controller: Controller, address: str) -> None:
     status, out, err = run("info", address)
     assert (status, err) == (0, "")
     for part in (
-        "firmware    5.11 (said by the controller)",
+        "firmware    5.11 (reported by the controller)",
         "model       UR5e",
         "real-time   1220 bytes, 500 Hz",
         "state       1386 bytes, the first of a connection; then 716 bytes, 10 Hz",

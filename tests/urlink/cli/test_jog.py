@@ -55,7 +55,7 @@ def test_without_a_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("6"))
     status, out, err = run("jog", "sim://")
     assert (status, out) == (1, "")
-    assert "stdin is no terminal" in err
+    assert "stdin is not a terminal" in err
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ def test_lines_have_what_matters(run: Run, address: str) -> None:
         r"received \d+ missed 0 duplicates 0 failed 0 reconnects 0",
         watched,
     )
-    assert step == f"urlink: next: urlink record '{address}' run.urlog records what the robot sends"
+    assert step == f"urlink: next: urlink record '{address}' run.urlog to record what the robot sends"
     lines = out.splitlines()
     assert len(lines) == 3  # at once, after a second, and at the end
     for text in lines:
@@ -153,7 +153,7 @@ def test_nothing_ever_came(run: Run, silent_address: str) -> None:
     status, out, err = run("monitor", silent_address)
     assert status == 1
     assert "no state yet" in out
-    assert err == f"urlink: {silent_address}: no state came\n"
+    assert err == f"urlink: {silent_address}: no state arrived\n"
 
 
 def test_nothing_came_in_time(run: Run, controller: Controller, address: str) -> None:
@@ -164,7 +164,7 @@ def test_nothing_came_in_time(run: Run, controller: Controller, address: str) ->
         controller.faults.heal()
     assert status == 1
     assert " WAITING | " in out
-    assert "no state came within 0.2 s" in err
+    assert "no state arrived within 0.2 s" in err
 
 
 def test_lost_connection_is_loud_and_its_data_old() -> None:

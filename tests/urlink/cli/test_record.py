@@ -53,7 +53,7 @@ def test_never_overwrites(run: Run, address: str, tmp_path: Path) -> None:
     path.write_text("precious")
     status, out, err = run("record", address, str(path), "--count", "1")
     assert (status, out) == (1, "")
-    assert err == f"urlink: {path} exists; a recording never overwrites one\n"
+    assert err == f"urlink: {path} exists; a recording never overwrites a file\n"
     assert path.read_text() == "precious"
 
 

@@ -45,8 +45,8 @@ def test_damage_is_told(run: Run, recording: Path) -> None:
     recording.write_bytes(data[:-100])
     status, out, _ = run("replay", str(recording))
     assert status == 0
-    assert "not closed in order, as after a crash; " in out
-    assert " bytes at the end are damaged or unfinished and left out" in out
+    assert "not closed properly, for example after a crash; " in out
+    assert " bytes at the end are damaged or unfinished, and were ignored" in out
     assert strict(run("replay", str(recording), "--json")[1])["left_out"] > 0
 
 
@@ -116,13 +116,13 @@ def test_played_at_the_recorded_times(run: Run, recording: Path) -> None:
 def test_options_of_playing_need_a_rate(run: Run, recording: Path) -> None:
     status, _, err = run("replay", str(recording), "q_actual")
     assert status == 2
-    assert "with --rate" in err
+    assert "need --rate" in err
 
 
 def test_interface_that_was_not_recorded(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording), "--rate", "max", "--interface", "secondary")
     assert (status, out) == (1, "")
-    assert "holds no secondary; it holds realtime, primary" in err
+    assert "contains no secondary; it contains realtime, primary" in err
 
 
 def test_unknown_field(run: Run, recording: Path) -> None:

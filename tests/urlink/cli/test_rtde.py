@@ -68,7 +68,7 @@ def test_recording_and_rates(run: Run, address: str, tmp_path: Path) -> None:
     assert len(out.splitlines()) >= 20
     status, _, err = run("rtde", f"replay://{path}?rate=max", "--list")
     assert status == 1
-    assert "it holds timestamp" in err
+    assert "it contains timestamp" in err
     status, out, _ = run("rtde", address, "timestamp", "--hz", "--duration", "0.3")
     assert status == 0
     assert "Hz | period min" in out
@@ -79,7 +79,7 @@ def test_recording_and_rates(run: Run, address: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
-        (["actual q"], "cannot be the name"),
+        (["actual q"], "is not a valid name of a variable"),
         ([], "expected the names"),
         (["timestamp", "--frequency", "501"], "1 to 500"),
     ],
@@ -143,7 +143,7 @@ def test_what_is_in_the_way_is_said(run: Run) -> None:
     assert lines["control"].startswith("BAD")
     assert "switch to remote control" in lines["control"]
     assert lines["port 1"].startswith("BAD")
-    assert "is the service switched off" in lines["port 1"]
+    assert "check whether the service is switched off" in lines["port 1"]
     assert lines["inputs"].startswith("look")
 
 
@@ -164,7 +164,7 @@ def test_nobody_is_there(run: Run) -> None:
     ports = "&".join(f"{name}=1" for name in ("primary", "secondary", "realtime", "rtde", "dashboard"))
     status, out, _ = run("doctor", f"ur://127.0.0.1?{ports}", "--connect-timeout", "1")
     assert status == 1
-    assert "is the controller on" in out
+    assert "check that the controller is on" in out
     assert run("doctor", "replay:///nowhere.urlog")[0] == 1
 
 

@@ -61,7 +61,7 @@ def test_it_is_stopped_when_time_is_up(
 ) -> None:
     status, _, err = run("run", address, program("while True:\n  sync()\nend\n"), "--timeout", "0.2")
     assert status == 1
-    assert "not over within 0.2 s, and was stopped" in err
+    assert "did not end within 0.2 s, and was stopped" in err
     until(lambda: controller.program_name is None)
 
 

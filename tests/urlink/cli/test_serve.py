@@ -89,5 +89,5 @@ def test_its_help_has_the_options_of_the_adapter(run: Run, entry: Entry) -> None
 def test_robots_without_a_name_are_called_by_their_address() -> None:
     given = ["ur://robot-3.local?primary=40001", "replay:///data/run%201.urlog", "sim://", "b=sim://"]
     assert list(named(given)) == ["ur_robot_3_local", "run_run_1", "sim", "b"]
-    with pytest.raises(urlink.BadAddress, match="both called sim"):
+    with pytest.raises(urlink.BadAddress, match="have the same name sim"):
         named(["sim://", "sim://"])

@@ -24,11 +24,11 @@ def test_waypoints_are_taught_by_lines_and_played(
         out, _ = process.communicate("\n\n\nu\nwhat\nq\n", timeout=40)
         assert process.returncode == 0
         lines = out.splitlines()
-        assert lines[0] == "move the arm; Enter keeps a waypoint, q ends"
+        assert lines[0] == "move the arm; Enter saves a waypoint, q ends"
         assert [line.split(":")[0] for line in lines[1:4]] == ["q"] * 3
         assert lines[4:] == [
             "2 waypoints",
-            "Enter keeps a waypoint, u forgets the last, q ends",
+            "Enter saves a waypoint, u deletes the last one, q ends",
             f"2 waypoints in {file}",
         ]
         taught = Taught.load(file)
@@ -48,7 +48,7 @@ def test_waypoints_are_taught_by_lines_and_played(
     ("arguments", "status", "text"),
     [
         (["none.json", "--play"], 1, "cannot read none.json"),
-        (["a.json", "--axes", "12"], 2, "'12' is not six of 0 and 1"),
+        (["a.json", "--axes", "12"], 2, "'12' is not six digits 0 or 1"),
         (["a.json", "--digital-input", "9"], 1, "standard digital input"),
     ],
 )

@@ -157,12 +157,12 @@ def test_every_source_has_to_be_clear() -> None:
 
 def test_what_has_said_nothing_is_no_running_robot() -> None:
     interlock = Interlock()
-    assert "nothing has been received from the robot yet" in str(interlock.refusal_to_begin(0.0))
+    assert "nothing was received from the robot yet" in str(interlock.refusal_to_begin(0.0))
     interlock.report("primary", Status(safety_mode=SafetyMode.NORMAL), 1.0)
     interlock.expect("realtime")
-    assert "nothing has been received on the realtime interface yet" in str(interlock.refusal_to_begin(1.0))
+    assert "nothing was received on the realtime interface yet" in str(interlock.refusal_to_begin(1.0))
     interlock.report("realtime", Status(safety_mode=SafetyMode.NORMAL), 1.0)
-    assert "has not said its mode" in str(interlock.refusal_to_begin(1.0))
+    assert "has not reported its mode" in str(interlock.refusal_to_begin(1.0))
     interlock.report("realtime", Status(RobotMode.RUNNING), 1.0)
     assert interlock.refusal_to_begin(1.0) is None
 
@@ -183,7 +183,7 @@ def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
     interlock.enable(1.0)
     assert interlock.refusal_to_begin(2.0) is None
     late = 2.1
-    assert "either it is silent, or this program is held up" in str(interlock.refusal_to_begin(late))
+    assert "either the robot is silent, or this program was delayed" in str(interlock.refusal_to_begin(late))
     with pytest.raises(NotRunning):
         interlock.enable(late)
     # What has come meanwhile is read, and nobody has to enable it anew.
@@ -198,7 +198,7 @@ def test_silence_that_the_reader_tells_of_ends_motions() -> None:
     interlock.enable(1.0)
     ended = interlock.fall_silent("primary", 0.5)
     assert isinstance(ended, NotRunning)
-    assert "said nothing on the primary interface for 0.5 s" in str(ended)
+    assert "nothing arrived on the primary interface for 0.5 s" in str(ended)
     assert interlock.fall_silent("primary", 1.5) is None  # once
     assert "for 0.5 s" in str(interlock.refusal_to_begin(1.2))
     interlock.report("primary", CLEAR, 2.6)

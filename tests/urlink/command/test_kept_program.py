@@ -624,7 +624,7 @@ def test_closing_tells_of_a_program_that_stays_paused(
         desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
     desk.state(0.1, **state)
     desk.programs.close(0.0)
-    assert ("closed during a stop: the controller has" in caplog.text) is warns
+    assert ("is paused on the controller and might resume later" in caplog.text) is warns
 
 
 def test_closing_before_a_state_has_come(caplog: pytest.LogCaptureFixture) -> None:

@@ -161,14 +161,14 @@ def test_the_thread_that_hears_does_not_wait_to_let_it_go_on(desk: Programming) 
     desk.primary.room = 0
     run.begins()
     assert desk.waits == []
-    assert "has not taken a text" in run.end
+    assert "did not accept a text" in run.end
 
 
 def test_a_program_that_was_not_let_go_on_says_so(desk: Programming) -> None:
     one, two = desk.script(SEC), desk.motion()
     two.begins()
     two.says("was not permitted to go on")
-    assert "was not let go on within 5 s, and has ended without moving the arm" in two.end
+    assert "got no start permission within 5 s, and has ended without moving the arm" in two.end
     assert one.phase is Phase.SENT
 
 
@@ -188,7 +188,7 @@ def test_what_does_not_begin_in_time(desk: Programming, options: dict[str, bool]
     assert run.phase is Phase.SENT
     desk.state(0.1, runs=True)
     assert isinstance(run.error, LinkTimeout)
-    assert "has not begun within 5 s" in run.end
+    assert "did not begin within 5 s" in run.end
     assert f"the robot mode is RUNNING, a program runs; {what_if}; an e-Series" in run.end
 
 
@@ -211,7 +211,7 @@ def test_a_secondary_program_has_to_end_in_time(desk: Programming) -> None:
     run = desk.script(SEC)
     run.begins()
     desk.state(5.1, runs=True)
-    assert "has not ended within 5 s, no error was reported; the robot mode is RUNNING, a program runs" in run.end
+    assert "did not end within 5 s; no error was reported; the robot mode is RUNNING, a program runs" in run.end
     assert "later" not in run.end
 
 
@@ -255,7 +255,7 @@ def test_a_program_that_is_paused_goes_on(desk: Programming, is_paused: bool) ->
     desk.state(0.2)
     assert run.phase is Phase.RUNNING  # news of what stopped it may be on its way
     desk.state(0.2)
-    assert run.end == f"ProgramStopped: {run.name} was stopped before its end, from elsewhere"
+    assert run.end == f"ProgramStopped: {run.name} was stopped early by another client or a person"
 
 
 @pytest.mark.parametrize("has_keys", [True, False])
@@ -273,7 +273,7 @@ def test_a_flag_that_is_down_for_half_a_second_has_been_missed(desk: Programming
     assert (run.phase is Phase.RUNNING) == has_keys
     desk.state(4.0)
     desk.state(0.4)
-    assert run.end == f"ProgramStopped: {run.name} was stopped before its end, from elsewhere"
+    assert run.end == f"ProgramStopped: {run.name} was stopped early by another client or a person"
 
 
 def test_a_stop_that_is_told_after_the_end(desk: Programming) -> None:
@@ -323,7 +323,7 @@ def test_whom_an_error_is_of(desk: Programming, caplog: pytest.LogCaptureFixture
     running = desk.script()
     running.begins()
     desk.exception("syntax_error_on_line:1:")  # of somebody else's text
-    assert "the controller complains: 1:1: syntax_error_on_line:1:" in caplog.text
+    assert "the controller reports: 1:1: syntax_error_on_line:1:" in caplog.text
     assert running.phase is Phase.RUNNING
     beside, awaited = desk.script(SEC), desk.script()
     desk.exception("compile_error")
@@ -355,7 +355,7 @@ def test_a_program_that_begins_ends_those_before_it(desk: Programming) -> None:
     assert beside.phase is last.phase is Phase.RUNNING
     waits = desk.script()
     desk.key(STARTED, "theirs")
-    assert "was replaced by theirs, a program from elsewhere" in last.end
+    assert "was replaced by theirs, a program of another client" in last.end
     assert waits.phase is Phase.SENT  # it was sent after theirs, for all that is known
     assert beside.phase is Phase.RUNNING
     waits.begins()
@@ -387,7 +387,7 @@ def test_a_motion_ends_as_soon_as_the_interlock_closes(desk: Programming, has_be
         assert script.phase is Phase.SENT
         if isinstance(error, NotRunning):
             later = "it may still move the arm" if has_begun else "it moves nothing if it begins later"
-            assert str(error) == f"the robot does not run: its mode is POWER_OFF; {later}"
+            assert str(error) == f"the robot is not running: its mode is POWER_OFF; {later}"
             stop = error
         else:
             assert isinstance(error, SafetyStop)
@@ -532,7 +532,7 @@ def test_what_was_sent_over_a_connection_that_is_lost(desk: Programming) -> None
     assert script.phase is motion.phase is Phase.SENT  # sent after it was lost, over the next one
     desk.clock.now += 0.1
     desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now)))
-    lost = "the connection was lost while {} ran; {}: pulled"
+    lost = "the connection was lost while {} was running; {}: pulled"
     assert script.end == "ConnectionLost: " + lost.format(script.name, "it moves nothing if it begins later")
     later = "if it begins later, it may still move the arm"
     assert motion.end == "NotRunning: " + lost.format(motion.name, later)
@@ -540,7 +540,7 @@ def test_what_was_sent_over_a_connection_that_is_lost(desk: Programming) -> None
     another.begins()
     desk.clock.now += 0.1
     desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now), error=None))
-    assert another.end.endswith("ran; it may still run")
+    assert another.end.endswith("was running; it may still run")
 
 
 @pytest.mark.parametrize(("state", "is_left"), [(s, s.name in ("IDLE", "CLOSED")) for s in ConnectionState])
@@ -580,10 +580,10 @@ def test_close_stops_the_program_unless_it_is_detached(desk: Programming, is_mot
     run.begins()
     desk.programs.close(0.0)
     assert desk.stops == (not is_detached)
-    closed = f"ConnectionLost: the robot was closed here while {run.name} ran; it may still "
+    closed = f"ConnectionLost: the robot was closed while {run.name} was running; it may still "
     cancelled = f"Cancelled: {run.name} was cancelled, since the robot was closed"
     assert run.end.startswith(closed if is_detached else cancelled)
-    assert beside.end.startswith(f"ConnectionLost: the robot was closed here while {beside.name} ran")
+    assert beside.end.startswith(f"ConnectionLost: the robot was closed while {beside.name} was running")
     assert len(desk.primary.subscribers) == before
     life = desk.programs.life("late")
     errors: list[LinkError] = []

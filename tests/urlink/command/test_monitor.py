@@ -78,7 +78,7 @@ def test_an_interface_that_says_nothing_lets_nothing_through(desk: Monitored) ->
     desk.primary.tell(slow())
     assert desk.monitor.refusal_to_begin() is None
     desk.listen()
-    assert "nothing has been received on the realtime interface yet" in str(desk.monitor.refusal_to_begin())
+    assert "nothing was received on the realtime interface yet" in str(desk.monitor.refusal_to_begin())
     assert desk.closings == []  # until it has been waited for, what runs goes on
 
 
@@ -103,7 +103,7 @@ def test_silence_is_told_of_before_the_connection_counts_as_lost(
     desk.clear()
     desk.primary.be_silent()
     assert desk.silences == [seconds]
-    assert f"has said nothing on the primary interface for {seconds} s" in str(desk.monitor.refusal_to_begin())
+    assert f"nothing arrived on the primary interface for {seconds} s" in str(desk.monitor.refusal_to_begin())
     assert len(desk.closings) == 1
 
 
@@ -122,7 +122,7 @@ def test_a_connection_that_is_down_already_is_a_lost_one(desk: Monitored) -> Non
     was_connected = desk.monitor.is_connected
     desk.listen()
     assert (was_connected, desk.monitor.is_connected) == (True, False)
-    assert "not connected at present" in str(desk.monitor.refusal_to_begin())
+    assert "is unknown: not connected" in str(desk.monitor.refusal_to_begin())
     desk.realtime.state = ConnectionState.CONNECTED
     desk.realtime.tell(fast())
     assert desk.monitor.refusal_to_begin() is None
@@ -169,11 +169,11 @@ def test_what_a_connection_tells(desk: Monitored) -> None:
         desk.event(desk.primary, state)
         assert desk.monitor.refusal_to_begin() is None
     desk.event(desk.primary, ConnectionState.LOST, ConnectionLost("pulled"))
-    assert "nothing is known of the robot: pulled" in str(desk.monitor.refusal_to_begin())
+    assert "the robot's state is unknown: pulled" in str(desk.monitor.refusal_to_begin())
     assert desk.listeners == [2, 1, 2, 1]  # it is made again
     desk.clear()
     desk.event(desk.primary, ConnectionState.LOST)
-    assert "nothing is known of the robot: closed" in str(desk.monitor.refusal_to_begin())
+    assert "the robot's state is unknown: closed" in str(desk.monitor.refusal_to_begin())
 
 
 @pytest.mark.parametrize("state", [ConnectionState.IDLE, ConnectionState.CLOSED])
@@ -215,7 +215,7 @@ def test_a_report_is_as_old_as_its_bytes(desk: Monitored) -> None:
         desk.realtime.tell(stamped(fast(), desk.clock.now - age))
         refusal = desk.monitor.refusal_to_begin()
         assert (refusal is not None) == (age > STALE_AFTER)
-    assert "nothing has been read from the realtime interface for 1.1 s" in str(refusal)
+    assert "nothing was read from the realtime interface for 1.1 s" in str(refusal)
 
 
 def test_closing_lets_go_of_everything(desk: Monitored) -> None:

@@ -50,7 +50,7 @@ def test_program_is_not_sent_after_a_stop(
 ) -> None:
     call = PendingCall()
     overtake(desk)
-    with pytest.raises(Cancelled, match=r"after this call was entered, so it sends nothing$"):
+    with pytest.raises(Cancelled, match=r"after this call began, so it sends nothing$"):
         started(desk, call, asks=asks)
     assert desk.sent == []
 

@@ -148,7 +148,7 @@ def test_stopped_from_elsewhere(robot: ScriptedController) -> None:
     robot.begins(program)
     robot.is_stopped(program)
     ends(robot, program)
-    with pytest.raises(ProgramStopped, match="before its end, from elsewhere"):
+    with pytest.raises(ProgramStopped, match="was stopped early by another client or a person"):
         program.wait(5)
     assert program.phase is Phase.FAILED
 
@@ -292,7 +292,7 @@ def test_never_begins() -> None:
             return program.done
 
         until(told)
-        with pytest.raises(LinkTimeout, match=r"not begun within 0\.05 s.* robot mode is IDLE, no program runs"):
+        with pytest.raises(LinkTimeout, match=r"did not begin within 0\.05 s.* robot mode is IDLE, no program runs"):
             program.wait(5)
 
 
@@ -312,7 +312,9 @@ def test_what_lets_it_go_on(firmware: str, flags: tuple[int, ...], grant: str | 
         until(lambda: program.texts == ("heard",))
         permission = "" if grant is None else rf"sec urlink_permission\(\):\n  {grant}\nend\n"
         assert re.fullmatch(permission, "".join(robot.sent[1:]))
-        with pytest.raises(BadValue, match=r"flag 7 lets uploaded programs begin") if is_refused else nullcontext():
+        with (
+            pytest.raises(BadValue, match=r"flag 7 is reserved for start permissions") if is_refused else nullcontext()
+        ):
             robot.io.set_flag(7, True)
 
 
@@ -320,7 +322,7 @@ def test_a_robot_that_takes_no_permission(robot: ScriptedController) -> None:
     program = run(robot)
     robot.slow.make_room(0)
     robot.begins(program)
-    with pytest.raises(LinkTimeout, match="has not taken a text"):
+    with pytest.raises(LinkTimeout, match="did not accept a text"):
         program.wait(5)
 
 
@@ -500,7 +502,7 @@ def test_what_the_controller_complains_of_steers_no_terminal(
     program = run(robot)
     robot.begins(program)
     robot.exception(1, 1, "compile_error\x1b[2J")
-    until(lambda: "complains" in caplog.text)
+    until(lambda: "the controller reports" in caplog.text)
     assert "\x1b" not in caplog.text
 
 
@@ -512,15 +514,15 @@ def test_from_a_file(robot: ScriptedController, tmp_path: Path) -> None:
     with pytest.raises(BadValue, match=r"cannot read .*none\.script"):
         robot.script.run(tmp_path / "none.script")
     path.write_bytes(b"\xff")
-    with pytest.raises(BadValue, match=r"job\.script is no text"):
+    with pytest.raises(BadValue, match=r"job\.script is not a text file"):
         robot.script.run(path)
-    with pytest.raises(BadValue, match="got int"):
+    with pytest.raises(BadValue, match="is of type int; expected a string"):
         robot.script.run(3)  # type: ignore[arg-type]
 
 
 def test_waiting_has_an_end(robot: ScriptedController) -> None:
     program = run(robot)
-    with pytest.raises(LinkTimeout, match=r"is sent, and not over within 0\.01 s"):
+    with pytest.raises(LinkTimeout, match=r"has not ended within 0\.01 s, and continues; its phase is sent"):
         program.wait(0.01)
     assert not program.done
     robot.clear()

@@ -37,7 +37,7 @@ def test_runs_to_its_end(address: str) -> None:
 def test_a_return_is_an_end_and_a_halt_is_none(robot: urlink.Robot) -> None:
     robot.script.run("def job():\n  return 1\n  halt\nend", wait=20.0)
     program = robot.script.run("def job():\n  halt\nend")
-    with pytest.raises(ProgramStopped, match="before its end"):
+    with pytest.raises(ProgramStopped, match="was stopped early"):
         program.wait(20)
 
 
@@ -131,7 +131,7 @@ def test_local_control_is_told(robot: urlink.Robot) -> None:
         lambda: robot.set_speed_slider(0.3, confirm=0.3),
     ]
     for act in acts:
-        with pytest.raises(NotConfirmed, match="The robot is in local control"):
+        with pytest.raises(NotConfirmed, match="the robot is in local control"):
             act()
     robot.popup("lost, and nothing tells")
 

@@ -222,7 +222,7 @@ def test_what_was_refused_is_refused_for_as_long_as_the_connection_holds(caplog:
         desk.send({"a": 1})
         desk.clock.now += 1.0
     assert len(desk.inputs.asked) == 1
-    assert caplog.text.count("('a',) by script: in use") == 1
+    assert caplog.text.count("('a',) are sent by script: in use") == 1
     desk.settings.doubt()
     desk.settings.doubt()
     assert desk.inputs.aborted == 1

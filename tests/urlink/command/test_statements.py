@@ -117,7 +117,7 @@ def test_a_statement_leaves_through_the_interlock(mode: Mode) -> None:
 @pytest.mark.parametrize(
     ("end", "error"),
     [
-        (lambda life: life.finish(), "interpreter mode is over"),
+        (lambda life: life.finish(), "interpreter mode has ended"),
         (lambda life: life.cancel("given up"), "interpreter mode was given up"),
     ],
 )
@@ -184,7 +184,7 @@ def test_what_was_handed_over_is_over_once_something_after_it_has_begun(mode: Mo
 def test_waiting_for_statements_has_an_end(mode: Mode, seconds: float, sleeps: list[float]) -> None:
     mode.clock.now, mode.peer.lag = 0.0, 1
     state = r"InterpreterState\(last_interpreted=20, last_executed=0, last_cleared=16, unexecuted=15\)"
-    with pytest.raises(LinkTimeout, match=rf"not executed within {seconds:g} s: {state}; they go on"):
+    with pytest.raises(LinkTimeout, match=rf"did not end within {seconds:g} s: {state}; they continue"):
         mode.interpreter.wait_executed(seconds)
     assert mode.clock.sleeps == pytest.approx(sleeps)
 
@@ -350,7 +350,7 @@ def test_nothing_is_sent_where_the_service_is_off(beginning: Beginning) -> None:
 def test_it_has_to_begin_in_time(beginning: Beginning, seconds: float, sleeps: list[float]) -> None:
     beginning.clock.now = 0.0
     beginning.peer.answers += [f"state: 0: {EXECUTED}", *["discard: 0: sync()"] * 9]
-    with pytest.raises(LinkTimeout, match=f"has not begun within {seconds:g} s"):
+    with pytest.raises(LinkTimeout, match=f"did not begin within {seconds:g} s"):
         beginning.interpreters().begin(seconds, 60.0, None)
     assert beginning.clock.sleeps == pytest.approx(sleeps)
     assert beginning.peers[0].is_closed
@@ -366,7 +366,7 @@ def test_a_program_that_is_over_before_it_began(beginning: Beginning, monkeypatc
 
     monkeypatch.setattr(beginning.programs, "life", life)
     ends: list[tuple[Callable[[Any], object], type[LinkError], str]] = [
-        (lambda life: life.finish(), RemoteError, "interpreter mode was over before it began"),
+        (lambda life: life.finish(), RemoteError, "interpreter mode ended before it began"),
         (lambda life: life.fail(NotRunning("no power")), NotRunning, "no power"),
     ]
     for end, error, words in ends:
@@ -383,7 +383,7 @@ def test_a_program_that_is_over_before_it_began(beginning: Beginning, monkeypatc
 def test_what_is_no_beginning(beginning: Beginning, arguments: tuple[Any, Any, Any]) -> None:
     with pytest.raises(BadValue):
         beginning.interpreters().begin(*arguments)
-    with pytest.raises(LocalError, match=r"5\.9 has no interpreter mode; the first that has it is 5\.10"):
+    with pytest.raises(LocalError, match=r"5\.9 has no interpreter mode; 5\.10 or later is required"):
         beginning.interpreters("5.9").begin(10.0, 60.0, None)
     with pytest.raises(LocalError, match="does not serve interpreter mode"):
         beginning.interpreters(port=None).begin(10.0, 60.0, None)

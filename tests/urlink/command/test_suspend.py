@@ -17,7 +17,7 @@ def test_states_from_before_a_suspend_permit_no_motion(monkeypatch: pytest.Monke
         robot.clear()
         robot.channel.motion("movej(q)")
         suspend(100.0)
-        with pytest.raises(NotRunning, match=r"nothing has been read from the \w+ interface for 100\.\d s"):
+        with pytest.raises(NotRunning, match=r"nothing was read from the \w+ interface for 100\.\d s"):
             robot.channel.motion("movej(q)")
         robot.state()
         robot.safety.wait_enabled(5)

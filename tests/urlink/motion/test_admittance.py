@@ -174,7 +174,7 @@ def test_an_arm_that_is_not_known_has_no_springs(monkeypatch: pytest.MonkeyPatch
         with pytest.raises(urlink.BadValue, match="stiffness has no default for a UR20"):
             robot.motion.impedance()
         monkeypatch.setattr(type(robot.identity), "arm", property(lambda self: None))
-        with pytest.raises(urlink.LocalError, match="does not say which arm this is"):
+        with pytest.raises(urlink.LocalError, match="does not report its arm model"):
             robot.motion.impedance()
 
 
@@ -182,8 +182,8 @@ def test_an_arm_that_is_not_known_has_no_springs(monkeypatch: pytest.MonkeyPatch
 def test_what_cannot_act_is_refused() -> None:
     for firmware, frame, what in (
         ("5.11", "joints", "springs of the joints"),
-        ("5.9", "base", "from 5.10 on"),
-        ("3.15", "tool", "from 5.10 on"),
+        ("5.9", "base", "5.10 or later"),
+        ("3.15", "tool", "5.10 or later"),
     ):
         name = "UR5" if firmware == "3.15" else "UR5e"
         with (

@@ -180,7 +180,7 @@ def test_each_is_good_for_one_block(rehearsal: Callable[..., Rehearsal], name: s
         last = message
     assert last == ([0.0] * 6, STOP)
     sent = len(robot.sent)
-    with pytest.raises(LocalError, match=f"the {name} has been used before"):
+    with pytest.raises(LocalError, match=f"this {name} was used before"):
         block.__enter__()
     assert len(robot.sent) == sent
 
@@ -191,14 +191,14 @@ def test_a_program_that_comes_to_its_end_ends_the_block(rehearsal: Callable[...,
     block = each_block(robot)[name]()
     with entered(robot, block):
         robot.finish()
-        with pytest.raises(ProgramStopped, match=f"the program of {name} ended before its time"):
+        with pytest.raises(ProgramStopped, match=f"the program of {name} ended unexpectedly"):
             block.wait(TIMEOUT)
 
 
 def test_a_block_that_is_left_is_told_nothing_more(robot: Rehearsal) -> None:
     with entered(robot, robot.motion.jog()) as jog:
         jog._program.finish()  # as its end does, which then waits for the arm to stand
-        with pytest.raises(Closed, match="the block of the jog was left"):
+        with pytest.raises(Closed, match="the block of this jog was left"):
             jog.move([0.1] * 6)
 
 

@@ -372,7 +372,7 @@ def test_each_mode_is_ended_each_way(firmware: str, name: str, end: str) -> None
             assert controller.time < began + SOON
         assert desk.is_rigid()
         if expected is ConnectionLost:
-            assert "brakes by itself" in str(motion.error)
+            assert "brakes on its own" in str(motion.error)
         if expected is SafetyStop:
             said = len(controller.received)
             with pytest.raises(SafetyStop):

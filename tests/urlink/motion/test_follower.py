@@ -299,7 +299,7 @@ def test_what_would_be_a_leap_whatever_is_sent_ends_it() -> None:
     for n in range(1, 20):
         led.step(b"", state(50.0 + 0.002 * n, turned(0.0)), 1000.0 + 0.002 * n)
     led._stream.q = turned(0.5)  # as no follower does
-    with pytest.raises(ToleranceExceeded, match="would have to leap"):
+    with pytest.raises(ToleranceExceeded, match="would have to jump"):
         led.step(b"", state(50.04, turned(0.0)), 1000.04)
 
 

@@ -171,7 +171,7 @@ def test_what_makes_no_sense_is_refused_before_anything_is_sent(made: Callable[[
     for text, call in calls:
         with pytest.raises(BadValue, match=text):
             call()
-    with pytest.raises(LocalError, match=r"firmware 5\.11 has no direct torque: 5\.23"):
+    with pytest.raises(LocalError, match=r"firmware 5\.11 has no direct torque; 5\.23"):
         robot.motion.torque()
     with pytest.raises(LocalError, match="within its block"):
         press(robot).set_wrench([0] * 6)
@@ -181,17 +181,21 @@ def test_what_makes_no_sense_is_refused_before_anything_is_sent(made: Callable[[
 @pytest.mark.parametrize(
     ("firmware", "text", "call"),
     [
-        ("1.8", "force mode is used from firmware 3.0", lambda robot: press(robot)),
-        ("1.8", "freedrive is used from firmware 3.0", lambda robot: robot.freedrive()),
-        ("1.8", "no zero", lambda robot: robot.zero_force_sensor()),
-        ("3.1", "cannot do this: 3.3", lambda robot: robot.motion.until_contact([0, 0, 1])),
+        ("1.8", "does not support force mode; 3.0 or later", lambda robot: press(robot)),
+        ("1.8", "does not support freedrive; 3.0 or later", lambda robot: robot.freedrive()),
+        ("1.8", "cannot zero", lambda robot: robot.zero_force_sensor()),
+        ("3.1", "cannot move until contact; 3.3 or later", lambda robot: robot.motion.until_contact([0, 0, 1])),
         (
             "3.4",
-            "takes no damping",
+            "does not support damping",
             lambda robot: robot.motion.force_mode("base", [1] * 6, [0] * 6, [1] * 6, damping=1),
         ),
-        ("3.15", "takes no gain", lambda robot: robot.motion.force_mode("base", [1] * 6, [0] * 6, [1] * 6, gain=1)),
-        ("5.9", "5.10 is the first that takes axes", lambda robot: robot.freedrive([1, 0, 0, 0, 0, 0])),
+        (
+            "3.15",
+            "does not support gain",
+            lambda robot: robot.motion.force_mode("base", [1] * 6, [0] * 6, [1] * 6, gain=1),
+        ),
+        ("5.9", "5.10 or later is required to select axes", lambda robot: robot.freedrive([1, 0, 0, 0, 0, 0])),
     ],
 )
 def test_firmware_that_lacks_it_is_told_so(

@@ -220,7 +220,7 @@ def test_points_of_all_arms_end_together(streams: Streams, ends: float, is_refus
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_there_are_points_for_each_arm(streams: Streams, count: int) -> None:
-    with pytest.raises(BadValue, match=f"^points for {count} arms; expected them for each of the 2$"):
+    with pytest.raises(BadValue, match=f"^points has entries for {count} arms; expected one for each of the 2$"):
         streams.append(*[[1.0]] * count)
     assert streams.calls == []
 
@@ -269,7 +269,7 @@ def test_what_comes_too_late_to_one_clears_all(streams: Streams) -> None:
         return clear()
 
     streams.group.clear = clears  # type: ignore[method-assign]
-    late = r"^all points of all arms were cleared: it came too late to right: too far by now$"
+    late = r"^all points of all arms were cleared, because the change reached right too late: too far by now$"
     with pytest.raises(BadValue, match=late) as caught:
         streams.replace(0.1, [1.0], [1.0])
     assert isinstance(caught.value.__cause__, BadValue)
@@ -328,7 +328,7 @@ def test_who_cancels_one_cancels_all(streams: Streams, ended: str) -> None:
         (streams.group if ended == "group" else streams.left).cancel()
     for each in (streams.group, streams.left, streams.right):
         assert each.phase is Phase.CANCELLED
-    why = "streams was cancelled" if ended == "group" else "cancelled with that of left: left was cancelled"
+    why = "streams was cancelled" if ended == "group" else "cancelled with the motion of left: left was cancelled"
     assert why in str(streams.group.error)
 
 

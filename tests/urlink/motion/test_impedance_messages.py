@@ -103,5 +103,5 @@ def test_what_it_was_given_can_be_read(rehearsal: Callable[..., Rehearsal]) -> N
     assert impedance.target is not None
     assert impedance.target.tolist() == list(HOME)
     robot.finish()
-    with pytest.raises(ProgramStopped, match="before its time"):
+    with pytest.raises(ProgramStopped, match="ended unexpectedly"):
         impedance.wait(TIMEOUT)

@@ -99,7 +99,7 @@ def test_an_arm_without_numbers_of_its_own_has_to_be_given_some() -> None:
     for name in ("stiffness", "torque"):
         others = {"stiffness": 100.0, "torque": 10.0}
         del others[name]
-        with pytest.raises(BadValue, match=f"^{name} has no default for a UR20; expected a number, or six"):
+        with pytest.raises(BadValue, match=f"^{name} has no default for a UR20; expected one number or six"):
             asked("joints", DIRECT, model("UR20"), **others)
     asked("joints", DIRECT, model("UR20"), stiffness=100.0, torque=10.0)
 
@@ -119,7 +119,7 @@ def test_what_the_tool_is_given_if_nothing_is_asked(frame: str) -> None:
 
 def test_what_is_of_the_tool_is_refused_for_joints() -> None:
     for name in ("force", "posture_stiffness"):
-        with pytest.raises(BadValue, match=f"^{name} is of springs of the tool, .*; expected none"):
+        with pytest.raises(BadValue, match=f"^{name} applies only to springs of the tool .*; omit it"):
             asked("joints", DIRECT, UR5E, **{name: 1.0})
 
 
@@ -133,10 +133,10 @@ def test_a_firmware_without_direct_torque_leads_the_tool() -> None:
     for name in ("torque", "posture_stiffness"):
         with pytest.raises(BadValue, match=f"^{name} has no effect: firmware 5.10 has no direct torque"):
             asked("tool", MEASURED, UR5E, **{name: 1.0})
-    with pytest.raises(LocalError, match="by which springs of the joints act"):
+    with pytest.raises(LocalError, match="which springs of the joints need"):
         asked("joints", MEASURED)
     for frame in ("joints", "tool"):
-        with pytest.raises(LocalError, match="nor the force sensor"):
+        with pytest.raises(LocalError, match="springs of the tool need the force sensor"):
             asked(frame, NONE)
 
 
@@ -145,5 +145,5 @@ def test_whether_it_takes_a_posture_and_the_stiffness_that_it_begins_with() -> N
         _, stiffness, takes_posture = parameters(frame, stiffness=20.0).program(firmware, UR5E)
         assert stiffness.tolist() == [20.0] * 6
         assert takes_posture is takes
-    with pytest.raises(LocalError, match="does not say which arm"):
+    with pytest.raises(LocalError, match="does not report its arm model"):
         parameters("joints").program(DIRECT, None)

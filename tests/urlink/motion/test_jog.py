@@ -252,7 +252,7 @@ class TestHeldSpeeds:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
         robot.finish()
-        with pytest.raises(ProgramStopped, match="before its time"):
+        with pytest.raises(ProgramStopped, match="ended unexpectedly"):
             motion.wait(TIMEOUT)
 
 

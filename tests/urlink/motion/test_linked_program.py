@@ -163,7 +163,7 @@ def test_one_that_does_not_come(talk: Talk) -> None:
     talk.begin().look(5.0)
     assert not talk.motion.done
     talk.look(0.01)
-    talk.fails(ConnectFailed, "absent: it has not within 5 s")
+    talk.fails(ConnectFailed, "absent: it did not connect within 5 s")
     assert "stopj" in talk.robot.sent[-1]
     assert [talk.said, talk.closed] == [[], [False]]
     assert talk.linked == 1  # nobody is left waiting for it
@@ -230,7 +230,7 @@ def test_the_reason_of_a_loss_has_a_second_to_come(talk: Talk) -> None:
     assert not talk.motion.done
     steps = len(talk.steps)
     talk.look(0.01)
-    talk.fails(ConnectionLost, r"^the connection of the program on the robot was lost; it brakes by itself: first$")
+    talk.fails(ConnectionLost, r"^the connection of the program on the robot was lost; it brakes on its own: first$")
     assert len(talk.steps) == steps
     # It is gone, and brakes by itself: there is nobody to tell.
     assert b"bye" not in talk.said
@@ -256,7 +256,7 @@ def test_an_end_after_a_loss_is_the_loss(talk: Talk) -> None:
 def test_an_end_before_its_time(talk: Talk) -> None:
     talk.begin()
     talk.robot.finish()
-    talk.fails(ProgramStopped, "the program of talk ended before its time")
+    talk.fails(ProgramStopped, "the program of talk ended unexpectedly")
 
 
 def test_one_that_goes_on_after_its_program(robot: Rehearsal) -> None:
@@ -293,12 +293,12 @@ def test_a_dialogue_that_cannot_go_on(talk: Talk, failure: Exception) -> None:
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ("urlink: cannot connect", ConnectFailed, "absent: it says that it was refused"),
-        ("urlink: the link ended", ConnectionLost, "says that its connection ended"),
+        ("urlink: cannot connect", ConnectFailed, "absent: it reported that it was refused"),
+        ("urlink: the link ended", ConnectionLost, "reported that its connection ended"),
         (
             "urlink: nothing to go to",
             ConnectionLost,
-            r"came to the program on the robot in time; .*pass a larger watchdog=",
+            r"reached the program on the robot in time; .*pass a larger watchdog=",
         ),
         ("urlink: the first point is too far away", ToleranceExceeded, "first point is too far away"),
     ],
@@ -415,7 +415,7 @@ def test_what_a_loop_sends_after_a_silence(talk: Talk, silence: float, says: boo
             ConnectionLost, match=r"no state for 0\.25 s, more than twice watchdog=0\.125 s, .*larger watchdog="
         ):
             talk.program.feed(b"mine", 0.125)
-        talk.fails(ConnectionLost, "brakes by itself")
+        talk.fails(ConnectionLost, "brakes on its own")
         assert talk.said[said:] == [b"bye"]
     else:
         talk.program.feed(b"mine", 0.125)

@@ -101,7 +101,7 @@ def test_what_begins_after_its_handle_has_failed_is_not_let_go_on(rehearsal: Cal
     robot = rehearsal(start_timeout=0.2)
     late = robot.motion.move_joints(HOME)
     robot.until(lambda: late.done)
-    with pytest.raises(LinkTimeout, match=r"not begun within 0\.2 s.*moves nothing if it begins later.*local control"):
+    with pytest.raises(LinkTimeout, match=r"not begin within 0\.2 s.*moves nothing if it begins later.*local control"):
         late.wait(0)
     robot.key("PROGRAM_XXX_STARTED", robot.program)
     robot.text(start_marker(robot.program))
@@ -133,7 +133,7 @@ def test_one_that_was_not_let_go_on_in_time_has_ended(robot: Rehearsal) -> None:
     robot.key("PROGRAM_XXX_STARTED", robot.program)
     robot.text(expiry_marker(robot.program))
     robot.key("PROGRAM_XXX_STOPPED", robot.program)
-    with pytest.raises(LinkTimeout, match=r"not let go on within 5 s, and has ended without moving the arm"):
+    with pytest.raises(LinkTimeout, match=r"got no start permission within 5 s, and has ended without moving the arm"):
         motion.wait(TIMEOUT)
 
 
@@ -241,7 +241,7 @@ def test_progress_is_the_way_behind(robot: Rehearsal) -> None:
     robot.q = turned(0.5)
     robot.show()
     assert motion.progress == pytest.approx(0.75)
-    with pytest.raises(LinkTimeout, match=r"move_joints is sent, and not over within 0\.01 s; it goes on"):
+    with pytest.raises(LinkTimeout, match=r"has not ended within 0\.01 s, and continues; its phase is sent"):
         motion.wait(0.01)
     # Of a stop nobody knows how far it has got.
     assert robot.motion.stop().progress == 0.0
@@ -325,8 +325,11 @@ def test_a_stop_ends_it_at_once(robot: Rehearsal) -> None:
 @pytest.mark.parametrize(
     ("move", "left"),
     [
-        (lambda r: r.motion.move_joints(HOME), "the arm may still move, to the end of the motion"),
-        (lambda r: r.motion.speed_joints([0.1] * 6, duration=0.3), "the arm brakes by itself, 0.3 s after it began"),
+        (lambda r: r.motion.move_joints(HOME), "the arm may still move until the motion ends"),
+        (
+            lambda r: r.motion.speed_joints([0.1] * 6, duration=0.3),
+            "the arm brakes on its own 0.3 s after the motion started",
+        ),
     ],
 )
 def test_a_robot_that_is_lost_says_what_may_still_move(
@@ -372,7 +375,7 @@ def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
     robot.begin()
     robot.vanish()
     robot.until(lambda: motion.done)
-    with pytest.raises(ProgramStopped, match="before its end, from elsewhere"):
+    with pytest.raises(ProgramStopped, match="was stopped early by another client or a person"):
         motion.wait(TIMEOUT)
     assert motion.phase is Phase.FAILED
 

@@ -257,7 +257,7 @@ def test_closing_during_a_stop_says_that_the_program_is_paused(
     one.robot.primary.of(RobotModeData).wait_until(lambda mode: mode.is_program_paused, TIMEOUT)
     one.robot.close()
     one.robot.close()
-    assert caplog.text.count("closed during a stop: the controller has") == 1
+    assert caplog.text.count("is paused on the controller and might resume later") == 1
 
 
 @pytest.mark.parametrize("target_filter", [None, pytest.param("jerk_limited", marks=pytest.mark.slow)])

@@ -175,7 +175,7 @@ def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, capl
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as stranger:
         stranger.sendall(said)
         until(lambda: is_up(link) or caplog.records)
-        assert "not the program that is waited for" in caplog.text
+        assert "did not send the token of the expected program" in caplog.text
         assert is_refused(stranger)
         serves(link)
 

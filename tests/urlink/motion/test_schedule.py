@@ -333,9 +333,9 @@ class TestServo:
             ):
                 with pytest.raises(error, match=text):
                     servo.schedule(refused, at=robot.time + 1)
-            with pytest.raises(LocalError, match="schedule the next one too"):
+            with pytest.raises(LocalError, match=r"use either send\(\) or schedule\(\), not both"):
                 servo.send(HOME)
-            with pytest.raises(LocalError, match="in a block of its own"):
+            with pytest.raises(LocalError, match="needs its own block"):
                 servo.measure_delay()
 
     @pytest.mark.parametrize("delay", [None, 0.0, 0.1])
@@ -366,7 +366,7 @@ class TestServo:
                 pose = Arm("UR5e").forward([turn, *HOME[1:]])
                 if is_far:
                     with pytest.raises(
-                        BadValue, match=r"q\[0\] \(base\) would have to go from 1\.4500 to -0\.2000 rad"
+                        BadValue, match=r"q\[0\] \(base\) would have to move from 1\.4500 to -0\.2000 rad"
                     ):
                         servo.schedule(Linear(pose), at=robot.time + 10)
                 else:
@@ -390,11 +390,11 @@ class TestServo:
             assert servo._dialogue.resampled is not None
 
     def test_one_way_or_the_other(self, rehearsal: Callable[..., Rehearsal]) -> None:
-        for options, message in (({}, "either send or schedule"), ({"target_filter": "jerk_limited"}, "by send")):
+        for options, message in (({}, "use either send"), ({"target_filter": "jerk_limited"}, "use send")):
             robot = rehearsal()
             with opened(robot, **options) as servo:
                 servo.send(HOME)
                 with pytest.raises(LocalError, match=message):
                     servo.schedule(HOME, at=robot.time + 1)
-        with pytest.raises(LocalError, match="led by its own clock"):
+        with pytest.raises(LocalError, match="follows its own clock"):
             robot.motion.follow(Trajectory.from_arrays([0, 1], [HOME, turned(0.1)]), low_bandwidth=True, delay=0.02)

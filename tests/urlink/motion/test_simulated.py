@@ -113,7 +113,7 @@ def test_the_computer_falls_silent(connect: Callable[[str, str], Robot]) -> None
     motion = robot.motion.follow(tool_path(robot, 4.0), watchdog=1.0)
     until(lambda: motion.done or motion.progress > 0.1, TIMEOUT)
     link_of(motion).send = lambda data: None  # type: ignore[method-assign]
-    with pytest.raises(ConnectionLost, match="brakes by itself"):
+    with pytest.raises(ConnectionLost, match="brakes on its own"):
         motion.wait(TIMEOUT)
     until(lambda: stands(robot), TIMEOUT)
     goes_on(robot, {})

@@ -276,7 +276,7 @@ class TestReplaced:
         stream.until(lambda: stream.feed.time > 0.4)
         with pytest.raises(BadValue, match=r"cannot be reached from where the stream is at 0\.[45]"):
             stream.replace(0.4, [TrajectoryPoint(turned(2.0), 0.6, [0] * 6)])
-        with pytest.raises(BadValue, match=r"all points are past: the last is at 0\.3 s"):
+        with pytest.raises(BadValue, match=r"all points are in the past: the last is at 0\.3 s"):
             stream.replace(0.0, waves(0.05, 0.3))
         stream.until(lambda: stream.feed.time > 1.9)
         begin = moving(stream)
@@ -288,7 +288,7 @@ class TestReplaced:
         handed = stream.append(waves(0.05, 1.0))
         stream.run_dry()
         stream.append([TrajectoryPoint(turned(0.1), 2.0, [0] * 6, [0] * 6)])
-        with pytest.raises(BadValue, match=r"all points are past: the last is at 0\.3 s"):
+        with pytest.raises(BadValue, match=r"all points are in the past: the last is at 0\.3 s"):
             stream.replace(0.0, waves(0.05, 0.3))
         stream.run_dry()
         assert handed.future.exception() is None
@@ -363,7 +363,7 @@ class TestRefused:
             (lambda: there(7.0, 9.0), r"position of wrist 3 \(joint 5\) is 6\.\d+ rad; the limit .* 6.2832 rad"),
             (
                 lambda: [there(3.0, 3.0, STILL), there(6.27, 6.0, [*STILL[:5], 1.0])],
-                r"point 1 .*: position where it would brake to if nothing followed of wrist 3",
+                r"point 1 .*: position after braking, if no point followed, of wrist 3",
             ),
             (lambda: there(0.1, 0.5, None, STILL), "point 0 has accelerations without velocities"),
             (
@@ -383,7 +383,7 @@ class TestRefused:
         """It is reached by another branch, or by turns of a joint that a step of a stream is not for."""
         arm, stream = Arm("UR5e"), Streamed(E_SERIES)
         far = arm.forward([HOME[0] + 2.5, *HOME[1:]])
-        with pytest.raises(BadValue, match=r"point 0 \(t = 9 s\): base \(joint 0\) would leap from "):
+        with pytest.raises(BadValue, match=r"point 0 \(t = 9 s\): base \(joint 0\) would jump from "):
             stream.append(PosePoint(far, 9.0))
 
     def test_poses_out_of_reach(self) -> None:

@@ -92,7 +92,7 @@ def test_a_first_point_two_cycles_later_has_one() -> None:
 
 def test_times_of_a_curve_of_its_own_are_as_far_apart() -> None:
     points = [point(0.0, 2.5), point(0.0, 2.5 + 0.9 * SHORTEST)]
-    with pytest.raises(BadValue, match=r"point 1 .*: its time is .* s after the point before"):
+    with pytest.raises(BadValue, match=r"point 1 .*: its time is .* s after the previous point"):
         reader().curve(points, 0.0, mark())
 
 
@@ -132,7 +132,7 @@ def test_it_is_near_the_arm(away: float, is_near: bool) -> None:
 def test_how_far_points_are_apart(number: int, time: float, is_refused: bool) -> None:
     """Two cycles of the controller at least, from an arm that moves."""
     points = [point(0.0, 2.5)] * number + [point(0.0, time)]
-    why = rf"point {number} \(t = .*: its time is .* s after the point before, .* expected 0\.004 s, .* to 1000 s"
+    why = rf"point {number} \(t = .*: its time is .* s after the previous point, .* expected 0\.004 s .* to 1000 s"
     with pytest.raises(BadValue, match=why) if is_refused else contextlib.nullcontext():
         reader().after(points, mark(qd=1e-5))
 
@@ -217,6 +217,6 @@ def test_a_pose_is_reached_as_near_as_can_be_to_the_point_before() -> None:
 @pytest.mark.parametrize(("leap", "is_refused"), [(1.49, False), (-1.49, False), (1.51, True), (-1.51, True)])
 def test_a_pose_behind_a_singularity(leap: float, is_refused: bool) -> None:
     read = reader(lambda pose, near: np.array(at(leap)))
-    why = rf"point 0 \(t = 9 s\): wrist 3 \(joint 5\) would leap from 0\.0000 to {leap:.4f} rad; .* 1\.5 rad"
+    why = rf"point 0 \(t = 9 s\): wrist 3 \(joint 5\) would jump from 0\.0000 to {leap:.4f} rad; .* 1\.5 rad"
     with pytest.raises(BadValue, match=why) if is_refused else contextlib.nullcontext():
         read.after(PosePoint(STILL, 9.0), mark())

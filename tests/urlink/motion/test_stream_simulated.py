@@ -251,14 +251,17 @@ def test_what_is_refused(connect: Callable[..., Robot]) -> None:
         stream.append(points(4, 60), wait=False)
         with pytest.raises(LinkTimeout, match=r"not run dry within 0\.1 s"):
             stream.wait_until_dry(0.1)
-    with urlink.connect("sim://ur5?firmware=1.8") as old, pytest.raises(LocalError, match=r"CB2 .* 3\.4 is the first"):
+    with (
+        urlink.connect("sim://ur5?firmware=1.8") as old,
+        pytest.raises(LocalError, match=r"CB2 .* 3\.4 or later is required"),
+    ):
         old.motion.stream()
     with (
         urlink.connect("sim://ur5?firmware=3.8") as old,
-        pytest.raises(LocalError, match=r"3\.9 and 5\.3 are the first"),
+        pytest.raises(LocalError, match=r"3\.9, 5\.3 or later is required"),
     ):
         old.motion.stream(link="rtde")
-    with urlink.connect("sim://ur5?firmware=3.1") as old, pytest.raises(LocalError, match=r"3\.4 is the first"):
+    with urlink.connect("sim://ur5?firmware=3.1") as old, pytest.raises(LocalError, match=r"3\.4 or later is required"):
         old.motion.stream()
 
 

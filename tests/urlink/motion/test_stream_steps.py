@@ -172,7 +172,7 @@ def test_the_first_limit_that_is_exceeded_is_told(joint: int, sign: float) -> No
         ),
         (
             Step.to(only(joint, sign * 1.5, sign * 5.0), only(joint, sign * 1.5, sign * 6.2), 0.8, 5),
-            rf"two: position where it would brake to if nothing followed of .*{name}\) is -?6\.\d+ rad",
+            rf"two: position after braking, if no point followed, of .*{name}\) is -?6\.\d+ rad",
         ),
     ]
     for step, message in cases:
@@ -361,7 +361,7 @@ def test_it_lands_on_the_last_point_if_on_none_before() -> None:
 )
 def test_points_that_are_past(ends: float, is_past: bool) -> None:
     curve, here = ramp(ends - 0.5, ends), only(5, 0.2, 0.2)
-    why = rf"all points are past: the last is at {ends:g} s, and they are needed from 1 s on"
+    why = rf"all points are in the past: the last is at {ends:g} s, but points are needed from 1 s on"
     with pytest.raises(BadValue, match=why) if is_past else contextlib.nullcontext():
         (found,) = onto(bounds(), curve, here, 1.0, SHORTEST)
         assert found.time == pytest.approx(ends)

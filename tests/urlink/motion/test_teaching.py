@@ -73,7 +73,7 @@ def test_waypoints_by_calls_and_by_an_input_are_saved_and_played(arm: tuple[Cont
         until(lambda: len(teaching.taught) == 2, TIMEOUT)
     assert told == list(teaching.taught)
     assert teaching.taught.model == "UR5e"
-    with pytest.raises(LocalError, match="within the block"):
+    with pytest.raises(LocalError, match="the block is not open"):
         teaching.record()
     file = tmp_path / "taught.json"
     teaching.taught.save(file)
@@ -194,7 +194,7 @@ def test_waypoints_are_recorded_within_the_block_and_within_the_mode() -> None:
     teaching, told = teaching_with(realtime, mode)
     assert cast("Any", teaching.freedrive) is mode
     realtime.say(0.5)
-    with pytest.raises(LocalError, match="within the block"):
+    with pytest.raises(LocalError, match="the block is not open"):
         teaching.record()
     with teaching as entered:
         assert entered is teaching
@@ -206,7 +206,7 @@ def test_waypoints_are_recorded_within_the_block_and_within_the_mode() -> None:
             teaching.record()
     assert ended == ["begun", "freedrive"]
     mode.error = None
-    with pytest.raises(LocalError, match="within the block"):
+    with pytest.raises(LocalError, match="the block is not open"):
         teaching.record()
     assert told == [point] == list(teaching.taught)
 
@@ -219,7 +219,7 @@ def test_what_cannot_be_listened_to_ends_the_mode() -> None:
     with pytest.raises(TypeError), teaching:
         pass
     assert ended == ["begun", "buttons", "subscription of realtime", "freedrive"]
-    with pytest.raises(LocalError, match="within the block"):
+    with pytest.raises(LocalError, match="the block is not open"):
         teaching.record()
 
 
@@ -317,9 +317,9 @@ POINT = {"q": [0] * 6, "pose": [0] * 6}
     [
         ([], 'expected an object whose "format" is "urlink taught waypoints"'),
         ({"format": "poses"}, "expected an object"),
-        ({"version": 2}, "version 2 is not known; expected 1"),
+        ({"version": 2}, "unknown version 2; expected 1"),
         ({"model": 5}, '"model" is 5; expected a name or null'),
-        ({"waypoints": {}}, '"waypoints" is no list'),
+        ({"waypoints": {}}, '"waypoints" is not a list'),
         ({"waypoints": [POINT, [0] * 6]}, 'waypoint 1 has no "q" and "pose"'),
         ({"waypoints": [{"q": [0] * 6}]}, 'waypoint 0 has no "q" and "pose"'),
         ({"waypoints": [{**POINT, "q": [0] * 5}]}, "q of waypoint 0 has the shape"),
@@ -340,7 +340,7 @@ def test_what_cannot_be_played_or_kept_is_refused(tmp_path: Path) -> None:
     other = cast("Any", SimpleNamespace(model="UR10e", motion=None))
     with pytest.raises(BadValue, match="nothing to play"):
         Taught().play(other)
-    with pytest.raises(BadValue, match="taught on a UR5e, and this is a UR10e"):
+    with pytest.raises(BadValue, match="taught on a UR5e, but this is a UR10e"):
         Taught([point], "UR5e").play(other)
     with pytest.raises(BadValue, match="no waypoint was taught yet"):
         Taught().remove_last()
@@ -355,5 +355,5 @@ def test_what_cannot_be_played_or_kept_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadValue, match="cannot read"):
         Taught.load(tmp_path / "none.json")
     (tmp_path / "text").write_text("{")
-    with pytest.raises(BadValue, match="is no JSON"):
+    with pytest.raises(BadValue, match="is not a JSON file"):
         Taught.load(tmp_path / "text")

@@ -69,7 +69,7 @@ NAN = float("nan")
         ((["a"] * 6, 0), "expected numbers"),
         (([[0], [0, 1]], 0), "expected numbers"),
         (([0] * 6, "soon"), "time"),
-        (([0] * 6, [1, 2]), "not one number"),
+        (([0] * 6, [1, 2]), "expected one number"),
         (([0] * 6, 0, [1, 2]), "qd has the shape"),
     ],
 )
@@ -85,7 +85,7 @@ REST = np.zeros((3, 6))
     ("time", "q", "qd", "qdd", "message"),
     [
         ([0], [[0] * 6], None, None, "at least two points"),
-        ([0, 1, 1], REST, None, None, "point 2: time 1 s after 1 s"),
+        ([0, 1, 1], REST, None, None, "point 2: time 1 s follows 1 s"),
         ([0, 2, 1], REST, None, None, "point 2"),
         ([0, 1e-9, 1], REST, None, None, "point 1"),
         ([1, 2, 3], REST, None, None, "begins at 0"),
@@ -103,7 +103,13 @@ REST = np.zeros((3, 6))
             r"point 0: q\[0\] \(base\) is 1100000.0; expected a finite number of rad$",
         ),
         ([0, 1, 1.1e6], REST, None, None, "point 2: time is 1100000.0"),
-        ([0, 1, 1.00009], REST, None, None, "point 2: time 1.00009 s after 1 s; times have to increase, by 0.0001 s"),
+        (
+            [0, 1, 1.00009],
+            REST,
+            None,
+            None,
+            "point 2: time 1.00009 s follows 1 s; times must increase by at least 0.0001 s",
+        ),
     ],
 )
 def test_arrays_that_are_no_trajectory(time: object, q: object, qd: object, qdd: object, message: str) -> None:
@@ -280,7 +286,9 @@ def test_what_is_beyond_its_limit_may_be_in_degrees() -> None:
 
 
 def test_first_point_is_near() -> None:
-    with pytest.raises(BadValue, match=r"shoulder \(joint 1\) at 0\.2000 rad, to begin at 0\.0000 rad; at most 0\.05"):
+    with pytest.raises(
+        BadValue, match=r"shoulder \(joint 1\) is at 0\.2000 rad, but begins at 0\.0000 rad; at most 0\.05"
+    ):
         tool(0, 1).check(near=[0, 0.2, 0.1, 0, 0, 0])
     tool(0, 1).check(near=[0, 0.2, 0.1, 0, 0, 0], within=0.2)
     tool(0, 1).check(near=[0, 0.05, -0.05, 0, 0, 0])
@@ -409,7 +417,7 @@ def test_columns_in_any_order_and_blank_lines(file: Path) -> None:
         (HEADER + "0,0,0,0,0,0,0\n", "1 points"),
         (HEADER + "0,0,0,0,0,0,0\n1,0,0,0,0,0\n", "line 3: 6 values; expected 7"),
         (HEADER + "0,0,0,0,0,0,0\n\n1,0,0,x,0,0,0\n", "line 4, column q2: 'x' is not a finite number"),
-        (HEADER + "0,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", r"point 0 is line 2\): point 1: time 0 s after 0 s"),
+        (HEADER + "0,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", r"point 0 is line 2\): point 1: time 0 s follows 0 s"),
     ],
 )
 def test_files_that_are_no_trajectory(file: Path, content: str, message: str) -> None:

@@ -163,7 +163,7 @@ def test_programs_are_listed_stored_and_fetched(controller: Controller, robot: u
     for name in ("pl ace", "new"):
         del controller.pendant.files[name]
     for firmware, error in (
-        (X11, "has the programs on it is 10.12"),
+        (X11, "has no programs in its Robot API; 10.12 or later is required"),
         (Firmware(5, 11), "has a dashboard server, which"),
     ):
         with pytest.raises(LocalError, match=error):
@@ -202,18 +202,18 @@ def test_a_list_of_programs_holds_nulls_and_is_looked_at() -> None:
 
 #: Commands that the Robot API does not have, and what the error has to name.
 LACKING: list[tuple[Callable[[Dashboard], object], str]] = [
-    (lambda desk: desk.popup("x"), "has 'popup' is 10.14; robot.popup"),
-    (lambda desk: desk.close_popup(), "has 'close popup' is 10.14"),
-    (lambda desk: desk.add_to_log("x"), "has 'addToLog' is 10.14"),
-    (lambda desk: desk.robot_model(), "has 'get robot model' is 10.14; robot.model"),
-    (lambda desk: desk.serial_number(), "has 'get serial number' is 10.14"),
-    (lambda desk: desk.save_log(), "has nothing for 'saveLog'"),
-    (lambda desk: desk.running(), r"'running'; program_state\(\)"),
-    (lambda desk: desk.version(), "'version'; robot.firmware"),
+    (lambda desk: desk.popup("x"), "has 'popup' in 10.14 or later; use robot.popup"),
+    (lambda desk: desk.close_popup(), "has 'close popup' in 10.14 or later"),
+    (lambda desk: desk.add_to_log("x"), "has 'addToLog' in 10.14 or later"),
+    (lambda desk: desk.robot_model(), "has 'get robot model' in 10.14 or later; use robot.model"),
+    (lambda desk: desk.serial_number(), "has 'get serial number' in 10.14 or later"),
+    (lambda desk: desk.save_log(), "has no 'saveLog'"),
+    (lambda desk: desk.running(), r"'running'; use program_state\(\)"),
+    (lambda desk: desk.version(), "'version'; use robot.firmware"),
     (lambda desk: desk.set_operational_mode("manual"), "'set operational mode'"),
     (lambda desk: desk.shutdown(), "'shutdown'"),
     (lambda desk: desk.quit(), "'quit'"),
-    (lambda desk: desk.send("running"), "has no dashboard server that takes lines"),
+    (lambda desk: desk.send("running"), "has no dashboard server to send a line to"),
 ]
 
 
@@ -227,15 +227,17 @@ def test_what_the_robot_api_lacks(call: Callable[[Dashboard], object], error: st
 def test_what_a_firmware_has(controller: Controller) -> None:
     now = X7
     desk = Dashboard("no-such-host.invalid", None, lambda: now, api_port=None)
-    with pytest.raises(LocalError, match="serves no Robot API"):
+    with pytest.raises(LocalError, match="does not serve the Robot API"):
         desk.power_on()
     desk = Dashboard("no-such-host.invalid", None, lambda: now)
-    with pytest.raises(LocalError, match=r"firmware 10.7 is PolyScope X.*whose Robot API has 'power on' is 10.11"):
+    with pytest.raises(
+        LocalError, match=r"firmware 10.7 is PolyScope X.*the Robot API has 'power on' in 10.11 or later"
+    ):
         desk.power_on()
     now = X11
-    with pytest.raises(LocalError, match=r"firmware 10.11 .*first whose Robot API has 'robotmode' is 10.12"):
+    with pytest.raises(LocalError, match=r"firmware 10.11 .*the Robot API has 'robotmode' in 10.12 or later"):
         desk.robot_mode()
-    with pytest.raises(LocalError, match="serves no dashboard server"):
+    with pytest.raises(LocalError, match="does not serve the dashboard server"):
         Dashboard("no-such-host.invalid", None, lambda: Firmware(5, 11)).power_on()
     with pytest.raises(BadValue, match="'load' needs the name of a program"):
         desk.load(" ")
@@ -283,7 +285,7 @@ def test_10_14_has_popups_the_log_and_who_it_is() -> None:
         assert desk.generate_flight_report() == ""
         with pytest.raises(BadValue, match="'popup' needs a text"):
             desk.popup("")
-        with pytest.raises(LocalError, match=r"'set operational mode'; what 10\.14 wants for it is not known"):
+        with pytest.raises(LocalError, match=r"'set operational mode'; the request of 10\.14 is not known"):
             desk.set_operational_mode("manual")
         # As the vendor's client asks: with a title, and for all that stands there at once.
         body = json.dumps({"title": "Attention", "message": "here"}).encode()
@@ -314,7 +316,7 @@ def test_a_refused_connection_says_that_the_service_may_be_off() -> None:
             ):
                 with pytest.raises(ConnectFailed, match=where):
                     use()
-        with pytest.raises(ConnectFailed, match=r"from firmware 5\.17 on, and on PolyScope X, the service may"):
+        with pytest.raises(ConnectFailed, match=r"on firmware 5\.17 or later, and on PolyScope X, the service may"):
             urlink.connect(f"ur://127.0.0.1?primary={dead}&secondary={dead}")
 
 

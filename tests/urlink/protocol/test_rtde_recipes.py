@@ -148,7 +148,7 @@ def test_what_makes_no_recipe() -> None:
     with pytest.raises(BadValue, match="1 types for 2 names"):
         Recipe(["a", "b"], ["DOUBLE"])
     for bad in (NOT_FOUND, IN_USE, "STRING", "nonsense"):
-        with pytest.raises(BadValue, match=f"a is of the type {bad}"):
+        with pytest.raises(BadValue, match=f"a has the type {bad}"):
             Recipe(["a"], [bad])
     for number in (0, 256):
         with pytest.raises(BadValue, match="recipe number"):
@@ -162,7 +162,7 @@ def test_packages_that_do_not_fit() -> None:
     for bad in (data[:-1], data + b"\0"):
         with pytest.raises(PacketError, match="does not fit recipe 3: expected 12 bytes"):
             recipe.decode(bad)
-    with pytest.raises(PacketError, match="of recipe 4, not 3"):
+    with pytest.raises(PacketError, match="belongs to recipe 4, not 3"):
         recipe.decode(data[:3] + b"\4" + data[4:])
     with pytest.raises(BadValue, match="runtime_state"):
         recipe_of("runtime_state").encode({"runtime_state": -1})

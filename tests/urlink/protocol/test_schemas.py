@@ -114,7 +114,7 @@ def test_total_sizes_of_the_reference(version: str, realtime: int, first: int | 
 
 @pytest.mark.parametrize("version", ["1.4", "0.9", "2.0", "4.1", "6.1", "9.9"])
 def test_firmware_that_nothing_is_known_of(version: str) -> None:
-    with pytest.raises(BadVersion, match="nothing is known of firmware"):
+    with pytest.raises(BadVersion, match="unknown firmware"):
         release_of(Firmware.parse(version))
     with pytest.raises(BadVersion):
         decode(b"", "realtime", version)

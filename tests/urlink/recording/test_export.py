@@ -159,7 +159,7 @@ def test_what_cannot_be_written_leaves_nothing_and_harms_nothing(recording: urli
     path.write_text("precious")
     for fields, complaint in (
         (["q_actuel"], "did you mean q_actual"),
-        (["q_actual", "joint_data.q_actual"], r"holds one table, and these are realtime, primary"),
+        (["q_actual", "joint_data.q_actual"], r"can hold only one table, and these are realtime, primary"),
     ):
         with pytest.raises(urlink.BadValue, match=complaint):
             recording.export(path, fields)

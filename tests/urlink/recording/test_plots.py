@@ -58,7 +58,9 @@ def test_single_elements_are_plotted(run: urlink.Recording) -> None:
 
 def test_list_of_names_is_refused_with_a_hint(run: urlink.Recording) -> None:
     fields: list[str] = ["q_actual"]
-    with pytest.raises(urlink.BadValue, match=r"field \['q_actual'\] is not a string; expected names one by one"):
+    with pytest.raises(
+        urlink.BadValue, match=r"field \['q_actual'\] is not a string; expected each name as an argument"
+    ):
         run.plot(fields)  # type: ignore[arg-type]
 
 
@@ -66,7 +68,7 @@ def test_recording_and_tables_name_their_columns(run: urlink.Recording) -> None:
     held: Any = run
     with pytest.raises(AttributeError, match=r"write recording.realtime\['q_actual'\]"):
         held.actual_q  # noqa: B018
-    with pytest.raises(AttributeError, match=r"it is a column, write table\['q_actual'\]"):
+    with pytest.raises(AttributeError, match=r"it is a column; write table\['q_actual'\]"):
         held.realtime.q_actual  # noqa: B018
 
 
@@ -99,11 +101,11 @@ def test_what_cannot_be_drawn(run: urlink.Recording, tmp_path: Path, monkeypatch
         run.plot()
     with pytest.raises(urlink.BadValue, match="did you mean q_actual"):
         run.plot("q_actuel")
-    with pytest.raises(urlink.BadValue, match=r"a picture is one of \.png, \.svg, \.pdf"):
+    with pytest.raises(urlink.BadValue, match=r"unsupported type of file; expected one of \.png, \.svg, \.pdf"):
         run.plot("q_actual").save(tmp_path / "q.doc")
     with pytest.raises(urlink.BadRecording, match="cannot write"):
         run.plot("q_actual").save(tmp_path / "nowhere" / "q.png")
-    with pytest.raises(urlink.BadValue, match="is no number"):
+    with pytest.raises(urlink.BadValue, match="is not a numeric field"):
         Plot([Curves("text", "", np.zeros(1), np.array(["a"], object))])
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(urlink.LocalError, match=r"pip install 'urlink-robot\[plot\]'"):

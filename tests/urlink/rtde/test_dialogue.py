@@ -128,7 +128,7 @@ def test_what_the_controller_lacks_is_an_error() -> None:
 def test_a_type_that_nobody_knows_is_as_good_as_none() -> None:
     desk = ScriptedRtde()
     desk.answers[OutputsRequest] = lambda request: [OutputsReply("2.0", recipe=1, types="STRING")]
-    with pytest.raises(NoSuchVariable, match=r"timestamp .of the type STRING"):
+    with pytest.raises(NoSuchVariable, match=r"timestamp .unknown type STRING"):
         opened(desk, Requests(("timestamp",)))
 
 
@@ -168,14 +168,14 @@ def test_refusals(request_class: type[State], reply: State, error: str) -> None:
 def test_what_is_not_answered_is_said(request_class: type[State], awaited: str) -> None:
     desk = ScriptedRtde()
     desk.answers[request_class] = lambda request: []
-    with pytest.raises(LinkTimeout, match=rf"waited 0.05 s for {awaited} in vain"):
+    with pytest.raises(LinkTimeout, match=rf"no {awaited} arrived within 0.05 s"):
         opened(desk, Requests(("timestamp",)), 0.05)
 
 
 def test_a_start_that_yields_no_data_is_noticed() -> None:
     desk = ScriptedRtde()
     desk.answers[StartRequest] = lambda request: [StartReply(accepted=True)]
-    with pytest.raises(LinkTimeout, match=r"waited 0.05 s for data packages in vain"):
+    with pytest.raises(LinkTimeout, match=r"no data packages arrived within 0.05 s"):
         opened(desk, Requests(("timestamp",)), 0.05)
 
 
@@ -197,7 +197,7 @@ def test_text_and_data_in_place_of_any_reply(caplog: pytest.LogCaptureFixture) -
     texts = [packet for packet in packets if isinstance(packet, RtdeMessage)]
     assert len(texts) >= 6
     assert all(text.message == "not confirmed" for text in texts)
-    assert "the controller says: 'not confirmed'" in caplog.text
+    assert "message from the controller: 'not confirmed'" in caplog.text
 
 
 def test_protocol_1(caplog: pytest.LogCaptureFixture) -> None:
@@ -222,7 +222,7 @@ def test_data_packages_that_do_not_fit() -> None:
     opened(desk, plan)
     protocol = RtdeProtocol(plan)
     good = bytes(desk.data())
-    with pytest.raises(PacketError, match="came before its recipe"):
+    with pytest.raises(PacketError, match="arrived before its recipe"):
         protocol.decode(good)
     for frame in (
         ProtocolReply(accepted=True),
@@ -274,10 +274,10 @@ def test_the_transport_is_disconnected_when_the_dialogue_fails() -> None:
         ([], "expected the names"),
         ("actual_q", "expected the names"),
         (["actual_q", "timestamp", "actual_q"], "more than once: actual_q"),
-        (["actual q"], "cannot be the name"),
-        (["a,b"], "cannot be the name"),
-        ([""], "cannot be the name"),
-        (["tail"], "cannot be the name"),
+        (["actual q"], "is not a valid name"),
+        (["a,b"], "is not a valid name"),
+        ([""], "is not a valid name"),
+        (["tail"], "is not a valid name"),
         ([f"output_bit_register_{number}" for number in range(1000, 1090)], "names have 2249 bytes"),
     ],
 )

@@ -79,8 +79,8 @@ NEW = Firmware(5, 11)
         (lambda: commands.tcp("abcdef"), "expected 6 numbers"),  # type: ignore[arg-type]
         (lambda: commands.speed_slider(1.5), "0 to 1"),
         (lambda: commands.speed_slider("0.5"), "expected a number"),  # type: ignore[arg-type]
-        (lambda: commands.popup('a"b', "t", False, False), "no quotes"),
-        (lambda: commands.popup("a", "t\n", False, False), "title holds"),
+        (lambda: commands.popup('a"b', "t", False, False), "contain quotes"),
+        (lambda: commands.popup("a", "t\n", False, False), "title contains"),
         (lambda: commands.popup("a", "t", 1, False), "True or False"),  # type: ignore[arg-type]
     ],
 )

@@ -69,7 +69,7 @@ def test_strings_stay_in_their_quotes(text: str) -> None:
     "text", ['"', "\\", "\n", "\r", "\t", "\0", "\x85", "\u2028", "\x1b[0m", "\ud800", 'a")\nmovej(q']
 )
 def test_what_cannot_be_carried(text: str) -> None:
-    with pytest.raises(BadValue, match="title holds"):
+    with pytest.raises(BadValue, match="title contains"):
         quoted(text, "title")
 
 

@@ -74,9 +74,9 @@ def test_secondary() -> None:
     )
     with pytest.raises(BadValue, match="alone"):
         wrap("sec a():\n  b()\nend\nc()", "t")
-    with pytest.raises(BadValue, match="lines of their own"):
+    with pytest.raises(BadValue, match="on separate lines"):
         wrap("sec a(): b()\nend", "t")
-    with pytest.raises(BadValue, match="lines of their own"):
+    with pytest.raises(BadValue, match="on separate lines"):
         wrap("sec a():\n b() end", "t")
 
 
@@ -172,14 +172,14 @@ def test_the_line_in_the_controllers_words_is_the_users() -> None:
         ("def f():\n  a()", "line 1 .* `def` has no `end`"),
         ("def f():\n  if a:\n  b()\nend", "line 1 .* `def` has no `end`"),
         ("while True:\n  a()", "`while` has no `end`"),
-        ("a()\nend", "line 2 .* an `end` that ends nothing"),
+        ("a()\nend", "line 2 .* an `end` without a block"),
         ("def f():\nend\nend", "line 3"),
         ('textmsg("a)', "line 1 .* not closed"),
         ("a\0b", "control character"),
         ("a\x1bb", "control character"),
-        ("a\ud800", "no character"),
+        ("a\ud800", "not a valid character"),
         ("def f)(:\n  a\nend", "expected something like"),
-        (b"a()", "got bytes"),
+        (b"a()", "of type bytes"),
         ("#" * (LARGEST + 1), "bytes"),
     ],
 )

@@ -108,8 +108,8 @@ def test_recordings(text: str, path: str, rate: float) -> None:
         ("sim://?motion=dance", "motion='dance'; expected still or demo"),
         ("sim://?motion=", "motion=''; expected still or demo"),
         ("sim://?firmware=new", "'new' is not a version"),
-        ("sim://?firmware=0.1", "nothing is known of firmware 0.1"),
-        ("sim://?firmware=6.1", "nothing is known of firmware 6.1"),
+        ("sim://?firmware=0.1", "unknown firmware 0.1"),
+        ("sim://?firmware=6.1", "unknown firmware 6.1"),
         (
             "sim://?firmware=99.1",
             "no controller has firmware 99.1; expected 1.x up to 1.8, 3.x up to 3.15, 5.x or 10.x",
@@ -179,7 +179,7 @@ def test_a_recording_without_the_interface_says_so_at_once(tmp_path: Path) -> No
         robot.primary.wait()
     with urlink.connect(f"replay://{tmp_path}/run.urlog?rate=max") as replayed:
         assert (str(replayed.firmware), replayed.model) == ("3.4", "UR5")
-        with pytest.raises(BadRecording, match="holds no realtime; it holds primary"):
+        with pytest.raises(BadRecording, match="contains no realtime; it contains primary"):
             replayed.realtime  # noqa: B018
         assert list(replayed.primary)
 

@@ -1,8 +1,8 @@
-"""Tests of a controller with this library, and what a recording tells of its arm.
+"""Tests of a controller with urlink, and identification of an arm from a recording.
 
-`acceptance` tries a controller stage by stage and leaves evidence. `identification` fits the parameters of the
+`acceptance` tests a controller stage by stage and stores the evidence. `identification` fits the parameters of the
 simulator to a recording, and makes the motion that such a recording needs.
 """
 
-# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+# Imported before urlink, so that a warning about another distribution of this name precedes a failing import.
 import linkcore  # noqa: F401

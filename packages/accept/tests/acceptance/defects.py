@@ -260,16 +260,16 @@ DEFECTS: Mapping[str, Defect] = {
     "wrong sign of one joint": Defect(rt("q_actual", _joint(2)), "fields-agree", "sign of 1 of 6"),
     "wrong sign of one joint against the target": Defect(rt("q_actual", _joint(1)), "tracking", "joint 2"),
     "wrong sign of qd_actual": Defect(
-        rt("qd_actual", lambda qd: -qd), "velocities", "its sign is the other one", moves=True
+        rt("qd_actual", lambda qd: -qd), "velocities", "its sign is inverted", moves=True
     ),
     "wrong sign of I_actual": Defect(rt("I_actual", lambda i: -i), "fields-agree", "I_actual"),
     "wrong sign of I_target": Defect(rt("I_target", lambda i: -i), "fields-agree", "I_target"),
     "wrong sign of M_target": Defect(rt("M_target", lambda m: -m), "fields-agree", "M_target"),
     "wrong sign of all moments": Defect(
-        both(rt("M_target", lambda m: -m), rtde("target_moment", lambda m: -m)), "gravity", "Nm by the masses"
+        both(rt("M_target", lambda m: -m), rtde("target_moment", lambda m: -m)), "gravity", "Nm from the masses"
     ),
     "wrong sign of all currents": Defect(
-        both(rt("I_target", lambda i: -i), rtde("target_current", lambda i: -i)), "currents", "other direction"
+        both(rt("I_target", lambda i: -i), rtde("target_current", lambda i: -i)), "currents", "opposite direction"
     ),
     "currents in mA": Defect(rt("I_actual", lambda i: 1000.0 * i), "values-possible", "I_actual"),
     "joints in degrees": Defect(rt("q_actual", np.rad2deg), "fields-agree", "degrees"),
@@ -305,7 +305,7 @@ DEFECTS: Mapping[str, Defect] = {
     "acceleration in g": Defect(rt("tool_accelerometer", lambda a: a / 9.82), "accelerometer", "1.00 m/s²"),
     "a payload that is not there": Defect(rt("payload_mass", lambda m: 9.0), "gravity", "9.00 kg"),
     "a sensor that is off": Defect(rt("q_actual", lambda q: q + 0.02), "tracking"),
-    "a stopped clock": Defect(_each("realtime", _stopped_clock), "clock-forward", "time of the one before"),
+    "a stopped clock": Defect(_each("realtime", _stopped_clock), "clock-forward", "time of the previous one"),
     "a clock that jumps back": Defect(
         _each("realtime", lambda f, n: f if n % 97 else f[:4] + struct.pack(">d", 0.5) + f[12:]), "clock-forward"
     ),
@@ -341,7 +341,7 @@ DEFECTS: Mapping[str, Defect] = {
     "a variable of another type": Defect(
         note("rtde-names", lambda said: said["types"].__setitem__(said["names"].index("robot_mode"), "DOUBLE")),
         "rtde-names",
-        "robot_mode is of the type DOUBLE",
+        "robot_mode has the type DOUBLE",
     ),
     "protocol 2 is refused": Defect(note("rtde", _set(protocol=1)), "rtde-protocol", "protocol 2"),
     "RTDE does not start": Defect(note("rtde", _set(error="RtdeRefused: start")), "rtde-protocol", "start"),

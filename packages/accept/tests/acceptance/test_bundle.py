@@ -86,15 +86,15 @@ def test_a_bundle_that_was_changed_is_refused(logbook: Path, tmp_path: Path, par
 def test_what_is_no_bundle(tmp_path: Path) -> None:
     (tmp_path / "run.zip").write_bytes(b"PK")
     for name in ("run.zip", "none.zip"):
-        with pytest.raises(BadRecording, match="is no bundle"), opened(tmp_path / name):
+        with pytest.raises(BadRecording, match="is not a bundle"), opened(tmp_path / name):
             pass
 
 
 @pytest.mark.parametrize(
     ("manifest", "problem"),
     [
-        (b"{}", "is no bundle"),
-        (b"[" * 50_000, "is no bundle"),
+        (b"{}", "is not a bundle"),
+        (b"[" * 50_000, "is not a bundle"),
         (b'{"format": 1, "files": {"bytes.urlog": "0", "requirements.toml": "0"}}', "larger than 5000000 bytes"),
         (b" " * 100_000, "MANIFEST.json is larger than 65536 bytes"),
     ],

@@ -57,7 +57,7 @@ def test_what_came_while_this_computer_was_held_up_is_not_judged(sound: dict[boo
     evidence = planted(sound[False], DEFECTS["robot states left out"])
     evidence.notes = [Note(at, step, {"worst": 0.2} if step == "woken" else said) for at, step, said in evidence.notes]
     (verdict,) = judge(evidence, {"primary-rate": requirements()["primary-rate"]})
-    assert (verdict.state, verdict.seen[:33]) == ("not tried", "this computer was itself held up ")
+    assert (verdict.state, verdict.seen[:33]) == ("not tried", "this computer itself was delayed ")
 
 
 def test_rates_are_of_what_came_while_it_was_seen_whether_this_computer_is_held_up(sound: dict[bool, Evidence]) -> None:

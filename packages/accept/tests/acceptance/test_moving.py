@@ -47,7 +47,7 @@ def test_what_a_firmware_cannot_be_asked_for_is_not_tried(tmp_path: Path, monkey
     monkeypatch.setattr("urlink_accept.acceptance.moving.try_each", some)
     run("sim://ur5e?firmware=10.7", tmp_path / "run.urlog", (2,), consent)
     verdicts = {each.requirement.name: each for each in judge(Evidence(tmp_path / "run.urlog"), requirements())}
-    assert "the first whose Robot API has 'pause' is 10.11" in verdicts["pause"].seen
+    assert "the Robot API has 'pause' in 10.11 or later" in verdicts["pause"].seen
     assert {name: verdicts[name].state for name in ("move-arrives", "pause", "stop", "box")} == {
         "move-arrives": "held",
         "pause": "not tried",
@@ -73,7 +73,7 @@ class LetsGo(OfTheSimulator):
 def test_letting_go_of_the_key_stops_the_arm(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         ended = tried(controller, tmp_path / "run.urlog", LetsGo(controller, 200))
-        assert ended == "stopped: the dead man's input was let go of"
+        assert ended == "stopped: the dead-man switch was released"
         assert np.abs(controller.arm.sample.qd_target).max() < 1e-3
     assert Evidence(tmp_path / "run.urlog").last("guard") is not None
 

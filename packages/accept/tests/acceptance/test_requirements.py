@@ -61,7 +61,7 @@ def test_a_file_of_ones_own_changes_limits_and_names_the_cell(tmp_path: Path) ->
     ("text", "said"),
     [
         ("[clock-drive]\nlimit = 1", "'clock-drive'"),
-        ("[clock-drift]\nstage = 1", "changes limit, why, source"),
+        ("[clock-drift]\nstage = 1", "can change limit, why, source"),
         ("[clock-drift]\nlimit = -1", "limit = -1"),
         ("[clock-drift]\nlimit = true", "limit = True"),
         ("[clock-drift]\nlimit = NaN", "limit = nan"),

@@ -51,7 +51,7 @@ def test_an_arm_may_start_and_brake_within_one_cycle(sign: float, state: str) ->
 
 @pytest.mark.parametrize(("gap", "state"), [(0.3, "not tried"), (0.0, "not held")])
 def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: float, state: str) -> None:
-    error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
+    error = "ConnectionLost: no message reached the program on the robot in time; it brakes on its own"
     arrivals = _PERIOD * np.arange(1, 1001)
     arrivals[500:] += gap
     notes = [Note(0.0, "stage", {"number": 2})]
@@ -83,7 +83,7 @@ def test_a_trajectory_that_this_computer_answered_too_seldom_is_not_judged(each:
 def test_a_stream_that_could_not_begin_while_this_computer_was_held_up_is_not_judged(gap: float, state: str) -> None:
     arrivals = _PERIOD * np.arange(1, 301)
     arrivals[150:] += gap
-    ended = "NotRunning: the robot has said nothing on the primary interface for 1.0 s"
+    ended = "NotRunning: nothing arrived on the primary interface for 1.0 s"
     notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "starved", {"event": "begin"})]
     notes.append(Note(arrivals[-1], "starved", {"event": "end", "error": None, "ended": ended}))
     assert verdict("starved", evidence(np.zeros((300, 6)), notes, arrivals))[0] == state
@@ -125,7 +125,7 @@ def test_a_lag_that_was_measured_by_half_of_the_states_contradicts_nothing(each:
 
 @pytest.mark.parametrize(("last", "state"), [(0.5, "not tried"), (0.66, "not held")])
 def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, state: str) -> None:
-    error = "ConnectionLost: nothing came to the program on the robot in time; it brakes by itself"
+    error = "ConnectionLost: no message reached the program on the robot in time; it brakes on its own"
     notes = [Note(0.0, "stage", {"number": 2})]
     for begin, step in ((0.1, "follow-100"), (0.8, "follow-50"), (1.5, "follow-10")):
         notes += [Note(begin, step, {"event": "begin"}), Note(begin + 0.6, step, {"event": "end", "error": error})]
@@ -154,7 +154,7 @@ def test_an_arm_that_was_not_seen_to_stand_is_not_judged_where_nothing_came(gap:
 def test_a_stage_in_which_no_packet_came_is_not_judged(name: str) -> None:
     notes = [Note(0.0, "stage", {"number": 2}), Note(9.0, "moving", {"start": [0.0] * 6, "slider": 0.1})]
     of = evidence(np.zeros((400, 6)), notes)
-    assert verdict(name, of) == ("not tried", "no packet of the real-time interface came")
+    assert verdict(name, of) == ("not tried", "no packet of the real-time interface arrived")
 
 
 @pytest.mark.parametrize("count", [8, 20])
@@ -166,5 +166,5 @@ def test_swings_of_which_few_packets_came_tell_nothing(count: int) -> None:
     for state in of.realtime.states:
         for field in COLUMNS.values():
             state.__dict__.setdefault(field, None)
-    expected = f"nothing is told by it: the logbook: {count} rows; 30 or more are expected"
+    expected = f"the recording shows nothing: the logbook has {count} rows; expected 30 or more"
     assert verdict("swing-moments", of) == ("not tried", expected)

@@ -80,10 +80,10 @@ def test_the_command(samples: Samples, tmp_path: Path, capsys: pytest.CaptureFix
     shown = capsys.readouterr().out
     assert "rotor_inertia 3" in shown
     assert "servoj_gain" in shown
-    assert "not told; needs" in shown
+    assert "unknown; needs" in shown
     assert read_arm_file(tmp_path / "arm.json").model == "UR5e"
     assert main(["identify", str(path)]) == 1
-    assert "of which arm" in capsys.readouterr().err
+    assert "does not contain the model" in capsys.readouterr().err
     assert main(["identify", str(path), "--model", "UR5e", "--json"]) == 0
     first = json.loads(capsys.readouterr().out.splitlines()[0])
     assert first["name"] == "payload"

@@ -82,7 +82,7 @@ def test_it_does_not_begin_where_it_was_not_planned_or_nobody_holds_the_switch()
         with urlink.connect(controller.address) as robot:
             planned = plan_from_here(robot)
             elsewhere = dataclasses.replace(planned, start=planned.start + 0.01)
-            with pytest.raises(Cancelled, match="does not stand where"):
+            with pytest.raises(Cancelled, match="is not at the position"):
                 exercise(robot, elsewhere, Guard(robot, SWING + BESIDE))
             with pytest.raises(Cancelled, match="not held"):
                 exercise(robot, planned, Guard(robot, SWING + BESIDE, input_is_on(2)))
@@ -104,7 +104,7 @@ def test_letting_go_of_the_switch_stops_it() -> None:
             with pytest.raises(Cancelled):
                 exercise(robot, planned, guard, let_go)
             robot.realtime.wait_until(lambda state: not state.qd_target.any(), 2.0)
-            assert guard.tripped == "the dead man's input was let go of"
+            assert guard.tripped == "the dead-man switch was released"
             assert controller.arm.sample.q_target[0] > START[0]
 
 
@@ -116,7 +116,7 @@ def test_a_joint_outside_its_box_stops_it() -> None:
         with pytest.raises(Cancelled):
             exercise(robot, plan_from_here(robot), guard)
         robot.realtime.wait_until(lambda state: not state.qd_target.any(), 2.0)
-        assert "degrees away from where it stood" in guard.tripped
+        assert "degrees away from its start" in guard.tripped
         assert controller.arm.sample.q_target[0] < START[0] + 0.2
 
 
@@ -128,14 +128,14 @@ def test_nothing_moves_before_somebody_says_that_the_box_is_free(
         with Path("/dev/null").open() as nothing:
             monkeypatch.setattr(sys, "stdin", nothing)
             assert main(["exercise", controller.address, "--out", str(tmp_path / "run.urlog")]) == 1
-        assert "--yes says so" in capsys.readouterr().err
+        assert "confirm it with --yes" in capsys.readouterr().err
         assert (np.array(controller.arm.sample.q_target) == START).all()
     assert not (tmp_path / "run.urlog").exists()
 
 
 def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["exercise", "sim://", "--swing", "90"]) == 2
-    assert "not from 6 to 45" in capsys.readouterr().err
+    assert "expected 6 to 45" in capsys.readouterr().err
 
 
 @pytest.mark.simulated_time

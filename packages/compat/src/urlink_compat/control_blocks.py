@@ -17,19 +17,19 @@ from .interface import succeeds
 
 __all__ = ["ControlBlocks", "Feature"]
 
-#: Seconds without a set-point after which the robot brakes. With the other client the arm holds still for ever; here a
-#: loop that pauses for longer opens the servo again.
+#: Time in s without a set-point after which the robot brakes. In the other client, the arm holds its position forever.
+#: Here, a loop that pauses for longer opens the servo again.
 _WATCHDOG = 0.5
-#: Seconds for which a speed holds unless a call changes or stops it. With the other client it holds for ever.
+#: Maximum time in s that a speed is kept unless a call changes or stops it. In the other client, it is kept forever.
 _SPEED_HOLDS = 60.0
-#: m after which `moveUntilContact` ends without contact.
+#: Distance in m after which `moveUntilContact` ends without contact.
 _NO_CONTACT = 2.0
 _ORIGIN = (0.0,) * 6
 _ALL = (1,) * 6
 
 
 class Feature(IntEnum):
-    """The frame of the speeds of `jogStart`."""
+    """Frame of the speeds of `jogStart`."""
 
     FEATURE_BASE = 0
     FEATURE_TOOL = 1
@@ -50,11 +50,13 @@ class ControlBlocks(ControlMoves):
     def servoJ(
         self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead_time: float, gain: float
     ) -> bool:
-        """Send joint positions, rad, as a set-point; does not wait. Speed, acceleration and time have no effect, as
-        on the robot. Look-ahead 0.03 to 0.2 s, gain 100 to 2000.
+        """Send joint positions in rad as a set-point, without waiting.
+
+        Speed, acceleration and time have no effect, as on the robot. The look-ahead time is 0.03 to 0.2 s, the gain 100
+        to 2000.
 
         Raises:
-            BadValue: further away than the joints can move in the time since the last set-point.
+            BadValue: If the set-point is further away than the joints can move in the time since the last one.
         """
 
         def send() -> None:
@@ -79,8 +81,8 @@ class ControlBlocks(ControlMoves):
         """Send a pose of the tool as a set-point; see `servoJ`.
 
         Raises:
-            Unreachable: the pose is out of reach.
-            BadValue: as for `servoJ`.
+            Unreachable: If the pose is out of reach.
+            BadValue: See `servoJ`.
         """
         near = () if self._last is None else self._last[0]
         return self.servoJ(self.getInverseKinematics(pose, near), speed, acceleration, time, lookahead_time, gain)
@@ -90,15 +92,15 @@ class ControlBlocks(ControlMoves):
         return succeeds(self._end_block)
 
     def speedJ(self, qd: Sequence[float], acceleration: float = 0.5, time: float = 0.0) -> bool:
-        """Accelerate to joint speeds, rad/s, at rad/s², and keep them until another call, for a minute at most; does
-        not wait.
+        """Accelerate to joint speeds in rad/s, at rad/s², and keep them until another call, for up to a minute.
 
-        `time` has no effect: on the robot it is how long the function takes, and not how long the arm moves.
+        The method does not wait. `time` has no effect: on the robot, it is the duration of the function rather than of
+        the motion.
         """
         return self._speed("joints", qd, acceleration)
 
     def speedL(self, xd: Sequence[float], acceleration: float = 0.25, time: float = 0.0) -> bool:
-        """Accelerate to a speed of the tool in the base frame, m/s and rad/s, at m/s²; see `speedJ`."""
+        """Accelerate to a tool speed in the base frame (m/s and rad/s), at m/s²; see `speedJ`."""
         return self._speed("base", xd, acceleration)
 
     def _speed(self, frame: Literal["joints", "base", "tool"], speeds: Sequence[float], acceleration: float) -> bool:
@@ -116,7 +118,7 @@ class ControlBlocks(ControlMoves):
         return succeeds(go)
 
     def speedStop(self, a: float = 10.0) -> bool:
-        """Stop a movement of `speedJ`, `speedL` or `jogStart`, with the acceleration of that call."""
+        """Stop a motion of `speedJ`, `speedL` or `jogStart`, with the acceleration of that call."""
         return succeeds(self._end_block)
 
     def jogStart(
@@ -126,9 +128,9 @@ class ControlBlocks(ControlMoves):
         acc: float = 0.5,
         custom_frame: Sequence[float] = _ORIGIN,
     ) -> bool:
-        """Move the tool at a speed in m/s and rad/s, along the axes of a frame; another call changes the speed.
+        """Move the tool at a speed in m/s and rad/s along the axes of a frame. Another call changes the speed.
 
-        The other client's documentation says mm/s, but its program uses m/s.
+        The documentation of the other client states mm/s, but its program uses m/s.
         """
         values = six(speeds, "speeds")
         if feature == Feature.FEATURE_TOOL:
@@ -139,11 +141,11 @@ class ControlBlocks(ControlMoves):
         return self._speed("base", values.tolist(), acc)
 
     def jogStop(self) -> bool:
-        """Stop a movement of `jogStart`."""
+        """Stop a motion of `jogStart`."""
         return self.speedStop()
 
     def setWatchdog(self, min_frequency: float = 10.0) -> bool:
-        """From the next servo on, brake if set-points come less often than this, Hz. Without this call: after 0.5 s."""
+        """Set the watchdog of later servos, as the minimum frequency of set-points in Hz. The default is 0.5 s."""
         self._watchdog = 1.0 / float(text.number(min_frequency, "min_frequency", 0.1, 100.0))
         return True
 
@@ -162,8 +164,10 @@ class ControlBlocks(ControlMoves):
         type: int,
         limits: Sequence[float],
     ) -> bool:
-        """Force mode: yield along the selected axes of a frame until the tool exerts a wrench there, N and Nm. It lasts
-        until another call; another wrench changes the one that is exerted."""
+        """Start force mode: the tool yields along the selected axes of a frame until it exerts a wrench there (N, Nm).
+
+        It lasts until another call. A call with another wrench changes the exerted wrench.
+        """
 
         def press() -> None:
             self._last = None
@@ -187,12 +191,12 @@ class ControlBlocks(ControlMoves):
         return succeeds(press)
 
     def forceModeSetDamping(self, damping: float) -> bool:
-        """Set the damping of force mode, 0 to 1; it holds from the next force mode on."""
+        """Set the damping of force mode, 0 to 1. It applies to later force modes."""
         self._damping = float(text.number(damping, "damping", 0.0, 1.0))
         return True
 
     def forceModeSetGainScaling(self, scaling: float) -> bool:
-        """Set the gain of force mode, 0 to 2; it holds from the next force mode on."""
+        """Set the gain of force mode, 0 to 2. It applies to later force modes."""
         self._gain = float(text.number(scaling, "scaling", 0.0, 2.0))
         return True
 
@@ -201,7 +205,7 @@ class ControlBlocks(ControlMoves):
         return succeeds(self._end_block)
 
     def freedriveMode(self, free_axes: Sequence[int] = _ALL, feature: Sequence[float] = _ORIGIN) -> bool:
-        """Freedrive: let a person move the arm by hand, along the free axes of a frame."""
+        """Start freedrive: a person can move the arm by hand along the free axes of a frame."""
 
         def free() -> None:
             self._last = None
@@ -219,7 +223,7 @@ class ControlBlocks(ControlMoves):
         return succeeds(self._end_block)
 
     def teachMode(self) -> bool:
-        """Freedrive with all axes free."""
+        """Start freedrive with all axes free."""
         return self.freedriveMode()
 
     def endTeachMode(self) -> bool:
@@ -232,9 +236,9 @@ class ControlBlocks(ControlMoves):
         viscous_scale: Sequence[float] = (0.9, 0.9, 0.8, 0.9, 0.9, 0.9),
         coulomb_scale: Sequence[float] = (0.8, 0.8, 0.7, 0.8, 0.8, 0.8),
     ) -> bool:
-        """Add torques of the joints, Nm, to those that hold the arm up; from 5.23 and 10.11 on.
+        """Add joint torques in Nm to the gravity-compensation torques (firmware 5.23 and 10.11, or later).
 
-        Of the scales only this has an effect: if any is not zero, the controller compensates friction.
+        The scales have only one effect: if any scale is not zero, the controller compensates for friction.
         """
         compensates = any([*viscous_scale, *coulomb_scale])
 
@@ -252,9 +256,11 @@ class ControlBlocks(ControlMoves):
     def moveUntilContact(
         self, xd: Sequence[float], direction: Sequence[float] = _ORIGIN, acceleration: float = 1.2
     ) -> bool:
-        """Move the tool straight, m/s in the base frame, until it touches something, then back to where that began.
+        """Move the tool straight in m/s in the base frame until it touches something, then back to where the contact
+        began.
 
-        False if there is no contact within 2 m. `direction` has no effect: contact is a force against the movement.
+        Return False if there is no contact within 2 m. `direction` has no effect: a contact is a force against the
+        motion.
         """
         way = six(xd, "xd")[:3]
         speed = float(np.linalg.norm(way))

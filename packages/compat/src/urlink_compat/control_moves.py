@@ -1,4 +1,4 @@
-"""Movements of ur_rtde's control interface, one by one or along a path, and the kinematics that they need."""
+"""Motions of ur_rtde's control interface, single or along a path, and the kinematics that they need."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class _PositionType(IntEnum):
 
 
 class PathEntry:
-    """One movement of a path.
+    """One motion of a path.
 
     Args:
-        move_type: `MoveJ`, `MoveL` or `MoveP`; an arc (`MoveC`) is not offered.
-        position_type: `PositionTcpPose` or `PositionJoints`; it must suit the movement: joints for `MoveJ`, poses for
-            `MoveL` and `MoveP`.
-        parameters: six coordinates, speed, acceleration, and blend radius in m.
+        move_type: Type `MoveJ`, `MoveL` or `MoveP`. An arc (`MoveC`) is not offered.
+        position_type: Type `PositionTcpPose` or `PositionJoints`. It must match the motion: joints for `MoveJ`, poses
+            for `MoveL` and `MoveP`.
+        parameters: Six coordinates, speed, acceleration, and blend radius in m.
 
     Raises:
-        BadValue: not nine numbers.
-        NotOffered: an arc, or a position type that does not suit the movement.
+        BadValue: If `parameters` is not nine numbers.
+        NotOffered: If the motion is an arc, or the position type does not match the motion.
     """
 
     eMoveType, ePositionType = _MoveType, _PositionType
@@ -53,98 +53,100 @@ class PathEntry:
 
 def _waypoint(move: _MoveType, position: _PositionType, parameters: list[float]) -> Waypoint:
     if len(parameters) != 9:
-        raise BadValue(f"{parameters!r}; expected six coordinates, speed, acceleration and blend")
+        raise BadValue(f"parameters={parameters!r}; expected six coordinates, speed, acceleration and blend")
     *place, speed, acceleration, blend = parameters
     goal = six(place, "path entry").tolist()
     if move is _MoveType.MoveJ and position is _PositionType.PositionJoints:
         return Joint(goal, blend=blend, speed=speed, acceleration=acceleration)
     if move in (_MoveType.MoveL, _MoveType.MoveP) and position is _PositionType.PositionTcpPose:
         return Linear(goal, blend=blend, speed=speed, acceleration=acceleration)
-    raise NotOffered(f"{move.name} with {position.name}: use urlink's robot.motion.path, which has arcs too")
+    raise NotOffered(
+        f"{move.name} with {position.name} is not offered; use robot.motion.path of urlink, which has arcs"
+    )
 
 
 class Path:
-    """A sequence of movements."""
+    """Sequence of motions."""
 
     def __init__(self) -> None:
         self._entries: list[PathEntry] = []
 
     def addEntry(self, entry: PathEntry) -> None:
-        """Add one movement."""
+        """Add one motion."""
         self._entries.append(entry)
 
     def appendMovejPath(self, path: Sequence[Sequence[float]]) -> None:
-        """Add joint movements: six joint positions, speed, acceleration and blend of each."""
+        """Add joint motions: six joint positions, speed, acceleration and blend for each."""
         self._entries += [PathEntry(_MoveType.MoveJ, _PositionType.PositionJoints, each) for each in path]
 
     def appendMovelPath(self, path: Sequence[Sequence[float]]) -> None:
-        """Add lines of the tool: a pose, speed, acceleration and blend of each."""
+        """Add lines of the tool: a pose, speed, acceleration and blend for each."""
         self._entries += [PathEntry(_MoveType.MoveL, _PositionType.PositionTcpPose, each) for each in path]
 
     def clear(self) -> None:
-        """Remove all movements."""
+        """Remove all motions."""
         self._entries.clear()
 
     def size(self) -> int:
-        """The number of movements."""
+        """Return the number of motions."""
         return len(self._entries)
 
     def waypoints(self) -> list[PathEntry]:
-        """The movements."""
+        """Return the motions."""
         return list(self._entries)
 
 
-#: Seconds to wait for the end of a motion, as the other client does.
+#: Maximum time in s to wait for the end of a motion, as in the other client.
 LONGEST = 300.0
-#: Seconds to wait for a state.
+#: Maximum time in s to wait for a state.
 STATE_TIMEOUT = 5.0
 
 
 class AsyncOperationStatus:
-    """The progress of an asynchronous motion.
+    """Progress of an asynchronous motion.
 
     Args:
-        value: the other client's word: bits 24 to 30 the number of the operation, 16 to 23 a count of changes, 15
-            whether it runs, 0 to 14 its progress.
+        value: Status word of the other client: bits 24 to 30 are the number of the operation, 16 to 23 a count of
+            changes, 15 whether it is running, and 0 to 14 its progress.
     """
 
     def __init__(self, value: int) -> None:
         self._value = value
 
     def value(self) -> int:
-        """The word."""
+        """Return the status word."""
         return self._value
 
     def isAsyncOperationRunning(self) -> bool:
-        """Whether the operation is running."""
+        """Return whether the operation is running."""
         return bool(self._value >> 15 & 1)
 
     def operationId(self) -> int:
-        """Number of the operation; two in a row have different numbers."""
+        """Return the number of the operation. Two consecutive operations have different numbers."""
         return self._value >> 24 & 0x7F
 
     def changeCount(self) -> int:
-        """A count of the changes of the status."""
+        """Return the count of the changes of the status."""
         return self._value >> 16 & 0xFF
 
     def progress(self) -> int:
-        """Number of the present movement of a path, from 0."""
+        """Return the number of the current motion of a path, starting from 0."""
         return self._value & 0x7FFF
 
     def equals(self, other: AsyncOperationStatus) -> bool:
-        """Whether both have the same value."""
+        """Return whether both have the same value."""
         return self._value == other._value
 
 
 class ControlMoves(RtdeInterface):
-    """Kinematics, movements that end by themselves, and stops.
+    """Kinematics, motions that end on their own, and stops.
 
     Args:
-        hostname: address of the robot.
-        frequency: of the loop that `initPeriod` and `waitPeriod` pace, in Hz; -1 for the controller's rate.
+        hostname: Address of the robot.
+        frequency: Frequency of the loop for `initPeriod` and `waitPeriod`, in Hz; -1 for the controller's rate.
 
     Raises:
-        RemoteError: the robot cannot be reached.
+        RemoteError: If the robot cannot be reached.
     """
 
     def __init__(self, hostname: str, frequency: float = -1.0) -> None:
@@ -155,22 +157,22 @@ class ControlMoves(RtdeInterface):
             super().disconnect()
             raise
         self._blocks = Blocks(self._robot)
-        #: the last set-point, with its look-ahead time and gain; None if no servo is open
+        #: Last set-point, with its look-ahead time and gain; None if no servo is open.
         self._last: tuple[list[float], float, float] | None = None
         self._operation: Motion | None = None
         self._operations = 0
 
     def getTCPOffset(self) -> list[float]:
-        """The TCP, a pose in the frame of the flange, m and rad; from 3.2 on."""
+        """Return the TCP, a pose in the flange frame, in m and rad (firmware 3.2 or later)."""
         feed = self._robot.primary.of(CartesianInfo)
         info = feed.latest or feed.wait(STATE_TIMEOUT)
         offset = tool_offset(info)
         if offset is None:
-            raise NotOffered("a controller before 3.2 does not send the offset of its tool")
+            raise NotOffered("this controller does not send its TCP offset; firmware 3.2 or later is required")
         return offset
 
     def getForwardKinematics(self, q: Sequence[float] = (), tcp_offset: Sequence[float] = ()) -> list[float]:
-        """The pose of the tool at joint positions; without arguments, of the present positions and TCP."""
+        """Return the pose of the tool at joint positions; without arguments, at the current positions and TCP."""
         values = q if is_given(q) else self._robot.realtime.wait(STATE_TIMEOUT).q_actual
         tcp = tcp_offset if is_given(tcp_offset) else self.getTCPOffset()
         return list(map(float, self._robot.kinematics.forward(values, tcp)))
@@ -182,12 +184,12 @@ class ControlMoves(RtdeInterface):
         max_position_error: float = 1e-10,
         max_orientation_error: float = 1e-10,
     ) -> list[float]:
-        """The joint positions for a pose of the tool that are closest to `qnear`, or to the target joint positions.
+        """Return the joint positions for a pose of the tool, closest to `qnear` or to the target joint positions.
 
-        The largest errors have no effect: the result is exact to 1e-12 m and rad.
+        The maximum errors have no effect, because the result is exact to 1e-12 m and rad.
 
         Raises:
-            Unreachable: the pose is out of reach.
+            Unreachable: If the pose is out of reach.
         """
         near = qnear if is_given(qnear) else self._robot.realtime.wait(STATE_TIMEOUT).q_target
         return list(map(float, self._robot.kinematics.inverse(x, near, self.getTCPOffset())))
@@ -199,7 +201,7 @@ class ControlMoves(RtdeInterface):
         max_position_error: float = 1e-10,
         max_orientation_error: float = 1e-10,
     ) -> bool:
-        """Whether a pose of the tool is within reach."""
+        """Return whether a pose of the tool is within reach."""
         try:
             self.getInverseKinematics(x, qnear)
         except Unreachable:
@@ -207,7 +209,7 @@ class ControlMoves(RtdeInterface):
         return True
 
     def getActualToolFlangePose(self) -> list[float]:
-        """The pose of the flange."""
+        """Return the pose of the flange."""
         q = self._robot.realtime.wait(STATE_TIMEOUT).q_actual
         return list(map(float, self._robot.kinematics.forward(q)))
 
@@ -228,8 +230,10 @@ class ControlMoves(RtdeInterface):
         *,
         path: Sequence[Sequence[float]] | None = None,
     ) -> bool:
-        """Move the joints to positions, rad, at rad/s and rad/s²; or along a path: rows of six positions, speed,
-        acceleration and blend radius."""
+        """Move the joints to positions in rad, at rad/s and rad/s².
+
+        It can also move along a path, whose rows are six positions, speed, acceleration and blend radius.
+        """
         if path is not None or _is_path(q):
             entries = Path()
             entries.appendMovejPath(q if path is None else path)
@@ -239,7 +243,7 @@ class ControlMoves(RtdeInterface):
     def moveJ_IK(
         self, pose: Sequence[float], speed: float = 1.05, acceleration: float = 1.4, asynchronous: bool = False
     ) -> bool:
-        """Move the joints to the positions for a pose of the tool that are closest to the present ones."""
+        """Move the joints to the positions for a pose of the tool that are closest to the current positions."""
         return self.moveJ(self.getInverseKinematics(pose), speed, acceleration, asynchronous)
 
     @overload
@@ -259,8 +263,10 @@ class ControlMoves(RtdeInterface):
         *,
         path: Sequence[Sequence[float]] | None = None,
     ) -> bool:
-        """Move the tool in a line to a pose, m and rotation vector in rad, at m/s and m/s²; or along a path: rows of a
-        pose, speed, acceleration and blend radius."""
+        """Move the tool in a line to a pose (m, and rotation vector in rad), at m/s and m/s².
+
+        It can also move along a path, whose rows are a pose, speed, acceleration and blend radius.
+        """
         if path is not None or _is_path(pose):
             entries = Path()
             entries.appendMovelPath(pose if path is None else path)
@@ -270,11 +276,11 @@ class ControlMoves(RtdeInterface):
     def moveL_FK(
         self, q: Sequence[float], speed: float = 0.25, acceleration: float = 1.2, asynchronous: bool = False
     ) -> bool:
-        """Move the tool in a line to the pose that it has at joint positions."""
+        """Move the tool in a line to its pose at given joint positions."""
         return self.moveL(self.getForwardKinematics(q), speed, acceleration, asynchronous)
 
     def movePath(self, path: Path, asynchronous: bool = False) -> bool:
-        """Make the movements of a path, one after the other, with their blends."""
+        """Execute the motions of a path one after the other, with their blends."""
         waypoints = [entry._waypoint for entry in path.waypoints()]
         return self._move(lambda: self._robot.motion.path(waypoints), asynchronous)
 
@@ -290,17 +296,17 @@ class ControlMoves(RtdeInterface):
         return succeeds(move)
 
     def _end_block(self) -> None:
-        """End the open block, if there is one; the arm stands still afterwards."""
+        """End the open block, if there is one. The arm is at rest afterwards."""
         self._last = None
         self._blocks.close()
 
     def getAsyncOperationProgress(self) -> int:
-        """Number of the present movement of an asynchronous motion, from 0; if none runs, -1 or -2 in turns."""
+        """Return the number of the current motion of an asynchronous path, from 0; if none is running, -1 or -2."""
         status = self.getAsyncOperationProgressEx()
         return status.progress() if status.isAsyncOperationRunning() else -1 - self._operations % 2
 
     def getAsyncOperationProgressEx(self) -> AsyncOperationStatus:
-        """The status of the last asynchronous motion."""
+        """Return the status of the last asynchronous motion."""
         motion = self._operation
         is_running = motion is not None and not motion.done
         progress = (motion.segment or 0) if isinstance(motion, PathMotion) else 0
@@ -308,7 +314,7 @@ class ControlMoves(RtdeInterface):
         return AsyncOperationStatus(self._operations << 24 | changes << 16 | is_running << 15 | progress)
 
     def stopJ(self, a: float = 2.0, asynchronous: bool = False) -> None:
-        """Stop the arm by its joints, at rad/s²."""
+        """Stop the arm in joint space, at rad/s²."""
         self._stop(lambda: self._robot.motion.stop(a), asynchronous)
 
     def stopL(self, a: float = 10.0, asynchronous: bool = False) -> None:
@@ -326,5 +332,5 @@ class ControlMoves(RtdeInterface):
 
 
 def _is_path(value: Any) -> bool:
-    """Whether a value is a list of lists."""
+    """Return whether a value is a list of lists."""
     return len(value) > 0 and hasattr(value[0], "__len__")

@@ -1,9 +1,8 @@
-"""What the interfaces of ur_rtde have in common: a connection, the pace of a loop, and modes that last.
+"""Common parts of the interfaces of ur_rtde: a connection, the timing of a loop, and modes that last.
 
-Servo, speeds, force mode and freedrive are begun and changed by single calls of the other client. In this library each
-of them is a block of `robot.motion`, which ends whatever happens. Here the first call opens the block, and later calls
-use it. It is opened again if its settings have changed, or if it has ended because no set-point came within its
-watchdog time.
+In the other client, single calls begin and change a servo, speeds, force mode and freedrive. In this library, each of
+them is a block of `robot.motion`, which always ends. Here, the first call opens the block, and later calls use it. It
+is opened again if its settings have changed, or if it has ended because no set-point arrived within its watchdog time.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ __all__ = ["Blocks", "NotOffered", "RtdeInterface", "is_given", "succeeds"]
 
 _log = logging.getLogger(__name__)
 
-#: Seconds to wait for a connection that was lost, in `reconnect`.
+#: Maximum time in s to wait for a lost connection in `reconnect`.
 _RECONNECT_TIMEOUT = 10.0
 
 
 def succeeds(act: Callable[[], object]) -> bool:
-    """Whether the call succeeded. Its error goes to the log, since the other client only returns False."""
+    """Call `act`; return whether it succeeded. The error is logged, because the other client only returns False."""
     try:
         act()
     except (RemoteError, Cancelled) as error:
@@ -43,19 +42,21 @@ def succeeds(act: Callable[[], object]) -> bool:
 
 
 def is_given(values: Sequence[object] | None) -> bool:
-    """Whether an argument that may be left out is there. It may be an array, which has no truth of its own."""
+    """Return whether an optional argument is given. It may be an array, which has no truth value."""
     return values is not None and len(values) > 0
 
 
 class RtdeInterface:
-    """A robot on a connection of its own. A context manager that disconnects.
+    """Robot with its own connection. It is a context manager that disconnects.
 
     Args:
-        hostname: address of the robot, or any other that `urlink.connect` takes.
-        frequency: of the loop that `initPeriod` and `waitPeriod` pace, in Hz; -1 for the controller's rate.
+        hostname: Address of the robot, or any other address that `urlink.connect` accepts.
+        frequency: Frequency of the loop for `initPeriod` and `waitPeriod`, in Hz; -1 for the controller's rate.
 
     Raises:
-        ConnectFailed, LinkTimeout, WrongPeer: there is no controller at the address.
+        ConnectFailed: If the controller cannot be reached.
+        LinkTimeout: If the controller does not answer in time.
+        WrongPeer: If another service answers at the address.
     """
 
     def __init__(self, hostname: str, frequency: float = -1.0) -> None:
@@ -64,23 +65,23 @@ class RtdeInterface:
         self._frequency = rate if frequency <= 0.0 else frequency
 
     def isConnected(self) -> bool:
-        """Whether data of the robot arrives."""
+        """Return whether data from the robot arrives."""
         return self._robot.primary.connection is urlink.ConnectionState.CONNECTED
 
     def reconnect(self) -> bool:
-        """Wait until data arrives again, 10 s at most. A lost connection is made again without this call."""
+        """Wait up to 10 s until data arrives again. A lost connection is restored automatically without this call."""
         return succeeds(lambda: self._robot.primary.wait(_RECONNECT_TIMEOUT))
 
     def disconnect(self) -> None:
-        """End what moves, and disconnect; the object cannot be used again."""
+        """End the motion, and disconnect. The object cannot be used again."""
         self._robot.close()
 
     def initPeriod(self) -> timedelta:
-        """The present time, at which a round of a loop begins; for `waitPeriod`."""
+        """Return the current time at the beginning of a cycle, for `waitPeriod`."""
         return timedelta(seconds=clock.now())
 
     def waitPeriod(self, t_cycle_start: timedelta) -> None:
-        """Sleep until one period after the time that `initPeriod` has returned."""
+        """Sleep until one period after the time that `initPeriod` returned."""
         left = t_cycle_start.total_seconds() + 1.0 / self._frequency - clock.now()
         if left > 0.0:
             clock.sleep(left)
@@ -96,7 +97,7 @@ B = TypeVar("B", bound=BlockMotion)
 
 
 class Blocks:
-    """The open block; there is at most one."""
+    """Holder of the open block, at most one."""
 
     def __init__(self, robot: urlink.Robot) -> None:
         self._robot = robot
@@ -105,19 +106,19 @@ class Blocks:
 
     @property
     def is_open(self) -> bool:
-        """Something lasts."""
+        """Whether a block is open."""
         return self._open is not None and not self._open.done
 
     def opened(self, kind: type[B], settings: tuple[Any, ...], make: Callable[[LinkName], B]) -> B:
-        """The open block of this class with these settings; if there is none, it is opened.
+        """Return the open block of this class with these settings, or open it.
 
         Args:
-            kind: its class.
-            settings: what `make` depends on; another value opens the block again.
-            make: makes the block, over a link.
+            kind: Class of the block.
+            settings: Settings that `make` depends on. If they differ, the block is opened again.
+            make: Function that makes the block over a link.
 
         Raises:
-            LinkError: the block cannot be opened now.
+            LinkError: If the block cannot be opened now.
         """
         present = self._open
         if isinstance(present, kind) and self.is_open and settings == self._settings:
@@ -128,7 +129,7 @@ class Blocks:
         return made
 
     def _entered(self, make: Callable[[LinkName], B]) -> B:
-        """Open a block over registers if they are free, else over a reverse connection."""
+        """Open a block over registers if they are free, otherwise over a reverse connection."""
         firmware = self._robot.firmware
         if firmware >= ((5, 3) if firmware.is_e_series else (3, 9)):
             with contextlib.suppress(InputInUse):
@@ -136,7 +137,7 @@ class Blocks:
         return make("reverse").__enter__()
 
     def close(self) -> None:
-        """End the block, and wait until the arm stands still, two seconds at most."""
+        """End the block, and wait up to two seconds until the arm is at rest."""
         block, self._open = self._open, None
         if block is not None:
             block.__exit__(None, None, None)

@@ -1,7 +1,7 @@
 """The control interface of ur_rtde, over `robot.motion`, `robot.script` and `robot.kinematics`.
 
-No control script runs on the robot: each call is a motion of its own, and set-points go through a servo. So there is no
-script to upload, and nothing on the robot that an installation or another client must leave alone.
+No control script runs on the robot: each call is a separate motion, and set-points use a servo. Therefore no script has
+to be uploaded, and nothing on the robot has to be protected from an installation or another client.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from .interface import NotOffered, is_given, succeeds
 
 __all__ = ["AsyncOperationStatus", "Path", "PathEntry", "RTDEControlInterface"]
 
-#: Seconds to wait until a stop is over.
+#: Maximum time in s to wait for the end of a stop.
 _CLEAR_TIMEOUT = 5.0
-#: Seconds to wait for an answer.
+#: Maximum time in s to wait for an answer.
 _ANSWER_TIMEOUT = 5.0
 
 _numbers = itertools.count(1)
 
 
 def _not_offered(name: str, instead: str) -> Callable[..., NoReturn]:
-    """A method that raises `NotOffered` and names what replaces it."""
+    """Return a method that raises `NotOffered` and names its replacement."""
 
     def refuse(*arguments: Any, **named: Any) -> NoReturn:
-        raise NotOffered(f"{name} is not offered here; instead there is {instead}")
+        raise NotOffered(f"{name} is not offered; use {instead}")
 
-    refuse.__doc__ = f"Not offered; instead there is {instead}."
+    refuse.__doc__ = f"Not offered; use {instead}."
     return refuse
 
 
@@ -58,17 +58,20 @@ class Flags(IntFlag):
 
 
 class RTDEControlInterface(ControlBlocks):
-    """Commands a robot. A method that moves the arm waits for its end, unless `asynchronous`; returns if it came.
+    """Interface that commands a robot.
+
+    A method that moves the arm waits for its end, unless `asynchronous`, and returns whether the goal was reached.
 
     Args:
-        hostname: address of the robot.
-        frequency: of the loop that `initPeriod` and `waitPeriod` pace, in Hz; -1 for the controller's rate.
-        flags: `FLAG_USE_EXT_UR_CAP` and `FLAG_CUSTOM_SCRIPT` are not offered, the others are without effect.
-        ur_cap_port, rt_priority: without effect.
+        hostname: Address of the robot.
+        frequency: Frequency of the loop for `initPeriod` and `waitPeriod`, in Hz; -1 for the controller's rate.
+        flags: Flags. `FLAG_USE_EXT_UR_CAP` and `FLAG_CUSTOM_SCRIPT` are not offered; the others have no effect.
+        ur_cap_port: No effect.
+        rt_priority: No effect.
 
     Raises:
-        RemoteError: the robot cannot be reached.
-        NotOffered: a flag that is not offered.
+        RemoteError: If the robot cannot be reached.
+        NotOffered: If a flag is not offered.
     """
 
     Flags, Feature = Flags, Feature
@@ -93,13 +96,13 @@ class RTDEControlInterface(ControlBlocks):
     ) -> None:
         for each in (Flags.FLAG_USE_EXT_UR_CAP, Flags.FLAG_CUSTOM_SCRIPT):
             if flags & each:
-                raise NotOffered(f"{each.name}: there is no control script here, each call is a motion of its own")
+                raise NotOffered(f"{each.name} is not offered: there is no control script, each call is a motion")
         super().__init__(hostname, frequency)
 
     # -- tool and payload --------------------------------------------------------------------------------
 
     def setTcp(self, tcp_offset: Sequence[float]) -> bool:
-        """Set the TCP: a pose in the frame of the flange, m and rad."""
+        """Set the TCP: a pose in the flange frame, in m and rad."""
         return succeeds(lambda: self._robot.set_tcp(tcp_offset))
 
     def setPayload(self, mass: float, cog: Sequence[float] = ()) -> bool:
@@ -107,54 +110,55 @@ class RTDEControlInterface(ControlBlocks):
         return succeeds(lambda: self._robot.set_payload(mass, cog if is_given(cog) else None))
 
     def setTargetPayload(self, mass: float, cog: Sequence[float] = (), inertia: Sequence[float] = (0.0,) * 6) -> bool:
-        """Set the payload with its inertia, (6,) kg m²; from 5.10 on."""
+        """Set the payload with its inertia, shape (6,), in kg m² (firmware 5.10 or later)."""
         return succeeds(lambda: self._robot.set_payload(mass, cog if is_given(cog) else None, inertia))
 
     def poseTrans(self, p_from: Sequence[float], p_from_to: Sequence[float]) -> list[float]:
-        """The pose `p_from_to`, which is given in the frame `p_from`, in the frame that `p_from` is given in."""
+        """Transform the pose `p_from_to` from the frame `p_from` to the reference frame of `p_from`."""
         return list(map(float, compose(p_from, p_from_to)))
 
     # -- state of the robot ------------------------------------------------------------------------------
 
     def isSteady(self) -> bool:
-        """Whether the arm stands fully still; computed by the controller."""
+        """Return whether the arm is fully at rest, as computed by the controller."""
         return self._ask("is_steady()") == "True"
 
     def getStepTime(self) -> float:
-        """Seconds from one cycle of the controller to the next."""
+        """Return the time between two cycles of the controller, in s."""
         return 1.0 / self._robot.firmware.rate
 
     def getJointTorques(self) -> list[float]:
-        """Torques of the joints, Nm, without those that move the arm itself; computed by the controller."""
+        """Return the joint torques in Nm without those that move the arm itself, as computed by the controller."""
         return [float(each) for each in self._ask("get_joint_torques()").strip("[]").split(",")]
 
     def isProgramRunning(self) -> bool:
-        """Whether motions are allowed now; there is no control script that could have ended."""
+        """Return whether motions are allowed now. There is no control script that could have ended."""
         return self._robot.safety.is_enabled and self._robot.safety.cause is None
 
     def getRobotStatus(self) -> int:
-        """Bits: 0 power on, 1 program running."""
+        """Return the status bits: 0 power on, 1 program running."""
         modes = self._robot.primary.of(RobotModeData)
         mode = modes.latest or modes.wait(STATE_TIMEOUT)
         return int(mode.is_power_on) | int(mode.is_program_running) << 1
 
     def isPoseWithinSafetyLimits(self, pose: Sequence[float]) -> bool:
-        """Whether the safety configuration allows this pose of the tool; computed by the controller."""
+        """Return whether the safety configuration allows this pose of the tool, as computed by the controller."""
         return self._ask(f"is_within_safety_limits({text.pose(pose, 'pose')})") == "True"
 
     def isJointsWithinSafetyLimits(self, q: Sequence[float]) -> bool:
-        """Whether the safety configuration allows these joint positions; computed by the controller."""
+        """Return whether the safety configuration allows these joint positions, as computed by the controller."""
         return self._ask(f"is_within_safety_limits({text.vector(q, 6, 'q')})") == "True"
 
     def _ask(self, expression: str) -> str:
-        """The value of an expression, as text that the controller makes of it.
+        """Return the value of an expression, as the text that the controller makes of it.
 
-        It comes from a program that runs beside the one that moves the arm.
+        A secondary program evaluates it, while another program may move the arm.
 
         Raises:
-            SafetyStop, NotRunning: the controller accepts no programs now.
-            CompileError: a function does not exist on this controller.
-            LinkTimeout: no answer within 5 s.
+            SafetyStop: If a stop blocks programs now.
+            NotRunning: If the robot is not running.
+            CompileError: If a function does not exist on this controller.
+            LinkTimeout: If no answer arrives within 5 s.
         """
         mark = f"urlink answer {next(_numbers)} "
         answers: SimpleQueue[str] = SimpleQueue()
@@ -163,20 +167,20 @@ class RTDEControlInterface(ControlBlocks):
             if message.text.startswith(mark):
                 answers.put(message.text[len(mark) :])
 
-        # Subscribed to the stream and not to the program: a line of text does not say which program sent it.
+        # Subscribe to the stream rather than to the program, because a text message does not identify its program.
         with self._robot.primary.subscribe(on_message, TextMessage, inline=True):
             self._robot.script.run(f'sec urlink_question():\n  textmsg("{mark}", {expression})\nend')
             try:
                 return clock.get(answers, _ANSWER_TIMEOUT)
             except Empty:
-                raise LinkTimeout(f"no answer to {expression} within {_ANSWER_TIMEOUT:g} s") from None
+                raise LinkTimeout(f"no answer to {expression} arrived within {_ANSWER_TIMEOUT:g} s") from None
 
     def zeroFtSensor(self) -> bool:
-        """Zero the force sensor: the present force at the tool is the new zero."""
+        """Zero the force sensor: the current force at the tool becomes zero."""
         return self._run("zero_ftsensor()")
 
     def setGravity(self, direction: Sequence[float]) -> bool:
-        """Set gravity: (3,) m/s² in the base frame, a vector that points up."""
+        """Set gravity: a vector that points up in the base frame, shape (3,), in m/s²."""
         return self._run(f"set_gravity({text.vector(direction, 3, 'direction')})")
 
     def triggerProtectiveStop(self) -> bool:
@@ -190,7 +194,7 @@ class RTDEControlInterface(ControlBlocks):
         sensor_measuring_offset: Sequence[float] = (0.0, 0.0, 0.0),
         sensor_cog: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> bool:
-        """Make the controller use the force at the tool that `setExternalForceTorque` sends; from 5.9 on."""
+        """Make the controller use the tool force from `setExternalForceTorque` (firmware 5.9 or later)."""
         return self._run(f"ft_rtde_input_enable({_sensor(enable, sensor_mass, sensor_measuring_offset, sensor_cog)})")
 
     def enableExternalFtSensor(
@@ -200,13 +204,13 @@ class RTDEControlInterface(ControlBlocks):
         sensor_measuring_offset: Sequence[float] = (0.0, 0.0, 0.0),
         sensor_cog: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> bool:
-        """As `ftRtdeInputEnable`, before 5.9."""
+        """Enable an external force sensor as `ftRtdeInputEnable` does, before firmware 5.9."""
         return self._run(
             f"enable_external_ft_sensor({_sensor(enable, sensor_mass, sensor_measuring_offset, sensor_cog)})"
         )
 
     def setExternalForceTorque(self, external_force_torque: Sequence[float]) -> bool:
-        """Send the force at the tool, N and Nm; it is used after `ftRtdeInputEnable`."""
+        """Send the force at the tool, in N and Nm. It is used after `ftRtdeInputEnable`."""
 
         def write() -> None:
             with self._robot.rtde.inputs("external_force_torque") as inputs:
@@ -215,13 +219,13 @@ class RTDEControlInterface(ControlBlocks):
         return succeeds(write)
 
     def _run(self, statement: str) -> bool:
-        """Run a statement as a secondary program, beside the one that moves the arm."""
+        """Run a statement as a secondary program, while another program may move the arm."""
         return succeeds(lambda: self._robot.script.run(f"sec urlink_compat():\n  {statement}\nend", wait=True))
 
     # -- programs ----------------------------------------------------------------------------------------
 
     def reuploadScript(self) -> bool:
-        """Wait until a stop is over, and enable motions again. There is no script to upload."""
+        """Wait until a stop has ended, and enable motions again. There is no script to upload."""
 
         def clear() -> None:
             self._robot.safety.wait_until_clear(_CLEAR_TIMEOUT)
@@ -257,7 +261,7 @@ class RTDEControlInterface(ControlBlocks):
         """Run the program in a file, and wait for its end.
 
         Raises:
-            BadValue: the file cannot be read.
+            BadValue: If the file cannot be read.
         """
         try:
             return self.sendCustomScript(FilePath(file_path).read_text(encoding="utf-8"))
@@ -269,29 +273,29 @@ class RTDEControlInterface(ControlBlocks):
         return super().reconnect() and self.reuploadScript()
 
     def disconnect(self) -> None:
-        """Stop the arm if set-points move it, and disconnect; the object cannot be used again."""
+        """Stop the arm if set-points move it, and disconnect. The object cannot be used again."""
         succeeds(self._end_block)
         super().disconnect()
 
-    # -- what is not offered -----------------------------------------------------------------------------
+    # -- not offered -------------------------------------------------------------------------------------
 
     servoC = _not_offered("servoC", "robot.motion.move_circular, or robot.motion.path with arcs and blends")
     toolContact = _not_offered("toolContact", "robot.motion.until_contact")
     startContactDetection = _not_offered("startContactDetection", "robot.motion.until_contact")
     readContactDetection = _not_offered("readContactDetection", "robot.motion.until_contact")
     stopContactDetection = _not_offered("stopContactDetection", "robot.motion.until_contact")
-    getFreedriveStatus = _not_offered("getFreedriveStatus", "nothing: freedrive ends where it cannot go on")
+    getFreedriveStatus = _not_offered("getFreedriveStatus", "freedriveMode, which ends if it cannot continue")
     setCustomScriptFile = _not_offered("setCustomScriptFile", "robot.script.run")
     getMassMatrix = _not_offered("getMassMatrix", "urlink.arm.dynamics.Dynamics")
     getCoriolisAndCentrifugalTorques = _not_offered("getCoriolisAndCentrifugalTorques", "urlink.arm.dynamics.Dynamics")
     getJacobian = _not_offered("getJacobian", "robot.kinematics.jacobian")
     getJacobianTimeDerivative = _not_offered("getJacobianTimeDerivative", "robot.kinematics.jacobian")
     getTargetJointAccelerations = _not_offered("getTargetJointAccelerations", "getTargetQdd of the receive interface")
-    getTargetWaypoint = _not_offered("getTargetWaypoint", "the handle of a motion, which knows its progress")
+    getTargetWaypoint = _not_offered("getTargetWaypoint", "the handle of a motion, which reports its progress")
     getActualJointPositionsHistory = _not_offered("getActualJointPositionsHistory", "robot.realtime.history")
 
 
 def _sensor(enable: bool, mass: float, offset: Sequence[float], cog: Sequence[float]) -> str:
-    """The arguments of a force sensor, as URScript."""
+    """Return the arguments of a force sensor, as URScript."""
     values = [text.vector(each, 3, name) for each, name in ((offset, "sensor_measuring_offset"), (cog, "sensor_cog"))]
     return f"{text.boolean(enable, 'enable')}, {text.number(mass, 'sensor_mass', 0.0, 100.0)}, {', '.join(values)}"

@@ -19,17 +19,17 @@ _CURRENT, _VOLTAGE = 0, 1
 class RTDEIOInterface(RtdeInterface):
     """Outputs, speed slider and input registers. Each method returns whether the value was sent.
 
-    An input is claimed when it is first written, and held until `disconnect`; only one client can hold it. If another
-    client holds the inputs of the digital outputs or of the slider, these are set by a script instead. Where there is
-    no such way, the method returns False and raises nothing.
+    An input is claimed when it is first written, and held until `disconnect`. Only one client can hold it. If another
+    client holds the inputs of the digital outputs or of the slider, a script sets them instead. If no script can set
+    them, the method returns False and raises no error.
 
     Args:
-        hostname: address of the robot.
-        verbose: without effect.
-        use_upper_range_registers: without effect: registers are given by their own numbers.
+        hostname: Address of the robot.
+        verbose: No effect.
+        use_upper_range_registers: No effect, because registers are given by their own numbers.
 
     Raises:
-        RemoteError: the robot cannot be reached.
+        RemoteError: If the robot cannot be reached.
     """
 
     def __init__(self, hostname: str, verbose: bool = False, use_upper_range_registers: bool = False) -> None:
@@ -64,19 +64,19 @@ class RTDEIOInterface(RtdeInterface):
         return self._send({"speed_slider_fraction": speed}, lambda: self._robot.set_speed_slider(speed, confirm=None))
 
     def setAnalogOutputVoltage(self, output_id: int, voltage_ratio: float) -> bool:
-        """Make analogue output 0 or 1 a voltage: a fraction of its range, 0 to 1."""
+        """Set analogue output 0 or 1 to a voltage: a fraction of its range, 0 to 1."""
         return self._set_analog(output_id, voltage_ratio, _VOLTAGE)
 
     def setAnalogOutputCurrent(self, output_id: int, current_ratio: float) -> bool:
-        """Make analogue output 0 or 1 a current: a fraction of its range, 0 to 1."""
+        """Set analogue output 0 or 1 to a current: a fraction of its range, 0 to 1."""
         return self._set_analog(output_id, current_ratio, _CURRENT)
 
     def setInputIntRegister(self, input_id: int, value: int) -> bool:
-        """Write input integer register 0 to 47, by its own number."""
+        """Write input integer register 0 to 47, given by its own number."""
         return succeeds(lambda: self._registers.write_integer(input_id, value))
 
     def setInputDoubleRegister(self, input_id: int, value: float) -> bool:
-        """Write input float register 0 to 47, by its own number."""
+        """Write input float register 0 to 47, given by its own number."""
         return succeeds(lambda: self._registers.write_float(input_id, value))
 
     def _set_analog(self, output: int, ratio: float, domain: int) -> bool:
@@ -87,7 +87,7 @@ class RTDEIOInterface(RtdeInterface):
     def _send(
         self, values: dict[str, Any], by_script: Callable[[], object] | None, names: tuple[str, ...] | None = None
     ) -> bool:
-        """Write inputs; if another client holds one, call `by_script` if given. Those of `names` are claimed, once."""
+        """Write inputs, and claim `names` once. If another client holds one, call `by_script` if it is given."""
         claim = names or tuple(values)
 
         def write() -> None:

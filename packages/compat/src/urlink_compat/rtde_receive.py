@@ -18,18 +18,18 @@ from .interface import RtdeInterface, is_given, succeeds
 
 __all__ = ["RTDEReceiveInterface"]
 
-#: Seconds to wait for a state if there is none: at first, and after a lost connection.
+#: Maximum time in s to wait for a state if there is none: at the beginning, and after a lost connection.
 _TIMEOUT = 5.0
 
 _T = TypeVar("_T")
 
 
-#: Variables that are requested if none are named, those of the getters; what a controller does not have is left out.
+#: Variables that are requested if none are named: those of the getters. Variables that a controller lacks are skipped.
 _VARIABLES: list[str] = []
 
 
 def _getter(name: str, convert: Callable[[Any], _T], doc: str) -> Callable[[RTDEReceiveInterface], _T]:
-    """A method that returns the newest value of a variable."""
+    """Return a method that returns the newest value of a variable."""
 
     def get(self: RTDEReceiveInterface) -> _T:
         return convert(self._value(name))
@@ -59,17 +59,17 @@ class RTDEReceiveInterface(RtdeInterface):
     """Variables of a controller, one method for each. While the connection is lost, they wait for the next package.
 
     Args:
-        hostname: address of the robot.
-        frequency: packages a second; -1 for the controller's rate.
-        variables: names; none for all that the methods need.
-        verbose: without effect.
-        use_upper_range_registers: without effect: registers are given by their own numbers.
-        rt_priority: without effect.
+        hostname: Address of the robot.
+        frequency: Packages per second; -1 for the controller's rate.
+        variables: Names of the variables; none for all that the methods need.
+        verbose: No effect.
+        use_upper_range_registers: No effect, because registers are given by their own numbers.
+        rt_priority: No effect.
 
     Raises:
-        NoSuchVariable: the controller does not have one of the named variables.
-        BadValue: the controller does not have this frequency, or a name is invalid.
-        RemoteError: the robot cannot be reached.
+        NoSuchVariable: If the controller does not have one of the named variables.
+        BadValue: If the controller does not have this frequency, or a name is invalid.
+        RemoteError: If the robot cannot be reached.
     """
 
     def __init__(
@@ -96,26 +96,26 @@ class RTDEReceiveInterface(RtdeInterface):
             raise
 
     def isConnected(self) -> bool:
-        """Whether packages arrive."""
+        """Return whether packages arrive."""
         return self._stream.connection is urlink.ConnectionState.CONNECTED
 
     def reconnect(self) -> bool:
-        """Wait until packages arrive again. A lost connection is made again without this call."""
+        """Wait until packages arrive again. A lost connection is restored automatically without this call."""
         return succeeds(lambda: self._stream.wait(2 * _TIMEOUT))
 
     def disconnect(self) -> None:
-        """Disconnect, and end a recording; the object cannot be used again."""
+        """Disconnect, and end a recording. The object cannot be used again."""
         self.stopFileRecording()
         super().disconnect()
 
     # -- values ------------------------------------------------------------------------------------------
 
     def _value(self, name: str) -> Any:
-        """The newest value of a variable.
+        """Return the newest value of a variable.
 
         Raises:
-            LocalError: it was not requested, or the controller does not have it.
-            RemoteError: no packages arrive.
+            LocalError: If the variable was not requested, or the controller does not have it.
+            RemoteError: If no packages arrive.
         """
         state = self._stream.latest or self._stream.wait(_TIMEOUT)
         value = getattr(state, name, None)
@@ -123,7 +123,7 @@ class RTDEReceiveInterface(RtdeInterface):
             raise LocalError(f"{name} is not received: it was not requested, or this controller does not have it")
         return value
 
-    getTimestamp = _number("timestamp", "Seconds since the controller was started.")
+    getTimestamp = _number("timestamp", "Time since the start of the controller, in s.")
     getTargetQ = _vector("target_q", "Target joint positions, rad.")
     getTargetQd = _vector("target_qd", "Target joint speeds, rad/s.")
     getTargetQdd = _vector("target_qdd", "Target joint accelerations, rad/s².")
@@ -145,7 +145,7 @@ class RTDEReceiveInterface(RtdeInterface):
     )
 
     def getDigitalInState(self, input_id: int) -> bool:
-        """One digital input, by its bit in `getActualDigitalInputBits`."""
+        """Return one digital input, by its bit in `getActualDigitalInputBits`."""
         return bool(self.getActualDigitalInputBits() >> input_id & 1)
 
     getJointTemperatures = _vector("joint_temperatures", "Joint temperatures, °C.")
@@ -153,12 +153,12 @@ class RTDEReceiveInterface(RtdeInterface):
     getRobotMode = _integer("robot_mode", "Robot mode, a number of `urlink.packets.RobotMode`.")
     getJointMode = _integers("joint_mode", "Mode of each joint, numbers of `urlink.packets.JointMode`.")
     getSafetyMode = _integer("safety_mode", "Safety mode, a number of `urlink.packets.SafetyMode`.")
-    getActualToolAccelerometer = _vector("actual_tool_accelerometer", "(3,) acceleration of the tool, m/s².")
+    getActualToolAccelerometer = _vector("actual_tool_accelerometer", "Acceleration of the tool, shape (3,), m/s².")
     getSpeedScaling = _number("speed_scaling", "Speed scaling of the trajectory limiter.")
     getTargetSpeedFraction = _number("target_speed_fraction", "Target speed fraction: the slider.")
 
     def getSpeedScalingCombined(self) -> float:
-        """The scaling of motions: speed scaling times target speed fraction, both of the same package."""
+        """Return the scaling of motions: speed scaling times target speed fraction, both from the same package."""
         state = self._stream.latest or self._stream.wait(_TIMEOUT)
         return float(state.speed_scaling * state.target_speed_fraction)
 
@@ -172,7 +172,7 @@ class RTDEReceiveInterface(RtdeInterface):
     )
 
     def getDigitalOutState(self, output_id: int) -> bool:
-        """One digital output, by its bit in `getActualDigitalOutputBits`."""
+        """Return one digital output, by its bit in `getActualDigitalOutputBits`."""
         return bool(self.getActualDigitalOutputBits() >> output_id & 1)
 
     getRuntimeState = _integer("runtime_state", "State of the program, a number of `urlink.packets.ProgramState`.")
@@ -183,46 +183,46 @@ class RTDEReceiveInterface(RtdeInterface):
     getRobotStatus = _integer(
         "robot_status_bits", "Bits of the robot status: 0 power on, 1 program running, 2 teach button, 3 power button."
     )
-    getSafetyStatusBits = _integer(
-        "safety_status_bits", "Bits of the safety status, those of `urlink.SafetyStatusBits`."
-    )
+    getSafetyStatusBits = _integer("safety_status_bits", "Bits of the safety status, as in `urlink.SafetyStatusBits`.")
 
     def isProtectiveStopped(self) -> bool:
-        """Whether a protective stop holds."""
+        """Return whether a protective stop is active."""
         return bool(self.getSafetyStatusBits() & SafetyStatusBits.PROTECTIVE_STOPPED)
 
     def isEmergencyStopped(self) -> bool:
-        """Whether an emergency stop holds."""
+        """Return whether an emergency stop is active."""
         return bool(self.getSafetyStatusBits() & SafetyStatusBits.EMERGENCY_STOPPED)
 
-    getFtRawWrench = _vector("ft_raw_wrench", "Raw force and torque of the sensor, from 5.9 on: N and Nm.")
-    getPayload = _number("payload", "Mass of the payload, kg, from 3.11 and 5.5.1 on.")
-    getPayloadCog = _vector("payload_cog", "(3,) centre of gravity of the payload, m.")
-    getPayloadInertia = _vector("payload_inertia", "(6,) inertia of the payload, kg m², from 3.15 and 5.11 on.")
+    getFtRawWrench = _vector("ft_raw_wrench", "Raw force and torque of the sensor, N and Nm (5.9 or later).")
+    getPayload = _number("payload", "Mass of the payload, kg (3.11 and 5.5.1, or later).")
+    getPayloadCog = _vector("payload_cog", "Centre of gravity of the payload, shape (3,), m.")
+    getPayloadInertia = _vector(
+        "payload_inertia", "Inertia of the payload, shape (6,), kg m² (3.15 and 5.11, or later)."
+    )
 
     def getOutputIntRegister(self, output_id: int) -> int:
-        """Output integer register, 0 to 47 by its own number."""
+        """Return output integer register 0 to 47, given by its own number."""
         return self._registers.read_integer(output_id)
 
     def getOutputDoubleRegister(self, output_id: int) -> float:
-        """Output float register, 0 to 47 by its own number."""
+        """Return output float register 0 to 47, given by its own number."""
         return self._registers.read_float(output_id)
 
     # -- recording ---------------------------------------------------------------------------------------
 
     def startFileRecording(self, filename: str, variables: Sequence[str] = ()) -> bool:
-        """Write every package to a CSV file from now on: a row each, vectors as `name_0` to `name_5`.
+        """Write every later package to a CSV file: one row each, vectors as `name_0` to `name_5`.
 
         Args:
-            filename: of the file, which is overwritten.
-            variables: which of those that are received; none for all.
+            filename: Path of the file, which is overwritten.
+            variables: Variables to write, among those that are received; none for all.
 
         Raises:
-            LocalError: a recording is in progress, or a variable is not received.
-            BadValue: the file cannot be written.
+            LocalError: If a recording is in progress, or a variable is not received.
+            BadValue: If the file cannot be written.
         """
         if self._recording is not None:
-            raise LocalError("a recording is under way; stopFileRecording() ends it")
+            raise LocalError("a recording is in progress; end it with stopFileRecording() first")
         state = self._stream.wait(_TIMEOUT)
         received = [name for name in self._stream.names if getattr(state, name) is not None]
         names = list(variables) if is_given(variables) else received
@@ -241,7 +241,7 @@ class RTDEReceiveInterface(RtdeInterface):
         return True
 
     def stopFileRecording(self) -> bool:
-        """End the recording; False if there is none."""
+        """End the recording; return False if there is none."""
         if self._recording is None:
             return False
         (subscription, file), self._recording = self._recording, None

@@ -1,7 +1,7 @@
-"""The robot of urx 0.11, over this library: its most used calls.
+"""The robot of urx 0.11, over this library, with its most used calls.
 
-Poses are lists of six numbers, except those of `get_pose` and `set_pose`, which need math3d. The monitors and the
-reference frame (`csys`) of urx are not here.
+Poses are lists of six numbers, except in `get_pose` and `set_pose`, which need math3d. The monitors and the reference
+frame (`csys`) of urx are not offered.
 """
 
 from __future__ import annotations
@@ -20,49 +20,49 @@ from urlink.tools import Closing, six, text
 __all__ = ["Robot", "RobotException"]
 
 
-#: The exception that urx calls so; here, the base class of all errors of the library.
+#: Exception by its name in urx; here, the base class of all errors of the library.
 RobotException = LinkError
 
-#: Seconds to wait for the end of a motion, and for a state.
+#: Maximum times in s to wait for the end of a motion, and for a state.
 _LONGEST, _STATE_TIMEOUT = 300.0, 2.0
-#: First number of the two tool outputs in `set_digital_out`.
+#: Number of the first of the two tool outputs in `set_digital_out`.
 _TOOL = 8
 
 
 class Robot(Closing):
-    """A robot, by the calls of urx. A context manager that closes itself.
+    """Robot with the calls of urx. It is a context manager that closes itself.
 
     Args:
-        host: address of the robot, or any other that `urlink.connect` takes.
-        use_rt: without effect: the real-time interface is used where it is needed.
-        urFirm: Without effect: the firmware is detected.
+        host: Address of the robot, or any other address that `urlink.connect` accepts.
+        use_rt: No effect: the real-time interface is used if it is needed.
+        urFirm: No effect: the firmware is detected.
 
     Raises:
-        RemoteError: the robot cannot be reached.
+        RemoteError: If the robot cannot be reached.
     """
 
     def __init__(self, host: str, use_rt: bool = False, urFirm: float | None = None) -> None:
         self._robot = urlink.connect(host)
 
     def close(self) -> None:
-        """Disconnect; a motion that is running ends as with `urlink.Robot.close`."""
+        """Disconnect. A running motion ends as in `urlink.Robot.close`."""
         self._robot.close()
 
     def __repr__(self) -> str:
         return f"<Robot of urx over {self._robot!r}>"
 
-    # -- where it is -------------------------------------------------------------------------------------
+    # -- positions ---------------------------------------------------------------------------------------
 
     def getj(self, wait: bool = False) -> list[float]:
-        """Joint positions, rad; with `wait`, of the next state."""
+        """Return the joint positions in rad; with `wait`, those of the next state."""
         return list(map(float, _newest(self._robot.realtime, wait).q_actual))
 
     def getl(self, wait: bool = False, _log: bool = True) -> list[float]:
-        """Pose of the tool in the base frame: m, and rotation vector in rad; with `wait`, of the next state."""
+        """Return the pose of the tool in the base frame (m, rotation vector in rad); with `wait`, of the next state."""
         return list(map(float, _newest(self._robot.realtime, wait).tool_vector_actual))
 
     def get_pose(self, wait: bool = False, _log: bool = True) -> Any:
-        """Pose of the tool in the base frame, as a `math3d.Transform`; with `wait`, of the next state.
+        """Return the pose of the tool in the base frame, as a `math3d.Transform`; with `wait`, of the next state.
 
         Raises:
             LocalError: If math3d is not installed.
@@ -71,7 +71,7 @@ class Robot(Closing):
 
     @property
     def x(self) -> float:
-        """Position of the tool along the x axis of the base, m. Setting it moves the tool, see `z`."""
+        """Position of the tool along the x axis of the base, in m. Setting it moves the tool, see `z`."""
         return self.getl()[0]
 
     @x.setter
@@ -80,7 +80,7 @@ class Robot(Closing):
 
     @property
     def y(self) -> float:
-        """Position of the tool along the y axis of the base, m. Setting it moves the tool, see `z`."""
+        """Position of the tool along the y axis of the base, in m. Setting it moves the tool, see `z`."""
         return self.getl()[1]
 
     @y.setter
@@ -89,9 +89,9 @@ class Robot(Closing):
 
     @property
     def z(self) -> float:
-        """Position of the tool along the z axis of the base, m.
+        """Position of the tool along the z axis of the base, in m.
 
-        Setting it moves the tool in a line, without turning it, at 0.01 m/s, and waits for the end.
+        Setting it moves the tool in a line at 0.01 m/s, without turning it, and waits for the end.
         """
         return self.getl()[2]
 
@@ -105,47 +105,47 @@ class Robot(Closing):
         self.movel(pose)
 
     def get_joint_temperature(self, wait: bool = False) -> list[float]:
-        """Temperatures of the joints, °C; with `wait`, of the next state."""
+        """Return the temperatures of the joints in °C; with `wait`, of the next state."""
         return list(map(float, _newest(self._robot.realtime, wait).motor_temperatures))
 
     def get_joint_voltage(self, wait: bool = False) -> list[float]:
-        """Voltages of the joints, V; with `wait`, of the next state."""
+        """Return the voltages of the joints in V; with `wait`, of the next state."""
         return list(map(float, _newest(self._robot.realtime, wait).V_actual))
 
     def get_joint_current(self, wait: bool = False) -> list[float]:
-        """Currents of the joints, A; with `wait`, of the next state."""
+        """Return the currents of the joints in A; with `wait`, of the next state."""
         return list(map(float, _newest(self._robot.realtime, wait).I_actual))
 
     def get_main_voltage(self, wait: bool = False) -> float:
-        """Voltage of the safety board, V; with `wait`, of the next state."""
+        """Return the voltage of the safety board in V; with `wait`, of the next state."""
         return float(_newest(self._robot.realtime, wait).V_main)
 
     def get_robot_voltage(self, wait: bool = False) -> float:
-        """Supply voltage of the robot, V; with `wait`, of the next state."""
+        """Return the supply voltage of the robot in V; with `wait`, of the next state."""
         return float(_newest(self._robot.realtime, wait).V_robot)
 
     def get_robot_current(self, wait: bool = False) -> float:
-        """Supply current of the robot, A; with `wait`, of the next state."""
+        """Return the supply current of the robot in A; with `wait`, of the next state."""
         return float(_newest(self._robot.realtime, wait).I_robot)
 
     def get_tcp_force(self, wait: bool = True) -> list[float]:
-        """Force at the tool, N and Nm."""
+        """Return the force at the tool in N and Nm; with `wait`, of the next state."""
         return list(map(float, _newest(self._robot.realtime, wait).tcp_force))
 
     def get_force(self, wait: bool = True) -> float:
-        """Length of the six numbers of `get_tcp_force`, as urx has it."""
+        """Return the length of the six numbers of `get_tcp_force`, as urx does."""
         return math.hypot(*self.get_tcp_force(wait))
 
     def is_running(self) -> bool:
-        """Whether the robot is switched on, and no stop holds."""
+        """Return whether the robot is switched on and no stop is active."""
         self._robot.primary.wait(_STATE_TIMEOUT)
         return self._robot.safety.cause is None
 
     def is_program_running(self) -> bool:
-        """Whether a program runs."""
+        """Return whether a program is running."""
         return bool(_newest(self._robot.primary.of(urlink.packets.RobotModeData), False).is_program_running)
 
-    # -- movements ---------------------------------------------------------------------------------------
+    # -- motions -----------------------------------------------------------------------------------------
 
     def movej(
         self,
@@ -156,9 +156,10 @@ class Robot(Closing):
         relative: bool = False,
         threshold: float | None = None,
     ) -> list[float] | None:
-        """Move the joints to positions, rad, or by them with `relative`. If it waits, returns the positions at the end.
+        """Move the joints to positions in rad, or by these angles with `relative`.
 
-        The threshold has no effect: the controller says when the motion is over.
+        If it waits, it returns the positions at the end. The threshold has no effect, because the controller reports
+        the end of the motion.
         """
         goal = [a + b for a, b in zip(joints, self.getj(), strict=True)] if relative else joints
         return self._moved(lambda: self._robot.motion.move_joints(goal, vel, acc), wait, self.getj)
@@ -185,14 +186,18 @@ class Robot(Closing):
         command: str = "movel",
         threshold: float | None = None,
     ) -> Any:
-        """Move the tool to a `math3d.Transform` in the base frame; if it waits, returns the transform at the end.
+        """Move the tool to a `math3d.Transform` in the base frame. If it waits, it returns the transform at the end.
 
         Args:
-            trans: Transform of the base frame to the tool.
-            command: "movel" or "movep". "movej" is rejected.
+            trans: Transform from the base frame to the tool.
+            acc: Acceleration, in m/s².
+            vel: Speed, in m/s.
+            wait: Whether to wait for the end.
+            command: Command: "movel" or "movep". "movej" is rejected.
+            threshold: No effect.
 
         Raises:
-            BadValue: If `command` is another one.
+            BadValue: If `command` is another command.
             LocalError: If math3d is not installed.
         """
         if command not in ("movel", "movep"):
@@ -210,8 +215,11 @@ class Robot(Closing):
         threshold: float | None = None,
         radius: float = 0.0,
     ) -> list[float] | None:
-        """As `movel`. The radius, which urx's own example gives, has no effect: a blend needs a movement after it, and
-        each call is a program that ends the one before."""
+        """Move the tool as `movel` does.
+
+        The radius, which urx's own example passes, has no effect: a blend needs a motion after it, and each call is a
+        program that ends the previous one.
+        """
         return self.movel(tpose, acc, vel, wait, relative)
 
     def movec(
@@ -253,13 +261,13 @@ class Robot(Closing):
 
     def _path(self, waypoints: Sequence[Waypoint], acc: float, vel: float, wait: bool) -> list[float] | None:
         if waypoints:
-            waypoints[-1].blend = 0.0  # it comes to rest there
+            waypoints[-1].blend = 0.0  # the motion ends at rest at the last waypoint
         return self._moved(lambda: self._robot.motion.path(waypoints, vel, acc), wait, self.getl)
 
     def translate(
         self, vect: Sequence[float], acc: float = 0.01, vel: float = 0.01, wait: bool = True
     ) -> list[float] | None:
-        """Move the tool by (3,) m in the base frame, without turning it. See `movej`."""
+        """Move the tool by a distance in the base frame, shape (3,), in m, without turning it. See `movej`."""
         return self.movel([*vect, 0.0, 0.0, 0.0], acc, vel, wait, relative=True)
 
     def translate_tool(
@@ -270,7 +278,7 @@ class Robot(Closing):
         wait: bool = True,
         threshold: float | None = None,
     ) -> list[float] | None:
-        """Move the tool by (3,) m along its own axes, without turning it. See `movej`."""
+        """Move the tool by a distance along its own axes, shape (3,), in m, without turning it. See `movej`."""
         return self.movel_tool([*vect, 0.0, 0.0, 0.0], acc, vel, wait)
 
     def movel_tool(
@@ -281,44 +289,44 @@ class Robot(Closing):
         wait: bool = True,
         threshold: float | None = None,
     ) -> list[float] | None:
-        """Move the tool in a line to a pose that is given in the frame of the tool. See `movej`."""
+        """Move the tool in a line to a pose in the tool frame. See `movej`."""
         return self.movel(poses.compose(self.getl(), pose).tolist(), acc, vel, wait)
 
     def up(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
-        """Move the tool up by z, m."""
+        """Move the tool up by z, in m."""
         self.translate((0.0, 0.0, z), acc, vel)
 
     def down(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
-        """Move the tool down by z, m."""
+        """Move the tool down by z, in m."""
         self.up(-z, acc, vel)
 
     def back(self, z: float = 0.05, acc: float = 0.01, vel: float = 0.01) -> None:
-        """Move the tool back along its z axis by z, m."""
+        """Move the tool back along its z axis by z, in m."""
         self.translate_tool((0.0, 0.0, -z), acc, vel)
 
     def speedj(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
-        """Move the joints at speeds, rad/s, and brake after `min_time` seconds, unless it is called again before."""
+        """Move the joints at speeds in rad/s. They brake after `min_time` seconds, unless it is called again before."""
         self._robot.motion.speed_joints(velocities, acc, duration=min_time)
 
     def speedl(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
-        """Move the tool at a speed in the base frame, m/s and rad/s; see `speedj`."""
+        """Move the tool at a speed in the base frame, in m/s and rad/s; see `speedj`."""
         self._robot.motion.speed_linear(velocities, acc, duration=min_time)
 
     def speedl_tool(self, velocities: Sequence[float], acc: float, min_time: float) -> None:
-        """Move the tool at a speed in the frame that it has at present, m/s and rad/s; see `speedj`."""
+        """Move the tool at a speed in its current frame, in m/s and rad/s; see `speedj`."""
         axes = poses.rotvec_to_matrix(self.getl()[3:])
         self.speedl((six(velocities, "velocities").reshape(2, 3) @ axes.T).ravel().tolist(), acc, min_time)
 
     def stopj(self, acc: float = 1.5) -> None:
-        """Stop by the joints, at rad/s², and wait until the arm stands."""
+        """Stop in joint space, at rad/s², and wait until the arm is at rest."""
         self._robot.motion.stop(acc).wait(_LONGEST)
 
     def stopl(self, acc: float = 0.5) -> None:
-        """Stop along the path of the tool, at m/s², and wait until it stands."""
+        """Stop along the path of the tool, at m/s², and wait until the arm is at rest."""
         self._robot.script.run(f"stopl({text.number(acc, 'acc', 0.0, 100.0)})").wait(_LONGEST)
 
     def stop(self) -> None:
-        """Stop by the joints."""
+        """Stop in joint space."""
         self.stopj()
 
     def _moved(self, begin: Callable[[], Motion], wait: bool, where: Callable[[], list[float]]) -> list[float] | None:
@@ -331,7 +339,7 @@ class Robot(Closing):
     # -- tool, payload, inputs and outputs ---------------------------------------------------------------
 
     def set_tcp(self, tcp: Sequence[float]) -> None:
-        """Set the TCP: a pose in the frame of the flange, m and rad."""
+        """Set the TCP: a pose in the flange frame, in m and rad."""
         self._robot.set_tcp(tcp)
 
     def set_payload(self, weight: float, cog: Sequence[float] | None = None) -> None:
@@ -339,7 +347,7 @@ class Robot(Closing):
         self._robot.set_payload(weight, cog)
 
     def set_gravity(self, vector: Sequence[float]) -> None:
-        """Set gravity: (3,) m/s² in the base frame, a vector that points up."""
+        """Set gravity: a vector that points up in the base frame, shape (3,), in m/s²."""
         self._robot.set_gravity(vector)
 
     def set_digital_out(self, output: int, val: bool) -> None:
@@ -350,27 +358,27 @@ class Robot(Closing):
             self._robot.io.set_digital_out(output, bool(val))
 
     def get_digital_out(self, val: int, wait: bool = False) -> bool:
-        """Whether an output is on: its bit in the robot state, 8 to 15 configurable, 16 and 17 of the tool."""
+        """Return whether an output is on, by its bit in the robot state: 8 to 15 configurable, 16 and 17 tool."""
         return bool(self.get_digital_out_bits(wait) >> val & 1)
 
     def get_digital_out_bits(self, wait: bool = False) -> int:
-        """All digital outputs."""
+        """Return all digital outputs."""
         return int(_newest(self._robot.primary.of(urlink.packets.MasterboardData), wait).digital_output_bits)
 
     def get_digital_in(self, nb: int, wait: bool = False) -> bool:
-        """Whether an input is on: its bit in the robot state, 8 to 15 configurable, 16 and 17 of the tool."""
+        """Return whether an input is on, by its bit in the robot state: 8 to 15 configurable, 16 and 17 tool."""
         return bool(_newest(self._robot.primary.of(urlink.packets.MasterboardData), wait).digital_input_bits >> nb & 1)
 
     def get_digital_in_bits(self) -> int:
-        """All digital inputs."""
+        """Return all digital inputs."""
         return int(_newest(self._robot.primary.of(urlink.packets.MasterboardData), False).digital_input_bits)
 
     def get_analog_in(self, nb: int, wait: bool = False) -> float:
-        """Analogue input 0 or 1 of the control box, A or V."""
+        """Return analogue input 0 or 1 of the control box, in A or V."""
         return self._robot.io.analog_in(nb).value
 
     def get_analog_inputs(self) -> tuple[float, float]:
-        """Both analogue inputs of the control box."""
+        """Return both analogue inputs of the control box."""
         return self.get_analog_in(0), self.get_analog_in(1)
 
     def set_analog_out(self, output: int, val: float) -> None:
@@ -384,7 +392,7 @@ class Robot(Closing):
     # -- programs ----------------------------------------------------------------------------------------
 
     def send_program(self, prog: str) -> None:
-        """Send a program; does not wait for its end."""
+        """Send a program without waiting for its end."""
         self._robot.script.run(prog, detached=True)
 
     def send_message(self, msg: str) -> None:
@@ -393,7 +401,7 @@ class Robot(Closing):
 
 
 def _math3d() -> Any:
-    """The package of urx's poses.
+    """Return the package of urx's poses.
 
     Raises:
         LocalError: If it is not installed.
@@ -401,9 +409,9 @@ def _math3d() -> Any:
     try:
         return import_module("math3d")
     except ImportError as error:
-        raise LocalError("math3d is not installed; pip install math3d==3.0.3") from error
+        raise LocalError("math3d is not installed; install it with pip install math3d==3.0.3") from error
 
 
 def _newest(feed: Feed[Any], wait: bool) -> Any:
-    """The newest packet of a feed; the next one with `wait`, or if there is none."""
+    """Return the newest packet of a feed; the next packet with `wait`, or if there is none."""
     return (None if wait else feed.latest) or feed.wait(_STATE_TIMEOUT)

@@ -1,4 +1,4 @@
-"""`ArmView`: an arm in a browser, with what it does in words and curves, and buttons that move it."""
+"""Class `ArmView`: an arm in a browser, with its state as text and plots, and buttons that move it."""
 
 from __future__ import annotations
 
@@ -27,17 +27,19 @@ if TYPE_CHECKING:
 
 _ARM, _TARGET, _TRAIL, _FORCE = (205, 210, 216), (224, 122, 31), (224, 122, 31), (210, 40, 60)
 _CURVES = ("#4a7fc0", "#e07a1f", "#3f9c5a", "#b5495b", "#7d5fb2", "#8a7248")
-#: Units of vectors with six elements that have one for each joint.
+#: Units of vectors with six elements, one for each joint.
 _OF_JOINTS = frozenset({"rad", "rad/s", "rad/s^2", "Nm", "A", "V", "degC"})
-#: m of the arrow for each newton, and newtons below which there is none: a simulated or idle sensor shows some.
+#: Length of the arrow in m per newton, and force in N below which no arrow is drawn, because idle sensors show some
+#: force.
 _PER_NEWTON, _LEAST = 0.004, 3.0
-#: rad between an actual and a target position below which the target is not drawn: it would cover the arm in spots.
+#: Distance in rad between actual and target positions below which the target is not drawn, because it would cover the
+#: arm.
 _APART = 0.01
-#: Rounds of `show` from one update of words and curves to the next.
+#: Number of calls of `show` between two updates of texts and plots.
 _SELDOM = 6
-#: Messages a second while a button is held, and seconds after which the speed of one expires.
+#: Messages per second while a button is held, and time in s after which the speed of a message expires.
 _RATE, _EXPIRY = 20.0, 0.25
-#: What the buttons of a frame move.
+#: Labels of the buttons of a frame.
 _NAMES = {
     "joints": JOINTS,
     "base": ("x", "y", "z", "about x", "about y", "about z"),
@@ -45,21 +47,21 @@ _NAMES = {
 
 
 class ArmView(StrictAttributes, Closing):
-    """An arm on a page: where it is and where it is wanted, the trail of its TCP, the force on it, and its state.
+    """Arm on a page: its actual and target position, the trail of its TCP, the force on it, and its state.
 
-    A notebook shows it in the cell. A context manager.
+    A notebook shows it in the cell. It is a context manager.
 
     Args:
-        page: to draw on.
-        arm: its kinematics.
-        window: what is drawn.
-        plots: fields that are drawn as curves.
-        urdf: a file with bodies for the links; None for cylinders and spheres.
-        jog: begins a jog, `robot.motion.jog`; None where the arm is only watched.
+        page: Page to draw on.
+        arm: Kinematics of the arm.
+        window: Window with the values to draw.
+        plots: Fields to plot.
+        urdf: File with bodies for the links; None for cylinders and spheres.
+        jog: Function that begins a jog, `robot.motion.jog`; None if the arm is only shown.
 
     Raises:
-        BadValue: there is no such field.
-        LocalError: the file cannot be drawn.
+        BadValue: If a field does not exist.
+        LocalError: If the file cannot be drawn.
     """
 
     def __init__(
@@ -73,7 +75,7 @@ class ArmView(StrictAttributes, Closing):
     ) -> None:
         for field in plots:
             if field not in window.fields:
-                raise BadValue(f"there is no field {field!r} to plot{similar(field, window.fields)}")
+                raise BadValue(f"cannot plot the unknown field {field!r}{similar(field, window.fields)}")
         self.page = page
         self._window = window
         self._model = arm.model.name
@@ -102,11 +104,11 @@ class ArmView(StrictAttributes, Closing):
 
     @property
     def address(self) -> str:
-        """The address for browsers."""
+        """Address for browsers."""
         return self.page.address
 
     def show(self) -> None:
-        """Draw the newest state, or that of the moment which the slider has. To be called again and again."""
+        """Draw the newest state, or the state at the time of the slider. Call it repeatedly."""
         window = self._window
         if isinstance(window, LiveWindow):
             window.look()
@@ -165,7 +167,7 @@ class ArmView(StrictAttributes, Closing):
             self._words.content = text
 
     def start(self, rate: float = 30.0) -> Self:
-        """Call `show` in a thread of its own, `rate` times a second, until the view is closed."""
+        """Call `show` in a dedicated thread, `rate` times per second, until the view is closed."""
 
         def run() -> None:
             while not clock.wait(self._over.wait, 1.0 / rate):
@@ -176,7 +178,7 @@ class ArmView(StrictAttributes, Closing):
         return self
 
     def close(self) -> None:
-        """End a jog, and the page; idempotent."""
+        """End a jog, and close the page; idempotent."""
         self._over.set()
         if self._thread is not None:
             clock.join(self._thread)
@@ -194,7 +196,7 @@ class ArmView(StrictAttributes, Closing):
 def view_robot(
     robot: Robot, plots: Sequence[str], urdf: str | os.PathLike[str] | None, jog: bool, port: int
 ) -> ArmView:
-    """What `Robot.view` returns; the arguments are its own."""
+    """Return the view for `Robot.view`, which has the same arguments."""
     page = Page(f"urlink {robot.address}", port=port)
     try:
         begin = robot.motion.jog if jog else None
@@ -206,7 +208,7 @@ def view_robot(
 
 
 class _Player:
-    """The slider of a recording, and what moves it."""
+    """Slider of a recording, and its playback controls."""
 
     def __init__(self, gui: Any, window: RecordedWindow) -> None:
         self._window = window
@@ -217,7 +219,7 @@ class _Player:
         self._last: float | None = None
 
     def play(self) -> None:
-        """Go on, if it plays, and show the moment of the slider."""
+        """Advance if playback is on, and show the time of the slider."""
         now = clock.now()
         if self._plays.value and self._last is not None:
             self._time.value = min(self._time.value + (now - self._last) * self._rate.value, self._end)
@@ -228,7 +230,7 @@ class _Player:
 
 
 class _Curves:
-    """A field over the last seconds, a curve for each of its elements."""
+    """Plot of a field over the last seconds, one curve for each of its elements."""
 
     def __init__(self, gui: Any, field: str) -> None:
         self._gui = gui
@@ -236,7 +238,7 @@ class _Curves:
         self._handle: Any = None
 
     def show(self, window: Window) -> None:
-        """Draw what there is."""
+        """Draw the available rows."""
         rows = window.column(self._field)
         if rows is None or not len(rows):
             return
@@ -266,20 +268,20 @@ class _Curves:
 
 
 class _JogButtons:
-    """Buttons that jog, once a browser has ticked the box before them; then that browser alone.
+    """Buttons that jog. They work only for the browser that has ticked the box above them.
 
-    Ticking it begins the program of the jog, which preempts the one that runs.
+    Ticking the box begins the program of the jog, which preempts the running program.
 
     Args:
-        server: of viser.
-        jog: `robot.motion.jog`.
+        server: Server of viser.
+        jog: Function `robot.motion.jog`.
     """
 
     def __init__(self, server: Any, jog: Callable[..., Jog]) -> None:
         self._begin = jog
         self._block = contextlib.ExitStack()
         self._jog: Jog | None = None
-        #: who has ticked the box
+        #: Client that has ticked the box.
         self._holder: int | None = None
         gui = server.gui
         with gui.add_folder("Jog"):
@@ -294,7 +296,8 @@ class _JogButtons:
         server.on_client_disconnect(self._let_go)
         self._labelled: FrameName | None = None
 
-    # viser awaits these in one thread; those that it calls in several could change their order.
+    # viser awaits these functions in one thread. It calls other functions in several threads, which could change the
+    # order.
 
     async def _hold(self, event: Any) -> None:
         self._holder = event.client_id if self._enabled.value else None
@@ -310,13 +313,13 @@ class _JogButtons:
                 return
             speeds = [0.0] * 6
             speeds[axis] = sign * FULL_SPEED[jog.frame][axis] * self._part.value
-            with contextlib.suppress(LinkError):  # `show` says why it is over
+            with contextlib.suppress(LinkError):  # `show` reports why the jog has ended
                 jog.move(speeds)
 
         return move
 
     def show(self) -> None:
-        """Begin or end what the box and the frame ask for, and say how it ended."""
+        """Begin or end the jog according to the box and the frame, and show the error if it failed."""
         jog, frame = self._jog, self._frame.value
         if jog is not None and (jog.done or self._holder is None or jog.frame != frame):
             error = jog.error
@@ -346,7 +349,7 @@ class _JogButtons:
             button.label = f"{names[number // 2]} {'−' if number % 2 else '+'}"
 
     def close(self) -> None:
-        """End the jog, if there is one, for good; the arm brakes. Idempotent."""
+        """End the jog permanently, if there is one. The arm brakes. Idempotent."""
         self._holder = None
         self._stop()
 

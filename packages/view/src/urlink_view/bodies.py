@@ -1,4 +1,4 @@
-"""The bodies of an arm's links, from URDF: our own, of cylinders and spheres, or one with meshes."""
+"""Bodies of the links of an arm, from URDF: generated cylinders and spheres, or a file with meshes."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from urlink.arm.poses import rotvec_to_quaternion, rpy_to_rotvec
 from urlink.arm.urdf import LINKS, link_poses, to_urdf
 from urlink.tools import FloatArray, needs
 
-#: Link of a URDF -> the frame of ours in which it is drawn. The vendor's base link for bodies is the controller's base.
+#: Link of a URDF -> frame of this library for drawing it. The vendor's base link for bodies is the controller's
+#: base.
 _FRAMES = {"base_link_inertia": "base_link", **{name: name for name in ("base_link", *LINKS, "tool0")}}
 _JOINTS_COLOUR = (93, 138, 168)
 
 
 class Bodies:
-    """The bodies of an arm in a scene of viser, below a node.
+    """Bodies of an arm in a scene of viser, below a node.
 
     Args:
-        scene: of viser.
-        node: name of the node, such as "/actual".
-        arm: says where the links are.
-        urdf: a file whose links have the vendor's names, and visuals; None for shapes made of the kinematics.
-        colour: of cylinders, boxes and, if translucent, of meshes.
-        opacity: 1 is opaque.
+        scene: Scene of viser.
+        node: Name of the node, such as "/actual".
+        arm: Arm that determines the positions of the links.
+        urdf: File whose links have the vendor's names, and visuals; None for shapes from the kinematics.
+        colour: Colour of cylinders, boxes and, if translucent, of meshes.
+        opacity: Opacity; 1 is opaque.
 
     Raises:
-        LocalError: the file, or a mesh in it, cannot be read, or nothing in it can be drawn.
+        LocalError: If the file, or a mesh in it, cannot be read, or it contains nothing to draw.
     """
 
     def __init__(
@@ -52,17 +53,17 @@ class Bodies:
                 _draw(scene, f"{paths[_FRAMES[link]]}/{link}_{k}", visual, urdf, colour, opacity)
                 found += 1
         if not found:
-            raise LocalError(f"{urdf} gives no link of the arm a body; expected <visual> in links such as {LINKS[0]}")
+            raise LocalError(f"{urdf} has no bodies for the arm; expected <visual> in links such as {LINKS[0]}")
 
     def show(self, q: FloatArray) -> None:
-        """Put the links where they are at joint positions (6,), rad."""
+        """Move the links to their poses at joint positions, shape (6,), in rad."""
         for frame, (_, _, poses) in zip(self._frames, link_poses(self._arm, q[np.newaxis]), strict=True):
             frame.position = poses[0, :3]
             frame.wxyz = wxyz(poses[0, 3:])
 
 
 def wxyz(rotvec: FloatArray) -> FloatArray:
-    """The quaternion of a rotation vector, in the order of viser."""
+    """Return the quaternion of a rotation vector, in the order of viser."""
     return np.roll(rotvec_to_quaternion(rotvec), 1)
 
 
@@ -70,7 +71,7 @@ def _visuals(urdf: Path | None, arm: Arm) -> list[tuple[str, int, ElementTree.El
     try:
         root = ElementTree.fromstring(to_urdf(arm, shapes=True) if urdf is None else urdf.read_text(encoding="utf-8"))
     except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise LocalError(f"{urdf} cannot be read as URDF: {error}") from error
+        raise LocalError(f"cannot read {urdf} as URDF: {error}") from error
     return [
         (link.get("name", ""), k, visual)
         for link in root.iter("link")
@@ -96,7 +97,7 @@ def _draw(
         mesh = _mesh(trimesh, shape.get("filename", ""), urdf)
         mesh.apply_scale(_numbers(shape.get("scale", "1 1 1")))
         if opacity == 1.0:
-            scene.add_mesh_trimesh(node, mesh, **place)  # in its own colours
+            scene.add_mesh_trimesh(node, mesh, **place)  # with its own colours
             return
     elif shape.tag == "sphere":
         mesh = trimesh.creation.icosphere(3, float(shape.get("radius", 0.0)))
@@ -109,7 +110,7 @@ def _draw(
 
 
 def _mesh(trimesh: Any, name: str, urdf: Path | None) -> Any:
-    """The mesh of a file: relative to the URDF, or of a package whose folder is beside or above that."""
+    """Load a mesh from a path relative to the URDF, or from a package whose folder is next to or above the URDF."""
     assert urdf is not None
     if name.startswith("package://"):
         inside = name.removeprefix("package://")
@@ -120,11 +121,11 @@ def _mesh(trimesh: Any, name: str, urdf: Path | None) -> Any:
         places = [urdf.parent / name.removeprefix("file://")]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
-        raise LocalError(f"{urdf} names {name}, which is not at {places[0]}")
+        raise LocalError(f"{urdf} refers to the mesh {name}, which does not exist at {places[0]}")
     try:
         return trimesh.load(path, force="mesh")
-    except (ImportError, ValueError, OSError, KeyError) as error:  # a format whose reader is not installed, or damage
-        raise LocalError(f"{path} cannot be read: {error}") from error
+    except (ImportError, ValueError, OSError, KeyError) as error:  # the format needs another package, or is damaged
+        raise LocalError(f"cannot read the mesh {path}: {error}") from error
 
 
 def _numbers(text: str) -> FloatArray:

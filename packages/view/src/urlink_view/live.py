@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 
 #: Time for which packets are gathered, in seconds. Making many messages at a time is faster.
 _GATHER = 0.1
-#: Interval at which the queue of a stream is read, in seconds.
+#: Interval for reading the queue of a stream, in seconds.
 _LOOK = 0.02
 #: Bytes of messages that are compressed together. A killed program loses at most these and the gathered packets.
 _CHUNK = 1 << 14

@@ -1,9 +1,9 @@
-"""A page of viser for browsers of this computer: what others may not ask of it, and where it listens.
+"""Page of viser for browsers on this computer, with checks of each request and of the address to listen on.
 
-viser 1.1 serves its page and its WebSocket on one port, checks neither the origin of a connection nor the name by which
-it was reached, and has a message by which any client makes it reachable from the internet. Any page that a person has
-open in the same browser could use the WebSocket. So each request is checked before viser sees it, and that message does
-nothing.
+viser 1.1 serves its page and its WebSocket on one port. It checks neither the origin of a connection nor the host name
+of the request. It also has a message with which any client can make the page reachable from the internet. Any other
+page that is open in the same browser could use the WebSocket. Therefore each request is checked before viser receives
+it, and that message has no effect.
 """
 
 from __future__ import annotations
@@ -19,56 +19,58 @@ from urllib.parse import urlsplit
 from urlink import BadAddress, ConnectFailed, LocalError
 from urlink.tools import Closing, bound_socket, needs
 
-#: The names of this computer for itself.
+#: Names of this computer on the computer itself.
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
-#: Pages that may show this one within theirs: notebooks of this computer. Others could have a person press its buttons.
+#: Pages that may embed this page: notebooks on this computer. Other pages could trick a person into pressing its
+#: buttons.
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
-#: One page at a time is made: meanwhile what starts servers is another function.
+#: Only one page at a time is created, because a function that starts servers is replaced meanwhile.
 _making = threading.Lock()
 
 
 def refusal(host: str | None, origin: str | None, is_upgrade: bool, names: frozenset[str] | None) -> str | None:
-    """Why a request is refused; None if it is not.
+    """Return the reason why a request is refused; None if it is allowed.
 
     Args:
-        host: its header Host, which is the name by which the page was reached.
-        origin: its header Origin, the page that a browser sends it for.
-        is_upgrade: it asks for a WebSocket. A browser always says for which page it does.
-        names: names by which the page may be reached: another one may have been made to mean this computer (DNS
-            rebinding). None takes every name.
+        host: Header Host of the request: the requested name of the page.
+        origin: Header Origin of the request: the page that makes the browser send it.
+        is_upgrade: Whether the request is for a WebSocket. A browser always sends an origin with it.
+        names: Allowed names of the page. Another name may have been redirected to this computer (DNS rebinding). None
+            allows every name.
     """
     name = urlsplit(f"//{host or ''}").hostname
     if names is not None and name not in names:
-        return f"this page is at {' or '.join(sorted(names))}, and was asked for at {host}"
+        return f"this page is at {' or '.join(sorted(names))}, but was requested as {host}"
     if is_upgrade and origin is None:
-        return "a WebSocket without an Origin"
+        return "a WebSocket without an Origin is not allowed"
     if origin is not None and urlsplit(origin).netloc != host:
         return f"the origin {origin} is another page"
     return None
 
 
 class Page(Closing):
-    """A server of viser. A context manager.
+    """Server of viser. It is a context manager.
 
     Args:
-        name: shown above its controls.
-        host: address to listen on. Where that is not of this computer alone, the page is taken by every name.
-        port: to listen on; 0 for a free one.
+        name: Name that is shown above the controls.
+        host: Address to listen on. If it is not only for this computer, every name of the page is allowed.
+        port: Port to listen on; 0 for a free port.
 
     Attributes:
-        server: viser's.
-        host, port: where it listens.
+        server: Server object of viser.
+        host: Address that the server listens on.
+        port: Port that the server listens on.
 
     Raises:
-        ConnectFailed: it cannot listen there.
-        LocalError: viser is not installed, or this release of viser cannot be checked.
+        ConnectFailed: If the server cannot listen on the address.
+        LocalError: If viser is not installed, or the requests of this release of viser cannot be checked.
     """
 
     def __init__(self, name: str, host: str = "127.0.0.1", port: int = 8080) -> None:
         with needs("", "a view in a browser", "urlink-view"):
             import viser
             import websockets.asyncio.server as websocket_server
-        # viser would go on to the next port, and never return where there is no such host.
+        # viser would try the next port, and never return if the host does not exist.
         try:
             bound_socket(host, port, purpose="the view").close()
         except BadAddress as error:
@@ -77,32 +79,32 @@ class Page(Closing):
 
         class Unshared(viser.ViserServer):  # type: ignore[misc]
             def request_share_url(self, verbose: bool = True) -> None:
-                """Does nothing: a client asks for it, and the whole internet would see the page."""
+                """Do nothing: a client requests it, and the whole internet would see the page."""
 
-        # What viser prints is for a person who runs viser.
+        # Suppress the output of viser, which is meant for a person who runs viser.
         with _making, _checked(websocket_server, names) as checked, contextlib.redirect_stdout(io.StringIO()):
             self.server: Any = Unshared(host=host, port=port, label=name, verbose=False)
         self.host, self.port = host, int(self.server.get_port())
         if not checked:
             self.close()
-            raise LocalError("this release of viser starts its server in another way, so its clients are not checked")
+            raise LocalError("this release of viser starts its server differently, so its clients cannot be checked")
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
 
     @property
     def address(self) -> str:
-        """The address for browsers."""
+        """Address for browsers."""
         host = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1", "::": "[::1]", "::1": "[::1]"}.get(self.host, self.host)
         return f"http://{host}:{self.port}"
 
     def close(self) -> None:
-        """Disconnect every browser; idempotent."""
+        """Disconnect all browsers; idempotent."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
 
 @contextlib.contextmanager
 def _checked(websocket_server: Any, names: frozenset[str] | None) -> Iterator[list[None]]:
-    """Meanwhile what viser serves is checked; yields a list that has an entry once it serves."""
+    """Check all requests to servers that viser starts in this block; yield a list with one entry per started server."""
     serve, done = websocket_server.serve, list[None]()
 
     def serve_checked(handler: Any, *places: Any, process_request: Any = None, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The last seconds of an arm, live or of a recording, as arrays: what a view draws."""
+"""Windows: the last seconds of an arm, live or from a recording, as arrays for a view."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ import numpy as np
 from urlink import BadRecording, ConnectionState, RealtimeState, Stream, Table
 from urlink.tools import FloatArray
 
-#: What is shown -> its names on the real-time interface and in RTDE.
+#: Shown quantity -> its names on the real-time interface and in RTDE.
 FIELDS: Mapping[str, tuple[str, ...]] = {
     "q": ("q_actual", "actual_q"),
     "target": ("q_target", "target_q"),
     "pose": ("tool_vector_actual", "actual_TCP_pose"),
     "force": ("tcp_force", "actual_TCP_force"),
     "robot": ("robot_mode",),
-    # In the status of newer firmware there are stops of their own which the mode does not distinguish.
+    # The status of newer firmware distinguishes some stops that the mode does not distinguish.
     "safety": ("safety_status", "safety_mode"),
     "program": ("program_state", "runtime_state"),
     "speed": ("speed_scaling",),
 }
-#: Seconds that are kept and drawn, and most rows of them.
+#: Time in s that is kept and drawn, and maximum number of rows.
 SPAN, _ROWS = 10.0, 500
 
 
 class Window(ABC):
-    """The last seconds, of which the newest row is what is shown.
+    """Last seconds of an arm. The newest row is shown.
 
     Attributes:
-        time: s, (n,), ascending: by the controller's clock if live, since the recording began if recorded.
+        time: Times in s, shape (n,), ascending: by the controller's clock if live, since the beginning of the recording
+            if recorded.
     """
 
     time: FloatArray = np.empty(0)
@@ -44,23 +45,23 @@ class Window(ABC):
 
     @abstractmethod
     def unit(self, field: str) -> str:
-        """The unit of a field; "" if it has none."""
+        """Return the unit of a field; "" if it has none."""
 
     @property
     @abstractmethod
     def status(self) -> tuple[str, bool]:
-        """Of the connection or the recording, and whether what is shown holds now."""
+        """Status of the connection or the recording, and whether the shown values are current."""
 
     @abstractmethod
     def column(self, field: str) -> FloatArray | None:
-        """The rows of a field, (n, k); None if they are not known."""
+        """Return the rows of a field, shape (n, k); None if they are not known."""
 
     @abstractmethod
     def newest(self, field: str) -> Any:
-        """The newest value of a field, codes as members of their enumeration; None if it is not known."""
+        """Return the newest value of a field, codes as enumeration members; None if it is not known."""
 
     def numbers(self, what: str) -> FloatArray | None:
-        """What `FIELDS` names, now; None if it is not known."""
+        """Return the current value of a quantity in `FIELDS`; None if it is not known."""
         for field in FIELDS[what]:
             value = self.newest(field)
             if value is not None and np.isfinite(value).all():
@@ -68,21 +69,21 @@ class Window(ABC):
         return None
 
     def word(self, what: str) -> str | None:
-        """The name of what `FIELDS` names, now; None if it is not known."""
+        """Return the current name of a quantity in `FIELDS`; None if it is not known."""
         value = next((value for field in FIELDS[what] if (value := self.newest(field)) is not None), None)
         return None if value is None else str(getattr(value, "name", value))
 
     def way(self) -> FloatArray | None:
-        """Of the TCP, m, (n, 3); None if it is not known."""
+        """Return the path of the TCP in m, shape (n, 3); None if it is not known."""
         poses = next((rows for field in FIELDS["pose"] if (rows := self.column(field)) is not None), None)
         return None if poses is None else poses[:, :3]
 
 
 class LiveWindow(Window):
-    """Collects states of a stream, each time that it is asked to.
+    """Window that takes a state of a stream each time `look` is called.
 
     Args:
-        stream: of real-time states.
+        stream: Stream of real-time states.
     """
 
     def __init__(self, stream: Stream[RealtimeState]) -> None:
@@ -105,9 +106,9 @@ class LiveWindow(Window):
         if state is None or (self._states and state is self._states[-1]):
             return
         if self._states and state.time < self._states[-1].time:
-            self._states.clear()  # the controller has been started anew
+            self._states.clear()  # the controller has restarted
         if len(self._states) > 1 and self._states[-1].time - self._states[-2].time < SPAN / _ROWS:
-            self._states.pop()  # asked more often than is kept
+            self._states.pop()  # more frequent calls than rows to keep
         self._states.append(state)
         while state.time - self._states[0].time > SPAN:
             self._states.popleft()
@@ -119,7 +120,7 @@ class LiveWindow(Window):
         connection, state = self._stream.connection, self._states[-1] if self._states else None
         if connection is ConnectionState.CONNECTED:
             return "live", True
-        age = "" if state is None or state.received is None else f", shown is {state.received.age:.0f} s old"
+        age = "" if state is None or state.received is None else f", shown state is {state.received.age:.0f} s old"
         return f"{connection.value}{age}", False
 
     def column(self, field: str) -> FloatArray | None:
@@ -135,25 +136,25 @@ class LiveWindow(Window):
 
 
 class RecordedWindow(Window):
-    """The rows of a table up to a moment of the recording.
+    """Rows of a table up to a time of the recording.
 
     Args:
-        table: real-time states, or variables of RTDE.
+        table: Table of real-time states, or of RTDE variables.
 
     Raises:
-        BadRecording: the table is empty.
+        BadRecording: If the table is empty.
     """
 
     def __init__(self, table: Table) -> None:
         if not len(table):
-            raise BadRecording(f"{table.name} holds nothing to show")
+            raise BadRecording(f"{table.name} contains no rows to show")
         self._table = table
         self._rows = np.zeros(1, np.intp)
         self.at(0.0)
 
     @property
     def end(self) -> float:
-        """When the last row came, s since the recording began."""
+        """Time of the last row, in s since the beginning of the recording."""
         return float(self._table.time[-1])
 
     @property
@@ -166,10 +167,10 @@ class RecordedWindow(Window):
         return self._table.fields[field].unit
 
     def at(self, time: float) -> None:
-        """Show the last row that came at `time` or before, s since the recording began; else the first."""
+        """Show the last row that arrived at or before `time`, in s since the recording began, or else the first row."""
         last = max(int(np.searchsorted(self._table.time, time, "right")) - 1, 0)
         first = int(np.searchsorted(self._table.time, time - SPAN))
-        # Of many rows every nth, and always the last.
+        # If there are many rows, keep every nth row, and always the last.
         self._rows = np.arange(last, min(first, last) - 1, -max((last - first) // _ROWS + 1, 1))[::-1]
         self.time = self._table.time[self._rows]
 

@@ -1,1 +1,1 @@
-"""Plugins that come with the host: a bridge for velocities, a turtle world, a logger."""
+"""Plugins that are part of the host: a bridge for velocities, a turtle world, a logger, and MQTT robots."""

@@ -1,4 +1,4 @@
-"""`Logger`: a plugin that writes every variable at each tick, as a table or as a recording of the wire."""
+"""`Logger`: a plugin that writes every variable at each tick, to a table or to a recording of the wire."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ from ..plugin import Plugin
 
 _log = logging.getLogger(__name__)
 
-#: Ticks that wait for the disk; at 10 ms, 40 s of them.
+#: Maximum number of ticks that wait for the disk: 40 s at 10 ms.
 _WAITING = 4096
-#: Files with the same name and a number that are looked past for a free one.
+#: Maximum number of names with a number that are tried to find a free one.
 _MOST_FILES = 10_000
 
-#: (direction, name) of a variable -> what some plugin declares of it, and the order of its words.
+#: For the (direction, name) of a variable, its declaration by a plugin and the order of its words.
 _Declared = Mapping[tuple[str, str], tuple[Declaration[Any, Any], Order]]
 
 
 class _Moment:
-    """Everything there is to know at one tick."""
+    """The values and time stamps of all variables at one tick."""
 
     __slots__ = ("stamp", "stamps", "values")
 
@@ -55,23 +55,25 @@ class _Moment:
 class Logger(Plugin):
     """Logs all variables at each tick to a new file.
 
-    The suffix chooses the format. ``.csv`` is a table: ``time`` (s since 1970), then a column for each value of each
-    variable, read variables first. Values are typed as the plugins declare them: a double is one number, a `Scaled` is
-    in its unit, text is text, and a structure has a column for each field. What no plugin declares is in words.
-    ``.urlog`` is a recording of linkcore: the bytes that a reader would have been sent that is told everything at
-    every tick, so that whatever reads a connection reads it.
+    The suffix selects the format. ``.csv`` is a table with ``time`` (s since 1970), and a column for each value of each
+    variable, read variables first. Values have the types that the plugins declare: a double is one number, a `Scaled`
+    is in its unit, text is text, and a structure has a column for each field. Variables that no plugin declares are
+    written as words. ``.urlog`` is a recording of linkcore. It contains the bytes that a client would receive if it
+    were sent all variables at every tick, so that every program that reads a connection can read it.
 
-    No file is ever overwritten. Where ``run.csv`` exists, the log goes to ``run-1.csv``, then to ``run-2.csv``, so a
-    robot that is started with the same configuration each day keeps each day's log; `path` says which it is.
+    No file is ever overwritten. If ``run.csv`` exists, the log is written to ``run-1.csv``, then to ``run-2.csv``. A
+    robot that is started with the same configuration each day therefore keeps the log of each day; `path` is the path
+    of the current file.
 
-    It runs last, and writes in a thread of its own: a slow disk costs entries, which are counted, and never a tick.
+    The logger runs last, and writes in its own thread. A slow disk loses entries, which are counted, but never delays a
+    tick.
 
     Args:
-        path: of the file; in an `rhdconfig.xml`, ``path="..."``.
-        every: ticks from one entry to the next; in the file, ``every="..."``.
+        path: Path of the file; in an `rhdconfig.xml`, ``path="..."``.
+        every: Number of ticks from one entry to the next; in the file, ``every="..."``.
 
     Raises:
-        BadValue: another suffix, or less than every tick.
+        BadValue: If the suffix is different, or `every` is less than 1.
     """
 
     is_critical = False
@@ -88,7 +90,7 @@ class Logger(Plugin):
 
     @property
     def path(self) -> Path | None:
-        """The file: from `init` on the one that is written, with its number; None where none was given."""
+        """Path of the file, which `init` completes with a number if necessary. None if no path was given."""
         return self._path
 
     @property
@@ -97,25 +99,25 @@ class Logger(Plugin):
         return None if self._delivery is None else self._delivery.statistics
 
     def init(self, config: Element) -> None:
-        """Take what the file says.
+        """Read the settings in the file, and create the log file.
 
         Raises:
-            BadValue: no path is given, or one with another suffix.
-            BadRecording: the file cannot be made.
+            BadValue: If no path is given, or its suffix is different.
+            BadRecording: If the log file cannot be created.
         """
         path = config.get("path")
         if path is not None:
             self._path = _checked(path)
         if self._path is None:
-            raise BadValue('a logger needs a path="..."')
+            raise BadValue('a logger needs a path; add path="..."')
         self._every = config.integer("every", self._every, least=1)
         self._path = _free(self._path)
-        # Now, so that a mistake shows at the start; the variables are known at the first tick only.
+        # Create it now, so that an error shows at the start. The variables are known only at the first tick.
         self._sheet = _CsvSheet(self._path) if self._path.suffix == ".csv" else _RecordingSheet(self._path)
         _log.info("logging into %s", self._path)
 
     def periodic(self, tick: int) -> None:
-        """Take down what is there."""
+        """Store the values of all variables."""
         database = self.host.database
         if self._delivery is None:
             self._sheet.begin(database, self._by_name())
@@ -124,15 +126,15 @@ class Logger(Plugin):
             self._queue.offer([_Moment(database)])
 
     def terminate(self) -> None:
-        """Write what still waits, and close the file.
+        """Write pending entries, and close the file.
 
         Raises:
-            LinkTimeout: the disk did not take it in time.
+            LinkTimeout: If the disk did not accept them in time.
         """
         done = self._delivery is None or self._delivery.finish()
         self._sheet.close()
         if not done:
-            raise LinkTimeout(f"{self._path}: the disk did not take all entries in time")
+            raise LinkTimeout(f"{self._path}: the disk did not accept all entries in time")
 
     def _by_name(self) -> _Declared:
         declared: dict[tuple[str, str], tuple[Declaration[Any, Any], Order]] = {}
@@ -145,15 +147,15 @@ class Logger(Plugin):
 
 def _checked(path: str | os.PathLike[str]) -> Path:
     if not isinstance(path, (str, os.PathLike)):
-        raise BadValue(f"path={path!r}; expected that of a .csv or a .urlog")
+        raise BadValue(f"path={path!r}; expected the path of a .csv or .urlog file")
     path = Path(path)
     if path.suffix not in (".csv", ".urlog"):
-        raise BadValue(f"{path}: a log is a .csv or a .urlog")
+        raise BadValue(f"unknown suffix of {path}; expected .csv or .urlog")
     return path
 
 
 def _free(path: Path) -> Path:
-    """The path, with a number before its suffix if there is such a file already."""
+    """Return the path, with a number before its suffix if such a file exists already."""
     names = itertools.chain([path], (path.with_stem(f"{path.stem}-{n}") for n in range(1, _MOST_FILES)))
     free = next((name for name in names if not name.exists()), None)
     if free is None:
@@ -172,7 +174,7 @@ class _CsvSheet:
         self._writer = csv.writer(self._file)
 
     def begin(self, database: Database, declared: _Declared) -> None:
-        """Say what the entries hold; the variables are all there."""
+        """Write the header; all variables exist by now."""
         self._cells = [list(_cells(database, direction, declared)) for direction in "rw"]
         names = ["time"]
         for direction, cells in zip("rw", self._cells, strict=True):
@@ -182,7 +184,7 @@ class _CsvSheet:
         self._writer.writerow(names)
 
     def write(self, moment: _Moment) -> None:
-        """Add a tick."""
+        """Write the row of a tick."""
         row: list[object] = [f"{moment.stamp.wall:.6f}"]
         for cells, values in zip(self._cells, moment.values, strict=True):
             for each in cells:
@@ -190,12 +192,12 @@ class _CsvSheet:
         self._writer.writerow(row)
 
     def close(self) -> None:
-        """Finish the file."""
+        """Close the file."""
         self._file.close()
 
 
 class _Cells(NamedTuple):
-    """Some neighbouring columns: their names, and how they come from which words of a table."""
+    """Neighbouring columns: their names, the words of a table that they come from, and the conversion."""
 
     names: list[str]
     words: slice
@@ -222,7 +224,7 @@ def _typed(declaration: Declaration[Any, Any], order: Order) -> Callable[[Words]
 
 
 def _columns(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """The columns of a value, ``a``, ``a[0]``, ``a.field``, ``a[0].field``, each with what stands in it."""
+    """Yield the columns of a value, ``a``, ``a[0]``, ``a.field``, ``a[0].field``, each with its content."""
     if isinstance(value, np.void):
         for field in value.dtype.names or ():
             yield from _columns(f"{name}.{field}", value[field])

@@ -1,13 +1,13 @@
-"""Robots over MQTT: what DTU's current robots publish to a broker, as RHD variables, and a turtle that acts as one.
+"""Robots over MQTT: values that DTU's current robots publish to a broker, as RHD variables, and a simulated one.
 
-Known of these robots: they talk to the broker mosquitto, on topics such as ``robobot/drive/T0/pose``; a payload is
-ASCII, numbers with blanks between them, the time first; there is one master, which keeps itself alive by messages;
-after 2 s without one the robot stops. What stands beyond that in `ROBOBOT`, the names of the other topics and the order
-and the units of values, is a guess, and marked as one. That is why it is a table, which a user can edit
+Known facts about these robots: they use the broker mosquitto, with topics such as ``robobot/drive/T0/pose``. A payload
+is ASCII, with numbers separated by blanks, and the time first. There is one master, which sends messages to stay the
+master. The robot stops after 2 s without such a message. All other entries in `ROBOBOT` (names of the other topics,
+order and units of values) are assumptions, and marked as such. Therefore it is a table that users can edit
 (`read_topics`).
 
-It needs paho-mqtt (``pip install urlink-robot[mqtt]``), which is imported when a plugin begins. paho has a thread of
-its own for each connection; what it calls here only puts payloads into a dictionary.
+This module needs paho-mqtt (``pip install urlink-robot[mqtt]``), which is imported when a plugin begins. paho uses its
+own thread for each connection; its callbacks here only store payloads in a dictionary.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-#: Seconds without a message of its master after which a robot stops.
+#: Time, in seconds, without a message of its master, after which a robot stops.
 MASTER_TIMEOUT = 2.0
-#: Seconds between two messages of a master, which are the command too.
+#: Interval, in seconds, between two messages of a master, and between two commands.
 _ALIVE = 0.25
-#: Bytes of a payload, and of a table, that are read; values in a payload.
+#: Maximum number of bytes in a payload and in a table; maximum number of values in a payload.
 _LONGEST, _LARGEST, _MOST_VALUES = 4096, 1 << 16, 64
-#: Seconds to connect, and without a word of the broker until the connection counts as lost.
+#: Timeout for connecting, in seconds; time without data from the broker until the connection counts as lost.
 _CONNECT_TIMEOUT, _KEEPALIVE = 5.0, 10
 
-#: The table for DTU's robots. A line is a direction, a topic, the variable of RHD ("-" for none) and the names of the
+#: Table for DTU's robots. A line contains a direction, a topic, the RHD variable ("-" for none) and the names of the
 #: values; "#" begins a comment.
 ROBOBOT_TABLE = """\
-read     robobot/drive/T0/pose  pose  time x y heading   # known: the topic, and the time first. A guess: m, m, rad
-command  robobot/cmd/ti/rc      -     linear angular     # a guess: m/s, rad/s to the left
-alive    robobot/cmd/ti/alive   -     time               # a guess: the time at which the master began, as its name
+read     robobot/drive/T0/pose  pose  time x y heading   # known: the topic, and the time first. Assumed: m, m, rad
+command  robobot/cmd/ti/rc      -     linear angular     # assumed: m/s, rad/s to the left
+alive    robobot/cmd/ti/alive   -     time               # assumed: time when the master began, which identifies it
 """
 
 _DIRECTIONS = ("read", "command", "alive")
@@ -61,10 +61,10 @@ class MqttTopic:
     """One line of the table.
 
     Attributes:
-        direction: "read" for what the robot tells, "command" for its velocity, "alive" for its master's message.
-        name: of the topic.
-        variable: of RHD, in which the values are doubles; "" for none.
-        values: their names, in the order of the payload; a payload may have more.
+        direction: "read" for data of the robot, "command" for its velocity, "alive" for the message of its master.
+        name: Name of the topic.
+        variable: RHD variable that holds the values as doubles; "" for none.
+        values: Names of the values, in the order of the payload; a payload may have more values.
     """
 
     direction: str
@@ -73,7 +73,7 @@ class MqttTopic:
     values: tuple[str, ...]
 
     def parse(self, payload: bytes) -> tuple[float, ...] | None:
-        """The values of a payload; None for anything else."""
+        """Return the values of a payload; None if it is not valid."""
         try:
             words = payload[:_LONGEST].decode("ascii").split()
             found = tuple(float(word) for word in words[: len(self.values)])
@@ -82,7 +82,7 @@ class MqttTopic:
         return found if len(found) == len(self.values) and all(map(math.isfinite, found)) else None
 
     def write(self, values: Mapping[str, float]) -> str:
-        """The payload of values by name; 0 for one that is not there."""
+        """Return the payload for values by name; missing values are 0."""
         return " ".join(f"{values.get(name, 0.0):.4f}" for name in self.values)
 
 
@@ -91,10 +91,10 @@ class Topics:
     """The table.
 
     Attributes:
-        pose: where the robot is; its values have an x, a y and a heading among them.
-        command: its velocity, with a linear and an angular one.
-        alive: what its master says.
-        read: all variables from the robot, the pose among them.
+        pose: Pose of the robot; its values include x, y and heading.
+        command: Velocity of the robot; its values include linear and angular.
+        alive: Message of the master.
+        read: All variables from the robot, including the pose.
     """
 
     pose: MqttTopic
@@ -104,10 +104,10 @@ class Topics:
 
 
 def parse_topics(text: str, source: str = "table") -> Topics:
-    """The table in a text.
+    """Parse the table in a text.
 
     Raises:
-        BadValue: it is not such a table; the message names the line.
+        BadValue: If it is not such a table; the message names the line.
     """
     found: list[MqttTopic] = []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -119,7 +119,7 @@ def parse_topics(text: str, source: str = "table") -> Topics:
             raise BadValue(f"{place}: expected read, command or alive, a topic, a variable or -, and names of values")
         direction, name, variable, *values = words
         if "+" in name or "#" in name or len(values) > _MOST_VALUES:
-            raise BadValue(f"{place}: a topic has no wildcards, and at most {_MOST_VALUES} values")
+            raise BadValue(f"{place}: expected a topic without wildcards, with at most {_MOST_VALUES} values")
         found.append(MqttTopic(direction, name, "" if variable == "-" else variable, tuple(values)))
     by_direction = {word: [topic for topic in found if topic.direction == word] for word in _DIRECTIONS}
     poses = [topic for topic in by_direction["read"] if {"x", "y", "heading"} <= set(topic.values)]
@@ -127,17 +127,17 @@ def parse_topics(text: str, source: str = "table") -> Topics:
         raise BadValue(f"{source}: expected one topic with x, y and heading, one command, and one alive")
     (command,), (alive,) = by_direction["command"], by_direction["alive"]
     if not {"linear", "angular"} <= set(command.values):
-        raise BadValue(f"{source}: the command has no values called linear and angular")
+        raise BadValue(f"{source}: the command must have values called linear and angular")
     if len({topic.name for topic in found}) != len(found):
-        raise BadValue(f"{source}: a topic is there twice")
+        raise BadValue(f"{source}: a topic is listed twice; expected each topic once")
     return Topics(poses[0], command, alive, tuple(by_direction["read"]))
 
 
 def read_topics(path: str | os.PathLike[str]) -> Topics:
-    """The table in a file.
+    """Read the table in a file.
 
     Raises:
-        BadValue: it cannot be read, or is not such a table.
+        BadValue: If the file cannot be read, or is not such a table.
     """
     try:
         with open(path, "rb") as file:
@@ -147,18 +147,18 @@ def read_topics(path: str | os.PathLike[str]) -> Topics:
     return parse_topics(text, Path(path).name)
 
 
-#: `ROBOBOT_TABLE`, read.
+#: `ROBOBOT_TABLE`, parsed.
 ROBOBOT = parse_topics(ROBOBOT_TABLE)
 
 
 class MqttStatistics(NamedTuple):
-    """What has passed.
+    """Counters of messages.
 
     Attributes:
-        received: messages on topics of the table.
-        bad: those of them whose payload cannot be read.
-        sent: messages to the broker.
-        dropped: messages that were not sent, because the broker was not there. They are never sent later.
+        received: Number of messages on topics of the table.
+        bad: Number of these messages whose payload is invalid.
+        sent: Number of messages to the broker.
+        dropped: Number of messages that were not sent, because there was no connection. They are never sent later.
     """
 
     received: int
@@ -168,11 +168,11 @@ class MqttStatistics(NamedTuple):
 
 
 class _Broker:
-    """A connection to a broker, which is made again by itself, and the newest payload of each topic.
+    """A connection to a broker, which reconnects automatically, and the newest payload of each topic.
 
     Raises:
-        LocalError: paho-mqtt is not installed.
-        ConnectFailed: there is no broker.
+        LocalError: If paho-mqtt is not installed.
+        ConnectFailed: If there is no broker.
     """
 
     def __init__(self, address: str, port: int, topics: tuple[MqttTopic, ...]) -> None:
@@ -198,9 +198,9 @@ class _Broker:
 
     def _on_connect(self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
-            _log.warning("the MQTT broker at %s:%d refuses: %s", *self._place, reason)
+            _log.warning("MQTT broker at %s:%d: connection refused: %s", *self._place, reason)
             return
-        # Anew after each loss: the session is clean, so the broker keeps no subscriptions.
+        # Subscribe again after each loss: the session is clean, so the broker keeps no subscriptions.
         client.subscribe([(name, 0) for name in self._topics])
 
     def _on_message(self, client: Client, userdata: Any, message: MQTTMessage) -> None:
@@ -213,11 +213,11 @@ class _Broker:
             self._newest[message.topic] = values
 
     def take(self, topic: MqttTopic) -> tuple[float, ...] | None:
-        """The newest values of a topic, once; None if none have come since."""
+        """Return the newest values of a topic, once; None if none have arrived since."""
         return self._newest.pop(topic.name, None)
 
     def send(self, topic: MqttTopic, values: Mapping[str, float]) -> None:
-        """Send values, unless the broker is away: a velocity is not to be sent however late."""
+        """Send values, unless there is no connection, because a velocity must not be sent late."""
         client = self._client
         if client is None or not client.is_connected():
             self.dropped += 1
@@ -226,7 +226,7 @@ class _Broker:
         self.sent += 1
 
     def close(self) -> None:
-        """Disconnect, when what was sent has gone. Idempotent."""
+        """Disconnect, after all messages have been sent. Idempotent."""
         client, self._client = self._client, None
         if client is not None:
             client.disconnect()
@@ -238,7 +238,7 @@ class _Broker:
 
 
 def _configured(config: Element, broker: str, port: int, topics: Topics) -> tuple[str, int, Topics]:
-    """As the file says, where it does: ``broker``, ``port`` and ``topics``."""
+    """Return ``broker``, ``port`` and ``topics``, from the file if it contains them."""
     path = config.attributes.get("topics")
     return (
         config.attributes.get("broker", broker),
@@ -248,27 +248,27 @@ def _configured(config: Element, broker: str, port: int, topics: Topics) -> tupl
 
 
 class MqttRobot(VelocityBridge):
-    """A robot behind an MQTT broker, as programs for RHD know robots: MRC's, missions', your own.
+    """A robot behind an MQTT broker, presented to RHD programs (MRC, missions, your own) as a robot that they know.
 
-    Its pose becomes `transpos` and `rotpos`, `cmdtransvel` and `cmdrotvel` become its command; and each topic that it
-    tells is a read variable of doubles by the name that the table has for it::
+    Its pose becomes `transpos` and `rotpos`; `cmdtransvel` and `cmdrotvel` become its command. Each topic that it
+    publishes is a read variable of doubles, with the name from the table::
 
         class Robobot(rhdlink.robots.VelocityOmega):
             pose = rhdlink.Read(rhdlink.Float64, 4)      # time, x, y, heading
 
-    While a program may write, the robot is sent that, and its velocity again, four times a second. When none may, or
-    the host ends, it is sent the velocity 0 and nothing more, and stops by itself 2 s later if that was lost. When no
-    pose has come for `timeout` seconds it is sent the velocity 0 until there is one.
+    While a program may write, the robot is sent an alive message and its velocity four times a second. When no program
+    may write, or the host ends, it is sent the velocity 0 and nothing more. If that message is lost, the robot stops on
+    its own 2 s later. If no pose has arrived for `timeout` seconds, the velocity 0 is sent until a pose arrives.
 
     Args:
-        broker: address of the broker; in an `rhdconfig.xml`, ``broker="..."``.
-        port: of the broker; ``port="..."``.
-        topics: the table; ``topics="path"``.
-        timeout: s.
-        clock: monotonic, s.
+        broker: Address of the broker; in an `rhdconfig.xml`, ``broker="..."``.
+        port: Port of the broker; ``port="..."``.
+        topics: Table of topics; ``topics="path"``.
+        timeout: Maximum age of the pose, in s.
+        clock: Monotonic clock, in s.
 
     Raises:
-        BadValue: an argument that cannot be.
+        BadValue: If an argument is invalid.
     """
 
     def __init__(
@@ -289,7 +289,7 @@ class MqttRobot(VelocityBridge):
         self._began = 0.0
         self._told = self._seen = -math.inf
         self._twist = Twist(0.0, 0.0)
-        self._identities: dict[MqttTopic, int] = {}  # of the variables, by their topics
+        self._identities: dict[MqttTopic, int] = {}  # ids of the variables, by topic
 
     @property
     def mqtt(self) -> MqttStatistics | None:
@@ -297,12 +297,12 @@ class MqttRobot(VelocityBridge):
         return None if self._broker is None else self._broker.statistics
 
     def init(self, config: Element) -> None:
-        """Make the variables, and connect.
+        """Create the variables, and connect.
 
         Raises:
-            LocalError: paho-mqtt is not installed.
-            ConnectFailed: there is no broker.
-            BadValue: the table cannot be read, or names what cannot be a variable.
+            LocalError: If paho-mqtt is not installed.
+            ConnectFailed: If there is no broker.
+            BadValue: If the table cannot be read, or contains an invalid variable name.
         """
         super().init(config)
         broker, port, self._topics = _configured(config, *self._source)
@@ -314,7 +314,7 @@ class MqttRobot(VelocityBridge):
         self._began = time.time()
 
     def periodic(self, tick: int) -> None:
-        """Take the robot's messages, and send it the velocity that programs want."""
+        """Process the robot's messages, and send the velocity that programs have written."""
         broker, now = self._broker, self._clock()
         assert broker is not None
         pose = self._topics.pose
@@ -337,12 +337,12 @@ class MqttRobot(VelocityBridge):
         try:
             self.update_pose(pose["x"], pose["y"], pose["heading"])
         except BadValue as error:
-            _log.warning("a pose is left out: %s", error)
+            _log.warning("a pose was ignored: %s", error)
             return
         self._seen = now
 
     def _command(self, twist: Twist) -> None:
-        """Remember a new velocity, and send it at once."""
+        """Store a new velocity, and send it immediately."""
         self._twist = twist
         self._send(twist)
 
@@ -350,11 +350,11 @@ class MqttRobot(VelocityBridge):
         if self._broker is None:
             return
         if self._clock() - self._seen > self._timeout:
-            twist = Twist(0.0, 0.0)  # the pose is too old to be driven by
+            twist = Twist(0.0, 0.0)  # the pose is too old for driving
         self._broker.send(self._topics.command, twist._asdict())
 
     def terminate(self) -> None:
-        """Have it stand, and disconnect."""
+        """Stop the robot, and disconnect."""
         super().terminate()
         broker, self._broker = self._broker, None
         if broker is not None:
@@ -362,17 +362,17 @@ class MqttRobot(VelocityBridge):
 
 
 class MqttTurtle(Plugin):
-    """A robot in a square world that talks MQTT as DTU's do: it publishes its pose, and obeys its master.
+    """A robot in a square world that uses MQTT as DTU's robots do: it publishes its pose, and obeys its master.
 
-    Its master is whoever's alive message came first; the same value in it is the same master. 2 s after its last one it
-    stops, and another may be.
+    The first client that sends an alive message becomes the master. Messages with the same value are from the same
+    master. 2 s after its last message, the robot stops, and another client can become the master.
 
     Args:
-        broker: address of the broker; in an `rhdconfig.xml`, ``broker="..."``.
-        port: of the broker; ``port="..."``.
-        world: to be driven in.
-        topics: the table; ``topics="path"``.
-        clock: monotonic, s.
+        broker: Address of the broker; in an `rhdconfig.xml`, ``broker="..."``.
+        port: Port of the broker; ``port="..."``.
+        world: World to drive in.
+        topics: Table of topics; ``topics="path"``.
+        clock: Monotonic clock, in s.
     """
 
     def __init__(
@@ -396,22 +396,22 @@ class MqttTurtle(Plugin):
 
     @property
     def has_master(self) -> bool:
-        """Whether an alive message has come within the last 2 s."""
+        """Whether there is a master, which has sent an alive message within the last 2 s."""
         return self._master is not None
 
     def init(self, config: Element) -> None:
         """Connect.
 
         Raises:
-            LocalError: paho-mqtt is not installed.
-            ConnectFailed: there is no broker.
-            BadValue: the table cannot be read.
+            LocalError: If paho-mqtt is not installed.
+            ConnectFailed: If there is no broker.
+            BadValue: If the table cannot be read.
         """
         broker, port, self._topics = _configured(config, *self._source)
         self._broker = _Broker(broker, port, (self._topics.command, self._topics.alive))
 
     def periodic(self, tick: int) -> None:
-        """Drive for one period, and tell where that led."""
+        """Drive for one period, and publish the new pose."""
         broker, topics = self._broker, self._topics
         assert broker is not None
         self._follow_master(broker.take(topics.alive))

@@ -1,8 +1,8 @@
 """`Turtle`: a simulated robot in a walled square, for trying everything without hardware.
 
-`Turtle` is driven as a velocity-omega robot, `SmrTurtle` as an SMR, by the speeds of its wheels; variables and scales
-are those that MRC expects. Both stop when their last writer goes away, which the original leaves to each plugin, and do
-not start again before they are written again: a master that is killed ends no connection in order.
+`Turtle` is a velocity-omega robot. `SmrTurtle` is an SMR, which is driven by the speeds of its wheels. Their variables
+and scales are those that MRC expects. Both stop when their last writer disconnects; the original leaves this to each
+plugin. They do not start again until new values are written, because a master that is killed does not send zeros.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from ..config import Element
 from ..plugin import Plugin
 from ..world import World
 
-#: The SMR's line sensors: m before the robot's middle, and m to the left of it, of each. How far apart they are follows
-#: from MRC, which takes 2 cm for each (linesensor.c); that they are 21 cm ahead from its test of `followline`.
+#: Position of the SMR's line sensors, in m: before the robot's middle, and to its left for each sensor. The spacing
+#: follows from MRC, which uses 2 cm for each sensor (linesensor.c). The 21 cm ahead follow from its test of
+#: `followline`.
 _LINE_AHEAD = 0.21
 _LINE_ASIDE = tuple(0.02 * (number - 3.5) for number in range(8))
-#: Their raw values on black and on white.
+#: Raw values of the line sensors on black and on white.
 _BLACK, _WHITE = 25.0, 230.0
 
-#: Directions of the SMR's distance sensors, rad: left, front left, front middle, front right, right.
+#: Directions of the SMR's distance sensors, in rad: left, front left, front middle, front right, right.
 _DIRECTIONS = tuple(map(math.radians, (90.0, 22.5, 0.0, -22.5, -90.0)))
 
 
@@ -34,8 +35,8 @@ class _InWorld(Plugin):
     """The common part of the two turtles.
 
     Args:
-        world: to be driven in; an 11 x 11 m one, from its middle, by default.
-        needs_master: whether to stop when no client may write.
+        world: World to drive in; by default 11 x 11 m, with the start in the middle.
+        needs_master: Whether to stop when no client may write.
     """
 
     def __init__(self, world: World | None = None, *, needs_master: bool = True) -> None:
@@ -47,17 +48,17 @@ class _InWorld(Plugin):
         self._is_commanded = not needs_master
 
     def init(self, config: Element) -> None:
-        """Take `size`, `x`, `y` (m) and `theta` (rad) of the world from the file, unless there is one."""
+        """Read `size`, `x`, `y` (m) and `theta` (rad) of the world from the file, unless a world was given."""
         if self._has_world:
             return
-        # The bounds only refuse nonsense in a file.
+        # These bounds only reject implausible values in a file.
         size = config.number("size", self.world.size, least=0.1, most=1e6)
         x, y = (config.number(name, size / 2, least=0.0, most=size) for name in "xy")
         self.world = World(size, (x, y, config.number("theta", 0.0)))
 
     def _obeys(self, was_written: bool) -> bool:
-        """Whether the command is in force."""
-        # A new master does not set it moving by the values of the one before: it has to write first.
+        """Whether the current command must be executed."""
+        # Values from the previous master must not move the robot. The new master has to write first.
         if self._needs_master:
             if not self.host.writers:
                 self._is_commanded = False
@@ -70,13 +71,13 @@ class Turtle(_InWorld):
     """A velocity-omega robot in a square world.
 
     Args:
-        world: to be driven in; an 11 x 11 m one, from its middle, by default.
-        needs_master: whether to stop when no client may write.
-        linear_scale: counts per m, of `transpos`, and per m/s, of `cmdtransvel`.
-        angular_scale: counts per rad, of `rotpos`, and per rad/s, of `cmdrotvel`.
+        world: World to drive in; by default 11 x 11 m, with the start in the middle.
+        needs_master: Whether to stop when no client may write.
+        linear_scale: Counts of `transpos` per m, and of `cmdtransvel` per m/s.
+        angular_scale: Counts of `rotpos` per rad, and of `cmdrotvel` per rad/s.
 
     Raises:
-        BadValue: a scale that is not positive.
+        BadValue: If a scale is not positive.
     """
 
     cmdtransvel = Write(Int32, unit="1e-5 m/s", doc="forward velocity")
@@ -94,7 +95,7 @@ class Turtle(_InWorld):
     ) -> None:
         super().__init__(world, needs_master=needs_master)
         if not (0.0 < linear_scale < math.inf and 0.0 < angular_scale < math.inf):
-            raise BadValue(f"scales of {linear_scale} and {angular_scale}; expected positive numbers")
+            raise BadValue(f"the scales are {linear_scale} and {angular_scale}; expected positive numbers")
         self._linear, self._angular = linear_scale, angular_scale
         self._travelled = 0.0
 
@@ -112,19 +113,19 @@ class Turtle(_InWorld):
 class SmrTurtle(_InWorld):
     """An SMR in a square world: two wheels, their encoders, and the distances to the walls.
 
-    The distance sensors are of the kind whose raw value is ``16 / m + 76``, as MRC has it unless it is calibrated, and
-    sit in the middle of the robot.
+    The raw value of a distance sensor is ``16 / m + 76``, the same as in MRC without calibration. The sensors are in
+    the middle of the robot.
 
     Args:
-        world: to be driven in; an 11 x 11 m one, from its middle, by default.
-        needs_master: whether to stop when no client may write.
-        width: between the wheels, m.
-        tick_length: travel of a wheel for one tick of its encoder, m.
-        encoder_bits: 32, or 16 for counters that wrap as those of the real robot do; MRC takes each wrap of the latter
+        world: World to drive in; by default 11 x 11 m, with the start in the middle.
+        needs_master: Whether to stop when no client may write.
+        width: Distance between the wheels, in m.
+        tick_length: Travel of a wheel for one tick of its encoder, in m.
+        encoder_bits: 32, or 16 for counters that wrap as in the real robot. MRC treats each wrap of a 16-bit counter
             as an odometry error.
 
     Raises:
-        BadValue: sizes that are not positive, or other counters.
+        BadValue: If a size is not positive, or `encoder_bits` is invalid.
     """
 
     speedl = Write(Int32, unit="cm/s", doc="speed of the left wheel, -127..127")
@@ -133,7 +134,7 @@ class SmrTurtle(_InWorld):
     resetmotorr = Write(Int32, doc="accepted, and without effect")
     encl = Read(Int32, unit="ticks", doc="left encoder")
     encr = Read(Int32, unit="ticks", doc="right encoder")
-    linesensor = Read(Int32, 8, doc="raw brightness, 25 on black and 230 on white; 128 where the floor is not known")
+    linesensor = Read(Int32, 8, doc="raw brightness, 25 on black and 230 on white; 128 if the floor is unknown")
     irsensor = Read(Int32, 6, doc="raw distances: left, front left, front middle, front right, right, unused")
 
     def __init__(
@@ -147,16 +148,16 @@ class SmrTurtle(_InWorld):
     ) -> None:
         super().__init__(world, needs_master=needs_master)
         if not (0.0 < width < math.inf and 0.0 < tick_length < math.inf):
-            raise BadValue(f"width {width} m and tick length {tick_length} m; expected positive numbers")
+            raise BadValue(f"width={width} m and tick_length={tick_length} m; expected positive numbers")
         if encoder_bits not in (16, 32):
-            raise BadValue(f"encoders of {encoder_bits} bits; expected 16 or 32")
+            raise BadValue(f"encoder_bits={encoder_bits}; expected 16 or 32")
         self._width = width
         self._tick_length = tick_length
         self._encoder_bits = encoder_bits
         self._left = self._right = 0.0
 
     def init(self, config: Element) -> None:
-        """Take the world from the file, unless there is one."""
+        """Read the world from the file, unless a world was given."""
         super().init(config)
         self.linesensor = [128] * 8
 
@@ -170,7 +171,7 @@ class SmrTurtle(_InWorld):
         linear, angular = (left + right) / 2, (right - left) / self._width
         moved = self.world.step(linear, angular, seconds)
         if moved.is_blocked:
-            # The wheels turn as far as the robot went.
+            # The wheels turn only as far as the robot moved.
             turned = moved.angle * self._width / 2
             self._left += moved.distance - turned
             self._right += moved.distance + turned
@@ -186,8 +187,8 @@ class SmrTurtle(_InWorld):
 
 
 def _limited(speed: int) -> int:
-    # The driver has 8 bits for it (docs/protocols/rhd.md, Names of variables), and the recorded drives show that
-    # it limits rather than wraps.
+    # The driver has 8 bits for the speed (docs/protocols/rhd.md, Names of variables). The recorded drives show that it
+    # limits the speed, rather than wrapping it.
     return max(-127, min(127, speed))
 
 

@@ -1,7 +1,7 @@
-"""The bridge between a velocity-omega robot and whatever drives it: velocities out, poses in, as plain calls.
+"""Bridge between RHD programs and a velocity-omega robot: velocities out, poses in, as plain calls.
 
-A program that writes `cmdtransvel` and `cmdrotvel`, MRC for one, commands a `Twist`. A robot whose poses are given
-to `update_pose` sends that program its `transpos` and `rotpos`, which an `Odometer` counts.
+Programs such as MRC write `cmdtransvel` and `cmdrotvel`, and the bridge turns these into a `Twist`. The poses of the
+robot are passed to `update_pose`. An `Odometer` converts them to `transpos` and `rotpos`, which the program receives.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from ..plugin import Plugin
 
 
 class Odometer:
-    """Turns poses into `transpos` and `rotpos`.
+    """Converts poses to `transpos` and `rotpos`.
 
     The travelled distance is the displacement since the last pose projected on the heading,
-    ``dx cos(theta) + dy sin(theta)``, times the linear scale, accumulated; the heading is taken times the angular
-    scale. Fractions of a count are kept, so that slow motion is not lost in them. The first pose is where the counting
-    begins. A heading that jumps by a turn, as one does that is kept within +-pi, is continued.
+    ``dx cos(theta) + dy sin(theta)``, times the linear scale, accumulated. The heading is multiplied by the angular
+    scale. Fractions of a count are kept, so that slow motion is not lost. Counting begins at the first pose. A heading
+    that jumps by a full turn, because it is kept within +-pi, is continued without the jump.
 
     Args:
-        linear_scale: counts per m; the known robots and MRC use 100000, or what their wheels give.
-        angular_scale: counts per rad; MRC's 40000 cannot be changed there.
+        linear_scale: Counts per m. The known robots and MRC use 100000, or a scale given by their wheels.
+        angular_scale: Counts per rad. MRC always uses 40000.
 
     Attributes:
-        transpos: travelled distance, counts.
-        rotpos: heading, counts.
+        transpos: Travelled distance in counts.
+        rotpos: Heading in counts.
 
     Raises:
-        BadValue: a scale that is zero or no number.
+        BadValue: If a scale is zero or not a number.
     """
 
     def __init__(self, linear_scale: float = 1e5, angular_scale: float = 4e4) -> None:
         for name, scale in (("linear_scale", linear_scale), ("angular_scale", angular_scale)):
             if not math.isfinite(scale) or scale == 0.0:
-                raise BadValue(f"{name}={scale} is no scale")
+                raise BadValue(f"{name}={scale} is not a scale; expected a finite number other than 0")
         self._linear, self._angular = linear_scale, angular_scale
         self._last: tuple[float, float, float] | None = None
         self._travelled = 0.0
@@ -54,28 +54,28 @@ class Odometer:
         self.rotpos = 0
 
     def update(self, x: float, y: float, theta: float) -> None:
-        """Take the next pose: m, m, rad.
+        """Process the next pose, in m, m and rad.
 
         Raises:
-            BadValue: something that is not a finite number; nothing is changed.
+            BadValue: If a number is not finite. Nothing is changed.
         """
         travelled, heading = self._travelled, theta
         if math.isfinite(x) and math.isfinite(y) and math.isfinite(theta) and self._last is not None:
             last_x, last_y, last_theta = self._last
             travelled += ((x - last_x) * math.cos(theta) + (y - last_y) * math.sin(theta)) * self._linear
-            # The shorter way round, so that a heading which is kept within +-pi does not count a turn at each wrap.
+            # Use the shorter turn, so that a heading kept within +-pi does not count a full turn at each wrap.
             heading = last_theta + math.remainder(theta - last_theta, 2 * math.pi)
         if not (math.isfinite(x + y + travelled) and math.isfinite(heading * self._angular)):
-            raise BadValue(f"{x}, {y}, {theta} is no pose that could be counted")
+            raise BadValue(f"{x}, {y}, {theta} is not a pose that can be counted; expected finite numbers")
         self._last = (x, y, heading)
         self._travelled = travelled
         self.transpos = wrapped(travelled)
         self.rotpos = wrapped(heading * self._angular)
 
 
-#: m/s below which a forward velocity is taken for none.
+#: Forward velocity, in m/s, below which the robot does not move.
 DEAD_BAND = 0.005
-#: Metres, or rad, beyond which a pose is a mistake; and poses that wait for a tick.
+#: Largest plausible coordinate of a pose, in m or rad; maximum number of poses that wait for a tick.
 _FARTHEST = 1e6
 _MOST_POSES = 1000
 
@@ -88,24 +88,25 @@ class Twist(NamedTuple):
 
 
 class VelocityBridge(Plugin):
-    """Hands velocities to a function, and takes poses.
+    """Passes velocities to a function, and receives poses.
 
-    The function is called when a program has written another velocity than before, and with none when the last program
-    that may write has gone. It runs in a thread of its own: it may take its time, the tick does not wait, and of the
-    velocities that come meanwhile the newest is handed over next. What it raises is logged and counted.
+    The function is called when a program has written a velocity that differs from the previous one. It is called with
+    zero when the last client that may write has disconnected. It runs in a separate thread, so it may take long: the
+    tick does not wait, and the next call gets the newest velocity. Its exceptions are logged and counted.
 
     Args:
-        on_twist: is given each new `Twist`.
-        command_linear_scale: of `cmdtransvel`, per m/s.
-        command_angular_scale: of `cmdrotvel`, per rad/s.
-        linear_scale: counts of `transpos` per m.
-        angular_scale: counts of `rotpos` per rad.
-        dead_band: m/s below which a forward velocity is taken for none.
-        needs_master: whether to hand over none when no client may write.
-        own_thread: False calls the function in the host's, for lockstep: the same each time.
+        on_twist: Function that receives each new `Twist`.
+        command_linear_scale: Scale of `cmdtransvel`, per m/s.
+        command_angular_scale: Scale of `cmdrotvel`, per rad/s.
+        linear_scale: Counts of `transpos` per m.
+        angular_scale: Counts of `rotpos` per rad.
+        dead_band: Forward velocity, in m/s, below which the velocity zero is passed.
+        needs_master: Whether to pass the velocity zero when no client may write.
+        own_thread: Whether to call the function in its own thread. With False it is called in the host's thread, for
+            repeatable lockstep.
 
     Raises:
-        BadValue: a scale or a dead band that cannot be.
+        BadValue: If a scale or the dead band is invalid.
     """
 
     cmdtransvel = Write(Int32, unit="1e-5 m/s", doc="forward velocity")
@@ -128,9 +129,9 @@ class VelocityBridge(Plugin):
         check_callable(on_twist, "on_twist")
         for scale in (command_linear_scale, command_angular_scale):
             if not math.isfinite(scale) or scale == 0.0:
-                raise BadValue(f"{scale} is no scale of a command")
+                raise BadValue(f"the scale of a command is {scale}; expected a finite number other than 0")
         if not 0.0 <= dead_band < math.inf:
-            raise BadValue(f"dead_band is {dead_band}; expected 0 or more m/s")
+            raise BadValue(f"dead_band={dead_band}; expected 0 or more m/s")
         self._on_twist = on_twist
         self._scales = command_linear_scale, command_angular_scale
         self._odometer = Odometer(linear_scale, angular_scale)
@@ -140,34 +141,34 @@ class VelocityBridge(Plugin):
         self._queue = PacketQueue(latest)
         self._delivery: ThreadedDelivery | None = None
         self._poses: deque[tuple[float, float, float]] = deque(maxlen=_MOST_POSES)
-        self._last = Twist(0.0, 0.0)  # the robot stands
+        self._last = Twist(0.0, 0.0)  # the robot is at rest
 
     @property
     def stats(self) -> SubscriptionStatistics | None:
-        """Counters of velocities; None before `init`, and without an own thread."""
+        """Counters of velocities; None before `init`, and without a separate thread."""
         return None if self._delivery is None else self._delivery.statistics
 
     def update_pose(self, x: float, y: float, theta: float) -> None:
-        """Set the pose of the robot: m, m, rad. From any thread; programs receive it at the next tick.
+        """Set the pose of the robot, in m, m and rad. Callable from any thread; programs receive it at the next tick.
 
         Raises:
-            BadValue: not finite, or beyond 1000 km or a million rad.
+            BadValue: If a number is not finite, or exceeds 1000 km or a million rad.
         """
         if not all(abs(value) <= _FARTHEST for value in (x, y, theta)):
-            raise BadValue(f"{x}, {y}, {theta} is no pose: expected numbers up to {_FARTHEST:g}")
+            raise BadValue(f"{x}, {y}, {theta} is not a pose; expected numbers up to {_FARTHEST:g}")
         self._poses.append((float(x), float(y), float(theta)))
 
     def init(self, config: Element) -> None:
-        """Start the thread of the function."""
+        """Start the thread that calls the function."""
         if self._own_thread:
             self._delivery = ThreadedDelivery(self._queue, self._on_twist, name=f"rhdlink {self.name}")
 
     def periodic(self, tick: int) -> None:
-        """Hand over a new velocity, and tell the poses that have come."""
+        """Pass on a new velocity, and set the variables from the received poses."""
         poses, odometer = self._poses, self._odometer
         if poses:
-            # Every one of them, in order: the path between two poses counts, and not only the last place. As many as
-            # there are now, since another thread may go on adding.
+            # Process every pose in order, because the path between two poses counts, not only the last position. Stop
+            # at the current number of poses, because another thread may add more.
             for _ in range(len(poses)):
                 odometer.update(*poses.popleft())
             self.transpos, self.rotpos = odometer.transpos, odometer.rotpos
@@ -178,7 +179,7 @@ class VelocityBridge(Plugin):
             self._hand_over(self._commanded())
 
     def terminate(self) -> None:
-        """Hand over no velocity, and wait for the function to take it."""
+        """Pass on the velocity zero, and wait until the function has received it."""
         self._hand_over(Twist(0.0, 0.0))
         if self._delivery is not None:
             self._delivery.finish()

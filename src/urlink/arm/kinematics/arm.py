@@ -1,4 +1,4 @@
-"""`Arm`: forward and inverse kinematics and velocities of one arm."""
+"""Class `Arm`: forward and inverse kinematics, and velocities, of one arm."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ from .closed_form import BRANCHES, wrapped, wrist_place
 from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal, velocity
 from .inverse import around, branches, branches_of_rows, closest, closest_of_rows, distance
 
-# Solutions closer than this, rad, count as one: where two branches meet, rounding errors separate them by about the
+# Solutions closer than this, in rad, count as one. Where two branches meet, rounding errors separate them by about the
 # square root of the precision.
 _SAME = 1e-6
 
 
 class Unreachable(BadValue):
-    """The pose is out of reach: no joint positions put the tool there."""
+    """Error if a pose is out of reach: no joint positions move the tool to it."""
 
-    __module__ = "urlink"  # where users import it from, and what a traceback shows
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
 
 class Arm(StrictAttributes):
     """Forward and inverse kinematics of one arm.
 
-    Joint positions are six numbers, rad, from base to wrist 3. A pose is x, y, z in m and a rotation vector in rad, in
-    the base frame, as the controller has it; `urlink.poses` converts them. A TCP is a pose in the frame of the flange.
-    Methods take one row of six numbers or an array (..., 6) of rows, which costs a few microseconds per row.
+    Joint positions are six numbers in rad, from base to wrist 3. A pose is x, y, z in m and a rotation vector in rad,
+    in the controller's base frame; `urlink.poses` converts poses. A TCP is a pose in the flange frame. Methods accept
+    one row of six numbers, or an array of rows, shape (..., 6), which takes a few microseconds per row.
 
-    `Arm(model)` has the geometry that the vendor publishes, `Arm.calibrated` that of one particular robot. Collisions
-    of the arm with itself or its surroundings are not checked.
+    `Arm(model)` has the geometry that the vendor publishes. `Arm.calibrated` has the geometry of one particular robot.
+    Collisions of the arm with itself or its surroundings are not checked.
 
     Args:
-        model: name as the vendor writes it, in upper or lower case, or a `Model`.
+        model: Name by the vendor, in upper or lower case, or a `Model`.
 
     Raises:
-        UnknownModel: no arm has this name.
+        UnknownModel: If no arm has this name.
 
     >>> arm = Arm("UR5e")
     >>> pose = arm.forward([0, -1.57, 1.57, -1.57, -1.57, 0])
@@ -66,16 +66,16 @@ class Arm(StrictAttributes):
 
     @classmethod
     def calibrated(cls, model: str | Model, table: DenavitHartenberg) -> Arm:
-        """The arm with the DH parameters that its controller sends, which are accurate to about 0.1 mm.
+        """Create an arm with the DH parameters that its controller sends, which are accurate to about 0.1 mm.
 
         Args:
-            model: of the robot.
-            table: its DH parameters, `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, (6,) each: the `KinematicsInfo` in the
-                first robot state of each connection.
+            model: Model of the robot.
+            table: DH parameters `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, shape (6,) each. The `KinematicsInfo` in the
+                first robot state of each connection contains them.
 
         Raises:
-            UnknownModel: no arm has this name.
-            BadValue: the parameters are not those of this model; the message names the link, and both values.
+            UnknownModel: If no arm has this name.
+            BadValue: If the parameters do not belong to this model. The message names the link, and both values.
         """
         arm = cls(model)
         arm._table = table
@@ -87,7 +87,7 @@ class Arm(StrictAttributes):
 
     @property
     def model(self) -> Model:
-        """Lengths, limits and masses as published."""
+        """Model with the published lengths, limits and masses."""
         return self._model
 
     @property
@@ -97,30 +97,30 @@ class Arm(StrictAttributes):
 
     @property
     def table(self) -> DenavitHartenberg:
-        """The DH parameters that this arm was made from: `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, (6,) each."""
+        """DH parameters of this arm: `dh_theta`, `dh_a`, `dh_d` and `dh_alpha`, shape (6,) each."""
         return self._table
 
     @property
     def geometry(self) -> Geometry:
-        """The links as they are used in the computations."""
+        """Links of the arm, as the calculations use them."""
         return self._geometry
 
     @property
     def position_limits(self) -> FloatArray:
-        """(6, 2) lowest and highest joint position, rad; infinite for a joint that turns without limit. Read-only."""
+        """Lowest and highest joint positions, shape (6, 2), in rad; infinite if unlimited. Read-only."""
         return self._model.position_limits
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
-        """Whether joint positions are within the position limits.
+        """Return whether joint positions are within the position limits.
 
         Args:
-            q: (..., 6) joint positions, rad.
+            q: Joint positions, shape (..., 6), in rad.
 
         Returns:
-            (...) booleans.
+            Booleans, shape (...).
 
         Raises:
-            BadValue: `q` does not have this shape, or holds a number that is not finite.
+            BadValue: If `q` does not have this shape, or contains a number that is not finite.
         """
         given = rigid.rows(q, (6,), "joint positions")
         low, high = self.position_limits.T
@@ -129,17 +129,17 @@ class Arm(StrictAttributes):
     # --- forward ---
 
     def forward(self, q: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """The pose of the tool.
+        """Return the pose of the tool.
 
         Args:
-            q: (..., 6) joint positions, rad.
-            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+            q: Joint positions, shape (..., 6), in rad.
+            tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            (..., 6) poses in the base frame; rotation vectors of an angle of 0 to pi.
+            Poses in the base frame, shape (..., 6). The angles of the rotation vectors are 0 to pi.
 
         Raises:
-            BadValue: `q` or `tcp` does not have this shape, or holds a number that is not finite.
+            BadValue: If `q` or `tcp` does not have this shape, or contains a number that is not finite.
         """
         if rigid.is_single(q):
             return np.array(rigid.to_pose(_with(self._flange(FLOATS, _one(q)), tcp)))
@@ -147,16 +147,17 @@ class Arm(StrictAttributes):
         return rigid.to_poses(_with(self._flange(ROWS, _rows(given)), tcp)).reshape(given.shape)
 
     def frames(self, q: ArrayLike) -> FloatArray:
-        """The frames of the base and of the end of each link, in the base frame.
+        """Return the frames of the base and of the end of each link, in the base frame.
 
         Args:
-            q: (..., 6) joint positions, rad.
+            q: Joint positions, shape (..., 6), in rad.
 
         Returns:
-            (..., 7, 4, 4) homogeneous matrices. Joint i + 1 turns about the z axis of frame i; frame 6 is the flange.
+            Homogeneous matrices, shape (..., 7, 4, 4). Joint i + 1 turns about the z axis of frame i. Frame 6 is the
+            flange.
 
         Raises:
-            BadValue: `q` does not have this shape, or holds a number that is not finite.
+            BadValue: If `q` does not have this shape, or contains a number that is not finite.
         """
         given = rigid.rows(q, (6,), "joint positions")
         links = [rigid.to_matrices(frame) for frame in chain(self._geometry, ROWS, _rows(given))]
@@ -168,25 +169,25 @@ class Arm(StrictAttributes):
     def inverse(
         self, pose: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None, *, is_limited: bool = True
     ) -> FloatArray:
-        """The joint positions for a pose that are closest to `near`: the largest movement of a joint is the smallest.
+        """Return the joint positions for a pose that are closest to `near`: with the smallest maximum joint motion.
 
-        In the wrist singularity, where the axes of joints 4 and 6 are parallel, joint 6 is free; it keeps its value in
+        In the wrist singularity, where the axes of joints 4 and 6 are parallel, joint 6 is free. It keeps its value in
         `near`.
 
         Args:
-            pose: (..., 6) poses of the tool in the base frame.
-            near: (..., 6) joint positions, rad; broadcast against the poses.
-            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
-            is_limited: true: each joint is given in the turn closest to `near` that is within its limits. False: in the
-                closest turn, which continues a path.
+            pose: Poses of the tool in the base frame, shape (..., 6).
+            near: Joint positions, shape (..., 6), in rad; broadcast against the poses.
+            tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
+            is_limited: Whether each joint is in the turn closest to `near` that is within its limits. If False, it is
+                in the closest turn, which continues a path.
 
         Returns:
-            (..., 6) rad. If several poses are given, the rows of those that are out of reach are NaN.
+            Joint positions, shape (..., 6), in rad. If several poses are given, the rows of poses out of reach are NaN.
 
         Raises:
-            Unreachable: a single pose was given, and it is out of reach.
-            BadValue: an argument does not have its shape, holds a number that is not finite, or does not broadcast; a
-                rotation vector is of more than one turn, as one in degrees is.
+            Unreachable: If a single pose was given, and it is out of reach.
+            BadValue: If an argument does not have its shape, contains a number that is not finite, or does not
+                broadcast. Also if a rotation vector is longer than one turn, for example because it is in degrees.
         """
         if rigid.is_single(pose) and rigid.is_single(near):
             target, close = _target(_pose(pose), tcp), _one(near)
@@ -205,23 +206,23 @@ class Arm(StrictAttributes):
         return q.reshape(*shape, 6)
 
     def branches(self, pose: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """All eight branches of the solution for a pose, each in a row of its own.
+        """Return all eight branches of the solution for a pose, one row for each.
 
-        The row is 4 * shoulder + 2 * wrist + elbow. Shoulder is 0 on the side of the wrist and 1 away from it; wrist is
-        0 for a positive joint 5, elbow 0 for a positive joint 3, and either is 1 for a negative one. Along a path each
-        row is continuous, up to whole turns, until the branch ends at the edge of its reach. The branches of a
-        calibrated arm continue those of the published one.
+        The index of the row is 4 * shoulder + 2 * wrist + elbow. Shoulder is 0 on the side of the wrist, and 1 on the
+        other side. Wrist is 0 for a positive joint 5, and 1 for a negative one. Elbow is 0 for a positive joint 3, and
+        1 for a negative one. Along a path, each row is continuous, up to whole turns, until the branch ends at the edge
+        of its reach. The branches of a calibrated arm continue those of the published arm.
 
         Args:
-            pose: (..., 6) poses of the tool in the base frame.
-            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+            pose: Poses of the tool in the base frame, shape (..., 6).
+            tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            (..., 8, 6) rad, in (-pi, pi], NaN where a branch does not reach the pose. In a singularity, where two
-            branches meet, both rows are given. Joint 6 is 0 where it is free.
+            Joint positions, shape (..., 8, 6), in rad, in (-pi, pi]; NaN if a branch does not reach the pose. In a
+            singularity, where two branches meet, both rows are given. Joint 6 is 0 where it is free.
 
         Raises:
-            BadValue: `pose` or `tcp` does not have this shape, or holds a number that is not finite.
+            BadValue: If `pose` or `tcp` does not have this shape, or contains a number that is not finite.
         """
         if rigid.is_single(pose):
             return _table(branches(self._geometry, _target(_pose(pose), tcp)))
@@ -230,19 +231,21 @@ class Arm(StrictAttributes):
         return branches_of_rows(self._geometry, targets)[0].reshape(*given.shape[:-1], BRANCHES, 6)
 
     def solutions(self, pose: ArrayLike, near: ArrayLike | None = None, tcp: ArrayLike | None = None) -> FloatArray:
-        """All joint positions for one pose. Branches that meet in a singularity are given once.
+        """Return all joint positions for one pose. Branches that meet in a singularity are returned once.
 
         Args:
-            pose: (6,) pose of the tool in the base frame.
-            near: (6,) joint positions, rad: each joint is given in the turn closest to it, regardless of limits, and
-                the rows are sorted by their largest joint movement from it. None: the order of `branches`.
-            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+            pose: Pose of the tool in the base frame, shape (6,).
+            near: Joint positions, shape (6,), in rad. Each joint is given in the turn closest to `near`, regardless of
+                limits, and the rows are sorted by their largest joint motion from `near`. If None, the order is that of
+                `branches`.
+            tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            (n, 6) rad, n from 0 (out of reach) to 8; in (-pi, pi] unless `near` is given.
+            Joint positions, shape (n, 6), in rad, with n from 0 (out of reach) to 8. They are in (-pi, pi] unless
+            `near` is given.
 
         Raises:
-            BadValue: an argument does not have this shape, or holds a number that is not finite.
+            BadValue: If an argument does not have this shape, or contains a number that is not finite.
         """
         close = None if near is None else _one(near)
         found: list[Angles[float]] = []
@@ -255,22 +258,23 @@ class Arm(StrictAttributes):
         return np.array(turned, dtype=np.float64).reshape(-1, 6)
 
     def inverse_path(self, poses: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """Joint positions along a path of the tool: each row is the solution closest to the row before.
+        """Return joint positions along a path of the tool. Each row is the solution closest to the previous row.
 
-        A joint may jump from one row to the next where the path leads through a singularity, or where a branch ends.
-        Check the differences of the rows before an arm follows them.
+        A joint may jump between two rows if the path passes through a singularity, or if a branch ends. Check the
+        differences between the rows before an arm follows them.
 
         Args:
-            poses: (n, 6) poses of the tool in the base frame.
-            near: (6,) joint positions, rad, at the beginning.
-            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+            poses: Poses of the tool in the base frame, shape (n, 6).
+            near: Joint positions at the beginning, shape (6,), in rad.
+            tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            (n, 6) rad, each joint in the turn closest to the row before, regardless of limits.
+            Joint positions, shape (n, 6), in rad. Each joint is in the turn closest to the previous row, regardless of
+            limits.
 
         Raises:
-            Unreachable: a pose is out of reach; the message names its row.
-            BadValue: an argument does not have this shape, or holds a number that is not finite.
+            Unreachable: If a pose is out of reach. The message names its row.
+            BadValue: If an argument does not have this shape, or contains a number that is not finite.
         """
         given = _poses(poses).reshape(-1, 6)
         before = _one(near)
@@ -278,11 +282,11 @@ class Arm(StrictAttributes):
         ways: list[list[list[float]]] = [[] for _ in given]
         if not self.is_calibrated:
             found_ways, singular = branches_of_rows(self._geometry, targets)
-            # In a singularity the solution depends on the row before, so these rows are solved one by one below.
+            # In a singularity, the solution depends on the previous row, so these rows are solved one by one below.
             ways = [[] if at else rows for rows, at in zip(found_ways.tolist(), singular.tolist(), strict=True)]
         path = []
         for i, rows in enumerate(ways):
-            # A calibrated arm has no candidates: one search from the row before costs less than all eight branches.
+            # A calibrated arm has no candidates: one search from the previous row costs less than all eight branches.
             candidates = [row for row in rows if row[0] == row[0]]
             found: Sequence[float] | None = min(candidates, key=lambda q: distance(q, before), default=None)
             if found is None:
@@ -297,18 +301,19 @@ class Arm(StrictAttributes):
     # --- velocities ---
 
     def jacobian(self, q: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """The geometric Jacobian of the tool, in the base frame.
+        """Return the geometric Jacobian of the tool in the base frame.
 
         Args:
-            q: (..., 6) joint positions, rad.
-            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+            q: Joint positions, shape (..., 6), in rad.
+            tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            (..., 6, 6). Times joint speeds, rad/s, it is the velocity of the TCP, m/s (three rows), and the angular
-            velocity, rad/s. Its transpose times a force, N, and a torque, Nm, at the TCP is the joint torques, Nm.
+            Matrices, shape (..., 6, 6). The product with joint speeds in rad/s is the velocity of the TCP in m/s (three
+            rows) and the angular velocity in rad/s. The product of the transpose with a force in N and a torque in Nm
+            at the TCP is the joint torques in Nm.
 
         Raises:
-            BadValue: `q` or `tcp` does not have this shape, or holds a number that is not finite.
+            BadValue: If `q` or `tcp` does not have this shape, or contains a number that is not finite.
         """
         if rigid.is_single(q):
             frames = chain(self._geometry, FLOATS, _one(q))
@@ -319,18 +324,19 @@ class Arm(StrictAttributes):
         return np.ascontiguousarray(columns.transpose(2, 1, 0)).reshape(*given.shape, 6)
 
     def velocity(self, q: ArrayLike, qd: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
-        """The velocity of the tool: the Jacobian times the joint speeds, without computing the Jacobian.
+        """Return the velocity of the tool: the Jacobian times the joint speeds, without computing the Jacobian.
 
         Args:
-            q: (..., 6) joint positions, rad.
-            qd: (..., 6) joint speeds, rad/s.
-            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+            q: Joint positions, shape (..., 6), in rad.
+            qd: Joint speeds, shape (..., 6), in rad/s.
+            tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            (..., 6) velocity of the TCP, m/s, and angular velocity, rad/s, in the base frame.
+            Velocity of the TCP in m/s, and angular velocity in rad/s, in the base frame, shape (..., 6).
 
         Raises:
-            BadValue: an argument does not have its shape, holds a number that is not finite, or does not broadcast.
+            BadValue: If an argument does not have its shape, contains a number that is not finite, or does not
+                broadcast.
         """
         if rigid.is_single(q) and rigid.is_single(qd):
             at, speed = _one(q), _one(qd, "joint speeds")
@@ -342,20 +348,20 @@ class Arm(StrictAttributes):
         return np.stack(found, axis=-1).reshape(*shape, 6)
 
     def manipulability(self, q: ArrayLike) -> FloatArray:
-        """Distance from a singularity (Yoshikawa): the product of the singular values of the Jacobian, m³.
+        """Return the distance from a singularity (Yoshikawa): product of the singular values of the Jacobian, in m³.
 
-        It is 0 in a singularity and does not depend on the TCP. For a published arm it is
-        `abs(a2 * a3 * sin(q3) * sin(q5) * r)`, r being the distance of the origin of frame 5 from the axis of the
+        It is 0 in a singularity, and does not depend on the TCP. For a published arm, it is
+        `abs(a2 * a3 * sin(q3) * sin(q5) * r)`, where r is the distance of the origin of frame 5 from the axis of the
         base, measured in the plane of the arm.
 
         Args:
-            q: (..., 6) joint positions, rad.
+            q: Joint positions, shape (..., 6), in rad.
 
         Returns:
-            (...) m³.
+            Manipulabilities, shape (...), in m³.
 
         Raises:
-            BadValue: `q` does not have this shape, or holds a number that is not finite.
+            BadValue: If `q` does not have this shape, or contains a number that is not finite.
         """
         with np.errstate(divide="ignore", invalid="ignore"):  # numpy warns of some singular matrices; the result is 0
             found: FloatArray = np.abs(np.linalg.det(self.jacobian(q)))
@@ -382,15 +388,13 @@ class Arm(StrictAttributes):
         distance, furthest = math.dist(wrist, (0.0, 0.0, d1)), math.hypot(abs(a2) + abs(a3) + d5, d4)
         aside = math.hypot(wrist[0], wrist[1])
         if distance > furthest:
-            # Nothing is closer to the base than a centimetre: 1.5 m are not meant as 1.5 mm.
+            # No wrist comes closer to the base than a centimetre, so 1.5 m are not meant as 1.5 mm.
             asked = other_unit(distance, "m", 0.01, furthest)
-            why = (
-                f"its wrist would be {distance:.3f} m from the shoulder, and comes {furthest:.3f} m far at most{asked}"
-            )
+            why = f"its wrist would be {distance:.3f} m from the shoulder; it reaches at most {furthest:.3f} m{asked}"
         elif aside < d4:
-            why = f"its wrist would be {aside:.3f} m from the axis of the base, and comes to {d4:.3f} m"
+            why = f"its wrist would be {aside:.3f} m from the axis of the base; it reaches {d4:.3f} m or more"
         else:
-            why = "in that orientation its elbow cannot be bent or stretched enough"
+            why = "in this orientation, the elbow cannot be bent or stretched enough"
         numbers = np.asarray(pose, dtype=np.float64).round(4).tolist()
         return Unreachable(f"{row}a {self._model.name} cannot bring its tool to {numbers}: {why}")
 
@@ -425,12 +429,12 @@ def _tool(tcp: ArrayLike) -> Rigid[float]:
 
 
 def _with(flange: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
-    """The pose of the TCP, from the pose of the flange."""
+    """Return the pose of the TCP for a pose of the flange."""
     return flange if tcp is None else rigid.product(flange, _tool(tcp))  # type: ignore[arg-type]
 
 
 def _target(tool: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
-    """The pose of the flange, from the pose of the TCP."""
+    """Return the pose of the flange for a pose of the TCP."""
     return tool if tcp is None else rigid.product(tool, rigid.invert(_tool(tcp)))  # type: ignore[arg-type]
 
 
@@ -438,11 +442,11 @@ def _target(tool: Rigid[Number], tcp: ArrayLike | None) -> Rigid[Number]:
 
 
 def _turned(q: Sequence[float], near: Sequence[float]) -> Angles[float]:
-    """Each joint in the turn closest to `near`: the difference is in (-pi, pi]."""
+    """Return each joint in the turn closest to `near`: the difference is in (-pi, pi]."""
     q1, q2, q3, q4, q5, q6 = [b + wrapped(a - b) for a, b in zip(q, near, strict=True)]
     return q1, q2, q3, q4, q5, q6
 
 
 def _table(found: Sequence[Angles[float] | None]) -> FloatArray:
-    """(8, 6) in (-pi, pi]; NaN for branches that do not reach."""
+    """Return an array in (-pi, pi], shape (8, 6); NaN for branches that do not reach the pose."""
     return np.array([[math.nan] * 6 if q is None else [wrapped(angle) for angle in q] for q in found])

@@ -1,13 +1,14 @@
-"""All joint positions that put the flange of a published UR arm at a pose, in closed form.
+"""Joint positions that put the flange of a published UR arm at a pose, in closed form.
 
-An arm reaches a pose in up to eight ways, the branches: shoulder left or right, wrist flipped or not, elbow up or
-down. This is the classic geometric solution for arms whose joints 2, 3 and 4 turn about parallel axes. Joint 1 follows
-from where the wrist is, joints 5 and 6 from the orientation, joints 2 and 3 from the triangle of the two arm links.
+An arm has up to eight solutions for a pose, the branches: shoulder left or right, wrist flipped or not, elbow up or
+down. This is the classic geometric solution for arms whose joints 2, 3 and 4 turn about parallel axes. The position of
+the wrist determines joint 1, the orientation determines joints 5 and 6, and the triangle of the two arm links
+determines joints 2 and 3.
 
-In three places a joint is not determined (the singularities): where the wrist is on a cylinder of radius d4 about the
-base's axis (joint 1), where joints 4 and 6 turn about the same direction (joint 6), and where the arm is stretched or
-folded (two branches meet). `solve` handles all three, one pose at a time. `solve_rows` computes many poses at once
-and marks those that are too close to the second one for its formulas.
+In the three singularities, a joint is not determined: if the wrist is on a cylinder of radius d4 about the axis of the
+base (joint 1), if joints 4 and 6 turn about the same direction (joint 6), and if the arm is stretched or folded (two
+branches meet). `solve` handles all three, one pose at a time. `solve_rows` computes many poses at once, and marks poses
+that are too close to the second singularity for its formulas.
 """
 
 from __future__ import annotations
@@ -23,34 +24,35 @@ from .geometry import Angles, Lengths
 #: Number of branches.
 BRANCHES = 8
 
-# Error of the orientation, rad, that is accepted to have joint 6 at the wanted angle. In the wrist singularity itself
-# it allows any angle.
+# Orientation error, in rad, that is accepted in order to have joint 6 at the wanted angle. In the wrist singularity
+# itself, it allows any angle.
 SLACK = 1e-13
-# Relative distance beyond the edge of the reach, due to rounding, at which a pose still counts as on the edge.
+# Relative distance beyond the edge of the reach at which a pose still counts as on the edge, because of rounding.
 _EDGE = 1e-13
-# The same with `is_loose`, and the largest cosine of joint 3 there. A calibrated arm differs from the published one by
-# some mm and mrad, a hundredth of its reach.
+# The same distance with `is_loose`, and the largest cosine of joint 3 then. A calibrated arm differs from the published
+# one by some mm and mrad, a hundredth of its reach.
 _LOOSE_EDGE = 0.05
 _ALMOST_STRAIGHT = 0.999
-# Sine of joint 5 below which rows are left to `solve`. At 1e-4 joint 6 is known to 1e-12 rad, too little an error to
-# change whether the arm reaches the pose.
+# Sine of joint 5 below which rows are left to `solve`. At 1e-4, joint 6 is known to 1e-12 rad. This error is too small
+# to change whether the arm reaches the pose.
 SINGULAR = 1e-4
 
 
 def solve(
     lengths: Lengths, target: Rigid[float], free_q6: float = 0.0, *, slack: float = SLACK, is_loose: bool = False
 ) -> list[Angles[float] | None]:
-    """The eight branches that put the flange at `target`, rad, not wrapped; None for a branch that does not reach it.
+    """Return the eight branches that put the flange at `target`, in rad, not wrapped; None if out of reach.
 
     Args:
-        target: the flange in the base frame.
-        free_q6: joint 6 where it is free; if the wrist is out of reach with it, the closest angle that is in reach.
-        slack: error of the orientation, rad, that is accepted for that joint 6.
-        is_loose: also give branches that are slightly out of reach, and never a quite straight elbow: seeds for the
-            search of a calibrated arm, which reaches a little further here and less far there.
+        lengths: Lengths of the arm, in m.
+        target: Pose of the flange in the base frame.
+        free_q6: Joint 6 where it is free. If the wrist is out of reach with it, the closest angle in reach is used.
+        slack: Orientation error, in rad, that is accepted for this joint 6.
+        is_loose: Whether to return branches that are slightly out of reach, and never a quite straight elbow. Such
+            branches are seeds for the search of a calibrated arm, whose reach differs slightly.
 
     Returns:
-        In the order of `Arm.branches`. In a singularity, where two branches meet, both are given.
+        Branches in the order of `Arm.branches`. In a singularity, where two branches meet, both are given.
     """
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = target
@@ -74,7 +76,7 @@ def solve(
             # z4 = -y5 = -(s6 x6 + c6 y6) lies in the plane of the arm.
             zx, zy, zz = -(s6 * r00 + c6 * r01), -(s6 * r10 + c6 * r11), -(s6 * r20 + c6 * r21)
             along, across = zx * c1 + zy * s1, zz
-            # Joint 6 moves the origin of frame 4 too: turn it into the reach of the arm, within the slack.
+            # Joint 6 also moves the origin of frame 4: turn it into the reach of the arm, within the slack.
             bearing = math.atan2(across, along)
             if sine < SINGULAR:
                 shift = _into_reach(bearing, out5, up5, d5, abs(a2) + abs(a3), abs(abs(a2) - abs(a3)))
@@ -85,7 +87,7 @@ def solve(
             out, up = out5 - d5 * along, up5 - d5 * across
             c3 = (out * out + up * up - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
             if abs(c3) > 1.0 + margin:
-                found += (None, None)  # further than the stretched arm reaches, or closer than the folded one
+                found += (None, None)  # further than the stretched arm reaches, or closer than the folded arm
                 continue
             q234 = bearing + 0.5 * math.pi
             for q2, q3 in _elbow(FLOATS, a2, a3, out, up, max(-straight, min(straight, c3))):
@@ -94,15 +96,17 @@ def solve(
 
 
 def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool) -> tuple[FloatArray, FloatArray]:
-    """The eight branches for each of n poses.
+    """Return the eight branches for each of n poses.
 
     Args:
-        targets: n poses of the flange in the base frame.
-        is_loose: as for `solve`.
+        lengths: Lengths of the arm, in m.
+        targets: Poses of the flange in the base frame, n transforms.
+        is_loose: See `solve`.
 
     Returns:
-        (8, 6, n) rad, not wrapped, NaN where a branch does not reach, in the order of `solve`; and (8, n) the sine of
-        joint 5. Where that is less than `SINGULAR`, the joint positions are not valid.
+        Joint positions, shape (8, 6, n), in rad, not wrapped, in the order of `solve`; NaN if a branch does not reach
+        the pose. Also the sine of joint 5, shape (8, n). If it is less than `SINGULAR`, the joint positions are not
+        valid.
     """
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = targets
@@ -137,16 +141,16 @@ def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool) -> 
 
 
 def wrist_place(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number, Number]:
-    """The origin of frame 5 in the base frame, m."""
+    """Return the origin of frame 5 in the base frame, in m."""
     d6 = lengths[5]
     _, _, r02, _, _, r12, _, _, r22, px, py, pz = target
     return px - d6 * r02, py - d6 * r12, pz - d6 * r22
 
 
 def _shoulder(f: MathFunctions[Number], d4: float, x5: Number, y5: Number, apart: float) -> tuple[Number, Number]:
-    """Joint 1, both solutions: the origin of frame 5 lies d4 off the plane of the arm, on the side of (s1, -c1, 0).
+    """Return both solutions of joint 1. The origin of frame 5 is d4 off the plane of the arm, towards (s1, -c1, 0).
 
-    The solutions meet where that origin is d4 from the axis of the base. `apart` keeps them separate there: about
+    The solutions meet where this origin is d4 from the axis of the base. There, `apart` keeps them separate by about
     2 * `apart` rad.
     """
     bearing = f.atan2(y5, x5)
@@ -157,10 +161,10 @@ def _shoulder(f: MathFunctions[Number], d4: float, x5: Number, y5: Number, apart
 def _plane(
     f: MathFunctions[Number], d1: float, target: Rigid[Number], q1: Number, x5: Number, y5: Number, z5: Number
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number]:
-    """Sine and cosine of joint 1; origin of frame 5 in the plane of the arm, from the shoulder; normal in frame 6.
+    """Return sine and cosine of joint 1, frame 5 in the plane of the arm, from the shoulder, and normal in frame 6.
 
-    The normal of the plane is (c6 s5, -s6 s5, c5). The last number is the length of its first two components, which is
-    the sine of joint 5 to full precision; an arc cosine of c5 would lose half of the digits.
+    The normal of the plane is (c6 s5, -s6 s5, c5). The last number is the length of its first two components. It is the
+    sine of joint 5 to full precision; an arc cosine of c5 would lose half of the digits.
     """
     r00, r01, r02, r10, r11, r12, _, _, _, _, _, _ = target
     s1, c1 = f.sin(q1), f.cos(q1)
@@ -171,7 +175,7 @@ def _plane(
 def _elbow(
     f: MathFunctions[Number], a2: float, a3: float, out: Number, up: Number, c3: Number
 ) -> tuple[tuple[Number, Number], tuple[Number, Number]]:
-    """Joints 2 and 3, both branches: two links that reach from the shoulder to the origin of frame 4."""
+    """Return both branches of joints 2 and 3: two links that reach from the shoulder to the origin of frame 4."""
     s3 = f.sqrt((1.0 - c3) * (1.0 + c3))
     q3 = f.atan2(s3, c3)
     bearing = f.atan2(up, out)
@@ -181,15 +185,15 @@ def _elbow(
 
 
 def _into_reach(bearing: float, out: float, up: float, length: float, furthest: float, closest: float) -> float:
-    """The rotation, rad, of a link that ends at (out, up), which brings its other end within reach of (0, 0).
+    """Return the rotation, in rad, of a link that ends at (out, up) so that its other end is within reach of (0, 0).
 
-    Zero if it is within reach already. If no rotation brings it there, the one that brings it closest.
+    Zero if it is already within reach. If no rotation moves it there, the rotation that moves it closest.
     """
     distance = math.hypot(out, up)
     lever = 2.0 * length * distance
     if lever == 0.0:
         return 0.0
-    # By the law of cosines. The end is closest to (0, 0) when the link points straight away from it.
+    # Law of cosines. The end is closest to (0, 0) when the link points straight away from it.
     squares = length * length + distance * distance
     widest = math.acos(max(-1.0, min(1.0, (squares - furthest * furthest) / lever)))
     narrowest = math.acos(max(-1.0, min(1.0, (squares - closest * closest) / lever)))
@@ -198,6 +202,6 @@ def _into_reach(bearing: float, out: float, up: float, length: float, furthest: 
 
 
 def wrapped(angle: float) -> float:
-    """The same angle in (-pi, pi]."""
+    """Return the same angle in (-pi, pi]."""
     around = math.remainder(angle, math.tau)
     return math.pi if around <= -math.pi else around

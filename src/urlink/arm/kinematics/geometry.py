@@ -1,19 +1,19 @@
-"""The geometry of one arm, published or calibrated, and the frames of its links.
+"""Geometry of one arm, published or calibrated, and the frames of its links.
 
-Frames follow the vendor's Denavit-Hartenberg (DH) table: frame 0 is the base with z up, frame i sits at the end of link
+Frames follow the vendor's Denavit-Hartenberg (DH) table: frame 0 is the base with z up, frame i is at the end of link
 i, and frame 6 is the tool flange. Joint i turns about the z axis of frame i - 1.
 
 **A calibrated arm** sends its own DH table in the kinematics sub-package of the primary interface (`KinematicsInfo`).
-The numbers are whole parameters, not deviations from the published ones: those of an uncalibrated controller equal the
-published table (captures of a CB2 UR5 and a simulated UR5e), and users' reports show a calibrated UR5 with d1 = 0.08888
-m for the published 0.08916 m (issue 457 of the vendor's ROS driver).
+The numbers are whole parameters rather than deviations from the published ones. Those of an uncalibrated controller
+equal the published table (captures of a CB2 UR5 and a simulated UR5e). Users report a calibrated UR5 with d1 = 0.08888
+m instead of the published 0.08916 m (issue 457 of the vendor's ROS driver).
 
-Joints 2, 3 and 4 turn about axes that are parallel but for some mrad. The common normal of two such axes, at which DH
-puts the frame, is anywhere: in the same report d2 to d4 are 574, -507 and -67 m, a2 is -0.057 m and theta2 -1.4 rad for
-an arm that is 1 mm from the published one. So the frames 2 and 3 are moved along their axis and turned about it to
-where the published table has them. The parameters of Hayati and Mirmirani ("Improving the absolute positioning
-accuracy of robot manipulators", Journal of Robotic Systems 2, 1985) say this with an angle more, `beta`. The positions
-and orientations of the links are not touched by this, and the arithmetic keeps its digits.
+Joints 2, 3 and 4 turn about axes that are parallel within some mrad. The common normal of two such axes, at which DH
+puts the frame, can be anywhere. In the same report, d2 to d4 are 574, -507 and -67 m, a2 is -0.057 m and theta2 is
+-1.4 rad, for an arm that differs by 1 mm from the published one. Therefore frames 2 and 3 are moved along their axis
+and turned about it to their position in the published table. The parameters of Hayati and Mirmirani ("Improving the
+absolute positioning accuracy of robot manipulators", Journal of Robotic Systems 2, 1985) describe this with one more
+angle, `beta`. It does not change the positions and orientations of the links, and the arithmetic keeps its digits.
 """
 
 from __future__ import annotations
@@ -33,54 +33,53 @@ from ..models import Model
 from ..rigid import MathFunctions, Number, Rigid, Six, invert
 from ..vectors import six
 
-#: d1, a2, a3, d4, d5, d6 in m: all the geometry that a published UR arm has.
+#: Lengths d1, a2, a3, d4, d5, d6 in m: the complete geometry of a published UR arm.
 Lengths = tuple[float, float, float, float, float, float]
 
-#: Six joint positions, rad.
+#: Six joint positions, in rad.
 Angles = tuple[Number, Number, Number, Number, Number, Number]
 
-# Controllers that are not calibrated send the published table, with nine decimals, m and rad.
+# Controllers that are not calibrated send the published table, with nine decimals, in m and rad.
 _UNCALIBRATED = 1e-8
-# How far the calibration of an arm may be from the published table. Calibrations that were seen are within 2 mm and
-# 20 mrad.
+# Maximum difference of a calibration from the published table. Observed calibrations are within 2 mm and 20 mrad.
 _FAR = 0.03  # m
 _TURNED = 0.1  # rad
 
 
 def angles(joints: Iterable[Number]) -> Angles[Number]:
-    """Six joint positions as a tuple."""
+    """Return six joint positions as a tuple."""
     q1, q2, q3, q4, q5, q6 = joints
     return q1, q2, q3, q4, q5, q6
 
 
 class DenavitHartenberg(Protocol):
-    """Anything with a DH table, six values of each: `KinematicsInfo`, `urlink.models.Model`, `DhTable`."""
+    """Object with a DH table, six values for each parameter: `KinematicsInfo`, `urlink.models.Model`, `DhTable`."""
 
     @property
     def dh_theta(self) -> ArrayLike:
-        """Joint offsets, rad."""
+        """Joint offsets, in rad."""
 
     @property
     def dh_a(self) -> ArrayLike:
-        """Link lengths, m."""
+        """Link lengths, in m."""
 
     @property
     def dh_d(self) -> ArrayLike:
-        """Link offsets, m."""
+        """Link offsets, in m."""
 
     @property
     def dh_alpha(self) -> ArrayLike:
-        """Link twists, rad."""
+        """Link twists, in rad."""
 
 
 class DhTable(NamedTuple):
-    """A DH table made of numbers from elsewhere, such as a file; it is a `DenavitHartenberg`.
+    """DH table with numbers from another source, such as a file. It is a `DenavitHartenberg`.
 
     Attributes:
-        dh_theta: joint offsets, rad.
-        dh_a: link lengths, m.
-        dh_d: link offsets, m.
-        dh_alpha: link twists, rad.
+        dh_theta: Joint offsets, in rad.
+        dh_a: Link lengths, in m.
+        dh_d: Link offsets, in m.
+        dh_alpha: Link twists, in rad.
     """
 
     dh_theta: Sequence[float]
@@ -91,14 +90,14 @@ class DhTable(NamedTuple):
 
 @dataclass(frozen=True)
 class ArmLink:
-    """The transform from one frame to the next: Rz(q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta).
+    """Transform from one frame to the next: Rz(q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta).
 
     Attributes:
-        offset: added to the joint position, rad.
-        a: m, along x.
-        d: m, along z.
-        alpha: rad, about x.
-        beta: rad, about the resulting y axis; not zero only for joints 2 and 3 of a calibrated arm.
+        offset: Angle that is added to the joint position, in rad.
+        a: Translation along x, in m.
+        d: Translation along z, in m.
+        alpha: Rotation about x, in rad.
+        beta: Rotation about the resulting y axis, in rad; zero except for joints 2 and 3 of a calibrated arm.
     """
 
     offset: float
@@ -109,7 +108,7 @@ class ArmLink:
 
     @property
     def turns(self) -> tuple[float, float, float, float]:
-        """Cosine and sine of alpha, then of beta; exact where alpha is 0 or ±90 degrees."""
+        """Cosine and sine of alpha, then of beta; exact if alpha is 0 or ±90 degrees."""
         quarters = self.alpha / (0.5 * math.pi)
         if quarters in (-1.0, 0.0, 1.0):
             ca, sa = 1.0 - abs(quarters), quarters
@@ -120,14 +119,14 @@ class ArmLink:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """The links of one arm.
+    """Links of one arm.
 
     Attributes:
-        links: six links.
-        is_nominal: whether it is the published geometry, for which the closed forms hold.
-        lengths: m; those of a calibrated arm are of the closest arm whose link twists are right angles.
-        offsets: of the six joints, rad; all zero in a published arm.
-        rows: offset, a, d, cosine and sine of alpha, cosine and sine of beta of each link, for `chain`.
+        links: Six links.
+        is_nominal: Whether it is the published geometry. Only then the closed forms are valid.
+        lengths: Lengths in m. For a calibrated arm, those of the closest arm whose link twists are right angles.
+        offsets: Offsets of the six joints, in rad; all zero for a published arm.
+        rows: Offset, a, d, cosine and sine of alpha, cosine and sine of beta of each link, for `chain`.
     """
 
     links: tuple[ArmLink, ...]
@@ -145,13 +144,13 @@ class Geometry:
 
     @cached_property
     def to_wrist(self) -> Geometry:
-        """This arm up to the origin of frame 5, a point on the axis of joint 6; joint 6 turns only its orientation."""
+        """Arm up to the origin of frame 5, a point on the axis of joint 6, which turns only its orientation."""
         *links, last = self.links
         return replace(self, links=(*links, ArmLink(last.offset, 0.0, 0.0, 0.0, 0.0)))
 
     @cached_property
     def wrist_in_flange(self) -> Rigid[float]:
-        """The end of `to_wrist` in the frame of the flange."""
+        """End of `to_wrist` in the flange frame."""
         last = self.links[5]
         ca, sa, _, _ = last.turns
         return invert((1.0, 0.0, 0.0, 0.0, ca, -sa, 0.0, sa, ca, last.a, 0.0, last.d))
@@ -159,24 +158,24 @@ class Geometry:
 
 @lru_cache(maxsize=64)
 def nominal(model: Model) -> Geometry:
-    """The geometry that the vendor publishes."""
+    """Return the geometry that the vendor publishes."""
     table = zip(model.dh_theta.tolist(), model.dh_a.tolist(), model.dh_d.tolist(), model.dh_alpha.tolist(), strict=True)
     return Geometry(tuple(ArmLink(theta, a, d, alpha, 0.0) for theta, a, d, alpha in table), is_nominal=True)
 
 
 def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
-    """The geometry that an arm's own DH table describes; `nominal` where it is the published table.
+    """Return the geometry of an arm's own DH table, or `nominal` if it is the published table.
 
     Raises:
-        BadValue: not four times six finite numbers, or not the table of this model; the message names the link, and
-            both values.
+        BadValue: If the values are not four times six finite numbers, or do not belong to this model. The message names
+            the link, and both values.
     """
     names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
     given = np.stack([six(getattr(table, name), name) for name in names])
     if np.abs(given - [getattr(model, name) for name in names]).max() < _UNCALIBRATED:
         return nominal(model)
     links: list[ArmLink] = []
-    # How far the frame before this link was moved along its z axis, m, and turned about it, rad.
+    # Translation of the previous frame along its z axis, in m, and rotation about it, in rad.
     along, about = 0.0, 0.0
     for i, (theta, a, d, alpha) in enumerate(given.T.tolist()):
         theta, d = theta - about, d - along
@@ -184,10 +183,10 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
             links.append(ArmLink(math.remainder(theta, math.tau), a, d, alpha, 0.0))
             along = about = 0.0
             continue
-        # Along the next axis, to the point that the link reaches without an offset along its own axis.
+        # Distance along the next axis to the point that the link reaches without an offset along its own axis.
         along = -d / math.cos(alpha)
         x, y = a, -along * math.sin(alpha)
-        # As published, the link leads along -x. Its frame was turned by Rz(turn) for this, which is undone at its end.
+        # The published link points along -x. Its frame was turned by Rz(turn) for this, which is undone at its end.
         turn = math.atan2(-y, -x)
         alpha, beta, about = _hayati(-turn, alpha)
         links.append(ArmLink(math.remainder(theta + turn, math.tau), -math.hypot(x, y), 0.0, alpha, beta))
@@ -197,7 +196,7 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
 
 
 def _hayati(theta: float, alpha: float) -> tuple[float, float, float]:
-    """Rz(theta) Rx(alpha) as Rx(alpha') Ry(beta) Rz(-about): alpha', beta and about."""
+    """Convert Rz(theta) Rx(alpha) to Rx(alpha') Ry(beta) Rz(-about); return alpha', beta and about."""
     s, c, sa, ca = math.sin(theta), math.cos(theta), math.sin(alpha), math.cos(alpha)
     return math.atan2(c * sa, ca), math.atan2(s * sa, math.hypot(c, s * ca)), -math.atan2(s * ca, c)
 
@@ -213,14 +212,14 @@ def _check_close(model: Model, published: Geometry, found: Geometry) -> None:
         ):
             if abs(given - expected) > most:
                 raise BadValue(
-                    f"this is not the DH table of a {model.name}: {what} of link {i} comes to {given:.4f} {unit} where "
-                    f"the published arm has {expected:.4f} {unit}. Whole parameters are expected, as a controller "
-                    "sends them, not deviations from the published ones"
+                    f"this is not the DH table of a {model.name}: {what} of link {i} is {given:.4f} {unit}, and "
+                    f"{expected:.4f} {unit} for the published arm; expected whole parameters, as a controller sends "
+                    "them, not deviations from the published ones"
                 )
 
 
 def flange(lengths: Lengths, f: MathFunctions[Number], q: Angles[Number]) -> Rigid[Number]:
-    """The flange of a published arm in the base frame.
+    """Return the flange of a published arm in the base frame.
 
     The product of the six DH matrices has a short form, because joints 2, 3 and 4 turn about parallel axes.
     """
@@ -233,7 +232,7 @@ def flange(lengths: Lengths, f: MathFunctions[Number], q: Angles[Number]) -> Rig
     s234, c234 = sin(q234), cos(q234)
     s5, c5 = sin(q5), cos(q5)
     s6, c6 = sin(q6), cos(q6)
-    # The arm moves in a vertical plane through the shoulder: `out` runs along it, (s1, -c1, 0) is its normal.
+    # The arm moves in a vertical plane through the shoulder: `out` is along the plane, (s1, -c1, 0) is its normal.
     out = a2 * cos(q2) + a3 * cos(q23) + d5 * s234
     up = d1 + a2 * sin(q2) + a3 * sin(q23) - d5 * c234
     # Columns of frame 4 are x4 = (c1 c234, s1 c234, s234), the normal, and z4 = (c1 s234, s1 s234, -c234).
@@ -259,7 +258,7 @@ def flange(lengths: Lengths, f: MathFunctions[Number], q: Angles[Number]) -> Rig
 
 
 def chain(geometry: Geometry, f: MathFunctions[Number], q: Angles[Number]) -> list[Rigid[Number]]:
-    """The frames 1 to 6 in the base frame, from the parameters of each link."""
+    """Return the frames 1 to 6 in the base frame, from the parameters of each link."""
     sin, cos = f.sin, f.cos
     offset, a, d, ca, sa, _, _ = geometry.rows[0]
     s, c = sin(q[0] + offset), cos(q[0] + offset)
@@ -272,7 +271,7 @@ def chain(geometry: Geometry, f: MathFunctions[Number], q: Angles[Number]) -> li
         x0, x1, x2 = r00 * c + r01 * s, r10 * c + r11 * s, r20 * c + r21 * s
         y0, y1, y2 = r01 * c - r00 * s, r11 * c - r10 * s, r21 * c - r20 * s
         z0, z1, z2 = r02, r12, r22
-        # Every link lacks one or two of the four, and each multiplication costs time with a thousand rows.
+        # Each link lacks one or two of the four parameters, and each multiplication costs time with a thousand rows.
         if a:
             px, py, pz = px + a * x0, py + a * x1, pz + a * x2
         if d:
@@ -301,9 +300,9 @@ def chain(geometry: Geometry, f: MathFunctions[Number], q: Angles[Number]) -> li
 
 
 def jacobian(frames: list[Rigid[Number]], tool: tuple[Number, Number, Number]) -> list[tuple[Number, ...]]:
-    """The six columns of the geometric Jacobian of a point, from the frames 1 to 6 and the point in the base frame.
+    """Return the six columns of the geometric Jacobian of a point, from frames 1 to 6 and the point in the base frame.
 
-    Each is the velocity of the point in m/s and the angular velocity in rad/s that 1 rad/s of a joint makes.
+    Each column is the velocity of the point in m/s, and the angular velocity in rad/s, for 1 rad/s of a joint.
     """
     tx, ty, tz = tool
     none = 0.0 * tx
@@ -321,20 +320,20 @@ def velocity(
     qd: Angles[Number],
     point: tuple[Number, Number, Number],
 ) -> Six[Number]:
-    """The Jacobian of a point times the joint speeds, at a tenth of its cost: the simulator needs it twice in a cycle.
+    """Return the Jacobian of a point times the joint speeds, at a tenth of the cost of the Jacobian.
 
-    Joints 2, 3 and 4 of a published arm turn about parallel axes, and the twists of its links are right angles, so all
-    six axes and a point on each have short formulas.
+    The simulator needs it twice per cycle. Joints 2, 3 and 4 of a published arm turn about parallel axes, and the
+    twists of its links are right angles. Therefore all six axes, and a point on each, have short formulas.
 
     Args:
-        geometry: of the arm.
+        geometry: Geometry of the arm.
         f: `FLOATS` for one row of numbers, `ROWS` for arrays.
-        q: joint positions, rad.
-        qd: joint speeds, rad/s.
-        point: a point fixed to the flange, in the base frame, m.
+        q: Joint positions, in rad.
+        qd: Joint speeds, in rad/s.
+        point: Point that is fixed to the flange, in the base frame, in m.
 
     Returns:
-        In the base frame: velocity of the point in m/s, angular velocity of the flange in rad/s.
+        Velocity of the point in m/s, and angular velocity of the flange in rad/s, in the base frame.
     """
     if geometry.is_nominal:
         return _published(geometry.lengths, f, q, qd, point)
@@ -365,15 +364,15 @@ def _published(
     s1, c1 = sin(q[0]), cos(q[0])
     s234, c234 = sin(q234), cos(q234)
     s5, c5 = sin(q[4]), cos(q[4])
-    # Axes: joint 1 is z; joints 2 to 4 are (s1, -c1, 0); then joint 5 and joint 6.
+    # Axes: joint 1 is z, joints 2 to 4 are (s1, -c1, 0), then joint 5 and joint 6.
     ux, uy, uz = c1 * s234, s1 * s234, -c234
     wx, wy, wz = c5 * s1 - s5 * c1 * c234, -c5 * c1 - s5 * s1 * c234, -s5 * s234
-    # A point on each axis: the base, the shoulder, the elbow, wrist 1; from there along the axes.
+    # A point on each axis: the base, the shoulder, the elbow, wrist 1; the others follow along the axes.
     out2, up2 = a2 * cos(q[1]), d1 + a2 * sin(q[1])
     out3, up3 = out2 + a3 * cos(q23), up2 + a3 * sin(q23)
     p4x, p4y, p4z = out3 * c1 + d4 * s1, out3 * s1 - d4 * c1, up3
     p5x, p5y, p5z = p4x + d5 * ux, p4y + d5 * uy, p4z + d5 * uz
-    # Velocity: angular velocity x point, less the sum over the axes of speed * axis x point on the axis.
+    # Velocity: angular velocity x point, minus the sum over the axes of speed * axis x point on the axis.
     v234 = v2 + v3 + v4
     ox = v234 * s1 + v5 * ux + v6 * wx
     oy = -v234 * c1 + v5 * uy + v6 * wy

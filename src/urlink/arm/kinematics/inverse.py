@@ -1,10 +1,10 @@
 """All branches of the solution and the closest one, for published and calibrated arms, for one pose or many.
 
-A published arm is solved in closed form. For a calibrated arm each branch of the closed form is the seed of a search.
-Close to a singularity, within the few mrad by which a calibration tilts the axes, branches appear, disappear and swap:
+A published arm is solved in closed form. For a calibrated arm, each branch of the closed form is the seed of a search.
+A calibration tilts the axes by a few mrad. At such a distance from a singularity, branches appear, disappear and swap:
 a stretched arm reaches 0.1 mm further or less far than published, or the axes of joints 4 and 6 cannot be made parallel
-at all. So the search begins at the given joint positions if these almost reach the pose, and many seeds are tried
-before a pose counts as out of reach.
+at all. Therefore the search begins at the given joint positions if these almost reach the pose, and many seeds are
+tried before a pose counts as out of reach.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from .closed_form import BRANCHES, SINGULAR, SLACK, solve, solve_rows
 from .geometry import Angles, Geometry, angles
 from .refinement import error_at, refine, refine_anywhere, refine_rows
 
-# `near` is a seed if it misses the pose by less than `_ALMOST`, m and rad. A solution further away from `near` than
-# `_CONTINUES`, rad, does not count as its continuation.
+# `near` is a seed if it misses the pose by less than `_ALMOST`, in m and rad. A solution further away from `near` than
+# `_CONTINUES`, in rad, does not count as its continuation.
 _ALMOST = 0.05
 _CONTINUES = 0.3
-# Of the last attempt, `_search`: joint 6 counts as free if an error of the orientation of `_SLACK`, rad, is enough,
-# about what the axes are tilted by; then `_TURNS` values of joint 6 are tried, skipping seeds that are within `_TRIED`,
-# rad, of an earlier one.
+# Settings of the last attempt, `_search`. Joint 6 counts as free if an orientation error of `_SLACK`, in rad, is
+# enough; this is about the tilt of the axes. Then `_TURNS` values of joint 6 are tried. Seeds that are within `_TRIED`,
+# in rad, of an earlier one are skipped.
 _SLACK = 0.03
 _TURNS = 16
 _TRIED = 1e-3
@@ -38,7 +38,7 @@ _remainder, _TURN = math.remainder, math.tau
 
 
 def distance(q: Sequence[float], other: Sequence[float]) -> float:
-    """The largest joint movement between two joint positions, rad, modulo whole turns."""
+    """Return the largest joint motion between two joint positions, in rad, modulo whole turns."""
     a1, a2, a3, a4, a5, a6 = q
     b1, b2, b3, b4, b5, b6 = other
     # Six calls take less than half the time of a loop, and this runs eight times for each pose.
@@ -53,12 +53,12 @@ def distance(q: Sequence[float], other: Sequence[float]) -> float:
 
 
 def around(angles: FloatArray) -> FloatArray:
-    """The same angles in [-pi, pi]."""
+    """Return the same angles in [-pi, pi]."""
     return angles - math.tau * np.rint(angles / math.tau)
 
 
 def branches(geometry: Geometry, target: Rigid[float], free_q6: float = 0.0) -> list[Angles[float] | None]:
-    """The eight branches in the order of `Arm.branches`, rad, not wrapped."""
+    """Return the eight branches in the order of `Arm.branches`, in rad, not wrapped."""
     if geometry.is_nominal:
         return solve(geometry.lengths, target, free_q6)
     seeds = solve(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=_SLACK, is_loose=True)
@@ -66,7 +66,7 @@ def branches(geometry: Geometry, target: Rigid[float], free_q6: float = 0.0) -> 
 
 
 def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
-    """The branch that is closest to `near`, rad, not wrapped; None if there is none."""
+    """Return the branch that is closest to `near`, in rad, not wrapped; None if there is none."""
     if geometry.is_nominal:
         solutions = [q for q in solve(geometry.lengths, target, near[5]) if q is not None]
         return min(solutions, key=lambda q: distance(q, near), default=None)
@@ -81,7 +81,7 @@ def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
 
 
 def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
-    """Joint positions in a singularity or at the edge of the reach: the first that any of many seeds leads to."""
+    """Return the first solution that any of many seeds leads to, for a singularity or the edge of the reach."""
     tried: list[Angles[float]] = []
     for turn in range(_TURNS):
         seeds = _seeds(geometry, target, near[5] + turn * math.tau / _TURNS, _SLACK)
@@ -95,7 +95,7 @@ def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
 
 
 def _seeds(geometry: Geometry, target: Rigid[float], free_q6: float, slack: float = SLACK) -> list[Angles[float]]:
-    """The seeds of the search for the joint positions of a calibrated arm."""
+    """Return the seeds of the search for the joint positions of a calibrated arm."""
     loose = solve(geometry.lengths, target, free_q6 + geometry.offsets[5], slack=slack, is_loose=True)
     return [_less(q, geometry.offsets) for q in loose if q is not None]
 
@@ -111,7 +111,7 @@ def _less(q: Angles[float], offsets: Angles[float]) -> Angles[float]:
 
 
 def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray) -> FloatArray:
-    """`closest` for n transforms and (n, 6) joint positions: (n, 6) rad, NaN where there is none.
+    """Apply `closest` to n transforms and joint positions, shape (n, 6), in rad; NaN if there is no solution.
 
     Rows that need more than the common arithmetic are left to `closest`.
     """
@@ -143,15 +143,15 @@ def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: Float
 def _closest_branches(
     geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(6, n) rad, the closest of the eight branches of the closed form; (n,) whether another one might be closer."""
+    """Return the closest branch of the closed form, (6, n) rad, and whether another one might be closer, (n,)."""
     found, sines = solve_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     found -= np.array(geometry.offsets)[:, np.newaxis]
     turns = np.abs(around(found - nears.T))
     moves = turns.max(axis=1)
     moves[np.isnan(moves)] = np.inf
     chosen, least = moves.argmin(axis=0), moves.min(axis=0)
-    # Where joint 6 is free, joints 2 to 6 depend on the choice of it, so only joint 1 gives a lower bound of the
-    # distance. Such a branch may reach the pose although it is out of reach with another joint 6.
+    # Where joint 6 is free, joints 2 to 6 depend on its choice, so only joint 1 gives a lower bound of the distance.
+    # Such a branch may reach the pose although it is out of reach with another joint 6.
     unsure = np.asarray(((sines < SINGULAR) & ~(turns[:, 0] > least)).any(axis=0))
     if not geometry.is_nominal:
         unsure |= np.isinf(least) & (sines < _SLACK).any(axis=0)
@@ -159,10 +159,11 @@ def _closest_branches(
 
 
 def branches_of_rows(geometry: Geometry, targets: Rigid[FloatArray]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """`branches` for n transforms.
+    """Apply `branches` to n transforms.
 
     Returns:
-        (n, 8, 6) rad, in (-pi, pi], NaN where a branch does not reach; (n,) whether the pose is close to a singularity.
+        Joint positions, shape (n, 8, 6), in rad, in (-pi, pi]; NaN if a branch does not reach the pose. Also whether
+        each pose is close to a singularity, shape (n,).
     """
     found, sines = solve_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     again = np.asarray((sines < (SINGULAR if geometry.is_nominal else _SLACK)).any(axis=0))

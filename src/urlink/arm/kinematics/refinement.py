@@ -1,12 +1,12 @@
-"""Joint positions of a calibrated arm, from seeds that almost put its flange at a pose.
+"""Search for the joint positions of a calibrated arm, from seeds that almost put its flange at a pose.
 
-The closed form is exact for published arms only. For a calibrated arm it is off by 0.1 mm to 1 mm; the joint positions
-of the previous cycle are off by the movement since. Newton's method leads from there to full precision: each step
-measures by how much the wrist misses, and moves the joints by the inverse of the Jacobian times that. The error that is
-left is about the square of the one before, so three steps are enough from 0.01 rad. The inverse is computed from the
-axes of the joints, without a matrix, and costs less than the forward kinematics.
+The closed form is exact only for published arms. For a calibrated arm, its error is 0.1 mm to 1 mm. The joint positions
+of the previous cycle have an error from the motion since then. Newton's method converges from there to full precision:
+each step measures the error of the wrist, and moves the joints by the inverse of the Jacobian times the error. The
+remaining error is about the square of the previous one, so three steps are enough from 0.01 rad. The inverse is
+computed from the axes of the joints, without a matrix, and costs less than the forward kinematics.
 
-Close to a singularity this does not converge. There `refine_anywhere` is used, which is slower.
+Close to a singularity, this method does not converge. Then `refine_anywhere` is used, which is slower.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from ..rigid import row as row_of
 from ..vectors import FloatArray
 from .geometry import Angles, Geometry, angles, chain, jacobian
 
-#: m and rad. Joint positions with an error below this are a solution.
+#: Error in m and rad below which joint positions are a solution.
 CONVERGED = 5e-14
-# Bound of the second derivatives of the wrist's position and orientation: the error in m that a step of 1 rad leaves.
-# If it is ten times too small, the error is ten times `CONVERGED`, still less than 1e-12.
+# Bound of the second derivatives of the wrist's position and orientation: the error in m after a step of 1 rad. If it
+# is ten times too small, the error is ten times `CONVERGED`, which is still less than 1e-12.
 _CURVATURE = 2.0
-# A step shorter than this, rad, is the last one: the error that it leaves need not be measured.
+# A step shorter than this, in rad, is the last one, because the error after it does not have to be measured.
 _LAST = math.sqrt(CONVERGED / _CURVATURE)
-# Newton's method that needs more steps than this, or a longer one, rad, does not converge: `refine_anywhere` is used.
+# Maximum number of steps, and longest step in rad, of Newton's method. Beyond them, `refine_anywhere` is used.
 _STEPS = 8
 _TOO_LONG = 0.5
 
-# Up to this many rows are quicker one by one: a step of rows takes some hundred calls into numpy for any number.
+# Up to this number of rows, one by one is faster: a step of rows takes some hundred calls into numpy for any number.
 _FEW = 16
 
-# Of `refine_anywhere`: the most steps; the largest step of a joint, rad; the fraction of a step at which the second
-# derivative is measured; the longest correction, relative to its step; and how many steps in a row may reduce the error
-# by less than a percent.
+# Settings of `refine_anywhere`: maximum number of steps; largest step of a joint, in rad; fraction of a step at which
+# the second derivative is measured; longest correction, relative to its step; and number of steps in a row that may
+# reduce the error by less than one percent.
 _ROBUST_STEPS = 100
 _LONGEST = 0.5
 _AHEAD = 0.1
@@ -47,16 +47,16 @@ _SLOW = 5
 def refine(
     geometry: Geometry, seed: Angles[float], target: Rigid[float], within: float = math.inf
 ) -> Angles[float] | None:
-    """The joint positions close to `seed` that put the flange at `target`.
+    """Return the joint positions close to `seed` that put the flange at `target`.
 
     Args:
-        geometry: of the arm.
-        seed: rad.
-        target: the flange in the base frame.
-        within: the largest error of the seed, m and rad.
+        geometry: Geometry of the arm.
+        seed: Joint positions at the start, in rad.
+        target: Pose of the flange in the base frame.
+        within: Largest allowed error of the seed, in m and rad.
 
     Returns:
-        rad; None if the steps do not converge, or the error of the seed is larger than `within`.
+        Joint positions, in rad; None if the steps do not converge, or the error of the seed is larger than `within`.
     """
     wrist, there = geometry.to_wrist, product(target, geometry.wrist_in_flange)
     q = seed
@@ -84,16 +84,16 @@ def refine(
 def refine_rows(
     geometry: Geometry, seeds: FloatArray, targets: Rigid[FloatArray], within: float = math.inf
 ) -> FloatArray:
-    """`refine` for n seeds.
+    """Apply `refine` to n seeds.
 
     Args:
-        geometry: of the arm.
-        seeds: (6, n) rad.
-        targets: n transforms.
-        within: the largest error of a seed, m and rad.
+        geometry: Geometry of the arm.
+        seeds: Joint positions at the start, shape (6, n), in rad.
+        targets: Poses of the flange, n transforms.
+        within: Largest allowed error of a seed, in m and rad.
 
     Returns:
-        (6, n) rad, NaN where `refine` gives None.
+        Joint positions, shape (6, n), in rad; NaN if `refine` returns None.
     """
     found = np.full(seeds.shape, np.nan)
     wrist = geometry.to_wrist
@@ -125,7 +125,7 @@ def refine_rows(
 
 
 def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
-    """From the flange to the target, in the base frame: distance, m, and rotation axis times sine of the angle."""
+    """Return the error of the flange in the base frame: distance in m, and rotation axis times sine of the angle."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, ax, ay, az = flange
     b00, b01, b02, b10, b11, b12, b20, b21, b22, bx, by, bz = target
     # Half the sum of the cross products of the axes of the two frames.
@@ -140,7 +140,7 @@ def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
 
 
 def _cosine(flange: Rigid[Number], target: Rigid[Number]) -> Number:
-    """Cosine of the angle between two orientations; the sine alone cannot distinguish half a turn from none."""
+    """Return the cosine of the angle between two orientations; the sine alone is 0 for half a turn, too."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, _, _, _ = flange
     b00, b01, b02, b10, b11, b12, b20, b21, b22, _, _, _ = target
     trace = a00 * b00 + a01 * b01 + a02 * b02 + a10 * b10 + a11 * b11 + a12 * b12 + a20 * b20 + a21 * b21 + a22 * b22
@@ -154,19 +154,19 @@ def _moved(q: Angles[Number], step: Six[Number]) -> Angles[Number]:
 
 
 def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
-    """The joint movement that moves the wrist by `error`: the inverse of its Jacobian times `error`.
+    """Return the joint motion that moves the wrist by `error`: the inverse of its Jacobian times `error`.
 
-    Joint 6 does not move the wrist, and joint 5 hardly does, so these two are eliminated first: they make the rotation
-    that joints 1 to 4 leave. Joints 1 to 4 have to move the wrist, and to turn it about the direction m, about which
-    joints 5 and 6 cannot turn it. The axes of joints 2 to 4 are almost parallel; so the unknowns are joint 2 with joint
-    4 turning back, joint 3 with joint 4 turning back, and the sum of all three. What is left is three by three, solved
-    by Cramer's rule. Each of the three divisors is zero in one of the singularities.
+    Joint 6 does not move the wrist, and joint 5 hardly moves it, so these two are eliminated first. They perform the
+    rotation that joints 1 to 4 leave. Joints 1 to 4 have to move the wrist, and to turn it about the direction m, about
+    which joints 5 and 6 cannot turn it. The axes of joints 2 to 4 are almost parallel. Therefore the unknowns are joint
+    2 with joint 4 turning back, joint 3 with joint 4 turning back, and the sum of all three. The remaining system is
+    three by three, and is solved by Cramer's rule. Each of the three divisors is zero in one of the singularities.
 
     Raises:
-        ZeroDivisionError: in a singularity (floats only).
+        ZeroDivisionError: If the arm is in a singularity (floats only).
     """
     vx, vy, vz, wx, wy, wz = error
-    # The axis of each joint (i, j, k) and a point on it; then x, y, z: the movement of the wrist per rad.
+    # Axis of each joint (i, j, k) and a point on it; then x, y, z: the movement of the wrist per rad.
     _, _, i2, _, _, j2, _, _, k2, x2, y2, z2 = frames[0]
     _, _, i3, _, _, j3, _, _, k3, x3, y3, z3 = frames[1]
     _, _, i4, _, _, j4, _, _, k4, x4, y4, z4 = frames[2]
@@ -178,7 +178,7 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
     x3, y3, z3 = j3 * z3 - k3 * y3, k3 * x3 - i3 * z3, i3 * y3 - j3 * x3
     x4, y4, z4 = j4 * z4 - k4 * y4, k4 * x4 - i4 * z4, i4 * y4 - j4 * x4
     x5, y5, z5 = j5 * z5 - k5 * y5, k5 * x5 - i5 * z5, i5 * y5 - j5 * x5
-    # Joints 5 and 6: f times an angular velocity is the share of joint 5 in it.
+    # Joints 5 and 6: f times an angular velocity is the share of joint 5.
     mx, my, mz = j5 * k6 - k5 * j6, k5 * i6 - i5 * k6, i5 * j6 - j5 * i6
     square = mx * mx + my * my + mz * mz
     fx, fy, fz = (j6 * mz - k6 * my) / square, (k6 * mx - i6 * mz) / square, (i6 * my - j6 * mx) / square
@@ -193,7 +193,7 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
     x3, y3, z3 = x3 - share3 * x5 - x4, y3 - share3 * y5 - y4, z3 - share3 * z5 - z4
     m4 = mx * i4 + my * j4 + mz * k4
     m2, m3 = mx * i2 + my * j2 + mz * k2 - m4, mx * i3 + my * j3 + mz * k3 - m4
-    # Joints 1 to 3: a, b and c times a velocity of the wrist are their shares of it; h is their rotation about m.
+    # Joints 1 to 3: a, b and c times a velocity of the wrist are their shares; h is their rotation about m.
     ax, ay, az = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
     volume = x1 * ax + y1 * ay + z1 * az
     ax, ay, az = ax / volume, ay / volume, az / volume
@@ -207,7 +207,7 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
     d2 = bx * vx + by * vy + bz * vz
     d3 = cx * vx + cy * vy + cz * vz
     d4 = d234 - d2 - d3
-    # Joints 5 and 6 turn the rest.
+    # Joints 5 and 6 perform the remaining rotation.
     wx, wy, wz = (
         wx - d2 * i2 - d3 * i3 - d4 * i4,
         wy - d2 * j2 - d3 * j3 - d4 * j4,
@@ -219,12 +219,13 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
 
 
 def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Angles[float] | None:
-    """Joint positions that put the flange at `target`, also in a singularity; None if `seed` leads to none.
+    """Return joint positions that put the flange at `target`, even in a singularity; None if `seed` leads to none.
 
-    Levenberg-Marquardt: least squares with a penalty on long steps, which grows while steps do not help. Close to a
-    singular wrist the minimum lies at the end of a narrow curved valley, in which joints 4 and 6 turn against each
-    other and the others follow; so each step is corrected by the second derivative along it (Transtrum and Sethna,
-    "Improvements to the Levenberg-Marquardt algorithm for nonlinear least-squares minimization", 2012).
+    It uses the Levenberg-Marquardt method: least squares with a penalty on long steps, which grows while steps do not
+    help. Close to a singular wrist, the minimum is at the end of a narrow curved valley, in which joints 4 and 6 turn
+    against each other and the others follow. Therefore each step is corrected by the second derivative along it
+    (Transtrum and Sethna, "Improvements to the Levenberg-Marquardt algorithm for nonlinear least-squares minimization",
+    2012).
     """
     q = np.array(seed)
     error, matrix = _linearised(geometry, q, target)
@@ -258,14 +259,14 @@ def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float
 def error_at(
     geometry: Geometry, q: Angles[Number], f: MathFunctions[Number], target: Rigid[Number]
 ) -> tuple[Number, ...]:
-    """The error of the flange at `q`: distance, m; axis times the sine of the angle; 1 - the cosine of the angle."""
+    """Return the error of the flange at `q`: distance in m, axis times sine of the angle, and 1 - its cosine."""
     frames = chain(geometry, f, q)
     vx, vy, vz, wx, wy, wz = _error(frames[5], target)
     return vx, vy, vz, wx, wy, wz, 1.0 - _cosine(frames[5], target)
 
 
 def _linearised(geometry: Geometry, q: FloatArray, target: Rigid[float]) -> tuple[FloatArray, FloatArray]:
-    """The error of the flange, m and rad, and its Jacobian."""
+    """Return the error of the flange, in m and rad, and its Jacobian."""
     frames = chain(geometry, FLOATS, angles(q.tolist()))
     flange = frames[5]
     error = np.array(_error(flange, target))

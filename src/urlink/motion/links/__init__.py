@@ -1,1 +1,1 @@
-"""Links to a program on the robot: a connection that it makes to this computer, or input registers."""
+"""Links to a program on the robot: a connection from the program to this computer, or input registers."""

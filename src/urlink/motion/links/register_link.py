@@ -1,11 +1,11 @@
-"""Input registers of the robot as the link to a program: no connection to this computer is needed.
+"""Input registers of the robot as the link to a program, which needs no connection to this computer.
 
-The messages are those of a reverse link, one register for each number. They reach the program by RTDE, which applies a
-package as a whole in one cycle.
+The messages are the same as those of a reverse link, with one register for each number. RTDE transmits them to the
+program, and applies a package as a whole in one cycle.
 
-What a program that holds points reports is in output registers, and comes by RTDE too, with each cycle. That those of
-one cycle come together is what RTDE is for; that a program which writes several in one cycle is never seen half-way is
-a guess, which `link="reverse"` does not need.
+A program that buffers points reports in output registers, which RTDE transmits in each cycle. RTDE is designed to
+transmit the registers of one cycle together. It is assumed that RTDE never transmits the registers half-way while a
+program writes several of them in one cycle. `link="reverse"` does not need this assumption.
 """
 
 from __future__ import annotations
@@ -25,38 +25,40 @@ from ...script.buffering import MESSAGE, REPORTED, PointRegisters
 from ...script.links import TOKENS, InputRegisters
 from .messages import LARGEST, MESSAGE_SIZE, read_message
 
-#: Number of the first float register and of the first integer register of set-points: the last twelve and the last four
-#: of all are used, so that others from 24 on are left to users, and those below 24 to fieldbuses. From 3.9 and 5.3 on.
+#: Number of the first float register and of the first integer register for set-points. The last twelve float registers
+#: and the last four integer registers are used. So other registers from 24 upwards are left to users, and registers
+#: below 24 to fieldbuses. They need firmware 3.9, 5.3 or later.
 _FIRST_FLOAT, _FIRST_INTEGER = 36, 44
-#: The RTDE inputs that a link for set-points writes: positions and speeds, the date and the number of the message, what
-#: to do, and the token.
+#: RTDE inputs that a link for set-points writes: positions and speeds, the date and the number of the message, the
+#: command, and the token.
 SETPOINT_INPUTS = tuple(
     [f"input_double_register_{_FIRST_FLOAT + i}" for i in range(12)]
     + [f"input_int_register_{_FIRST_INTEGER + i}" for i in range(4)]
 )
-#: Those of points, below the others, which another motion of this robot may have claimed: from 24 on, 24 to 29 of the
-#: integers are left to users, and so are outputs below 30 and above 36: in 47 a program finds its start permission.
+#: Registers for points. They are below the others, which another motion of this robot may have claimed. They begin at
+#: 24, but integer inputs 24 to 29 are left to users. So are outputs below 30 and above 36. In output 47, a program
+#: finds its start permission.
 _POINT_FLOAT, _POINT_INTEGER, _POINT_OUTPUT = 24, 30, 30
-#: The RTDE inputs that a link for points writes: whole numbers of a message, its date, its number and the token, and
-#: its rates.
+#: RTDE inputs that a link for points writes: the whole numbers of a message, its date, its number, the token, and the
+#: rates.
 POINT_INPUTS = tuple(
     [f"input_int_register_{_POINT_INTEGER + i}" for i in range(14)]
     + [f"input_double_register_{_POINT_FLOAT + i}" for i in range(12)]
 )
-#: The RTDE outputs with a report, and the token of the program whose report it is.
+#: RTDE outputs with a report, and the token of the program that reports.
 POINT_OUTPUTS = tuple(f"output_int_register_{_POINT_OUTPUT + i}" for i in range(REPORTED + 1))
-#: s without outputs after which nothing is known of the program.
+#: Longest time in s without outputs. After it, the state of the program is unknown.
 _SILENCE = 1.0
-#: How many numbers of a message of a point are whole: what to do, epoch, number, length, degree, and six positions.
+#: Number of whole numbers in the message of a point: command, epoch, number, length, degree, and six positions.
 _WHOLE = 11
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE + 1}i"), struct.Struct(f">{REPORTED}i")
 
 
 class InputClaim(Protocol):
-    """RTDE inputs that have been claimed."""
+    """Claimed RTDE inputs."""
 
     def _write(self, values: Mapping[str, float]) -> None:
-        """Write them together, without waiting; raises `LinkError` if that fails."""
+        """Write the values together, without waiting; raise `LinkError` if this fails."""
 
 
 L = TypeVar("L")
@@ -66,10 +68,10 @@ class RegisterPort(Generic[L]):
     """Opens register links. The registers are claimed for the first link, and released when the robot is closed.
 
     Args:
-        claim: claims RTDE inputs by their names; may raise `LinkError`.
-        timeout: seconds that a claim by another thread is waited for.
-        names: what is claimed.
-        make: makes a link of it.
+        claim: Function that claims RTDE inputs by their names; may raise `LinkError`.
+        timeout: Longest time to wait for a claim by another thread, in seconds.
+        names: Names of the inputs.
+        make: Function that makes a link of the claim.
     """
 
     def __init__(
@@ -85,14 +87,14 @@ class RegisterPort(Generic[L]):
         self._inputs: InputClaim | None = None
 
     def open(self) -> L:
-        """The link of the next program; it may have to connect.
+        """Return the link of the next program. This may need a connection.
 
         Raises:
-            InputInUse: another client, or a fieldbus, holds one of the registers.
-            LinkError: RTDE cannot be used.
+            InputInUse: If another client, or a fieldbus, holds one of the registers.
+            LinkError: If RTDE cannot be used.
         """
-        # A controller gives a register to one connection, so to the first of two threads of this robot only. Alone:
-        # a signal handler may come here while the main thread, which it keeps, claims them.
+        # A controller assigns a register to one connection, so only to the first of two threads of this robot. Use
+        # `alone()`, because a signal handler may come here while the main thread, which it interrupts, claims them.
         otherwise = f"the registers of a link are still being claimed after {self._timeout:g} s"
         with alone(self._claiming, self._timeout, otherwise):
             if self._inputs is None:
@@ -101,22 +103,22 @@ class RegisterPort(Generic[L]):
 
 
 def _random_token() -> int:
-    """A token that no register holds by itself: one that was never written holds 0."""
+    """Return a token that differs from the content of a register that was never written, which is 0."""
     return random.SystemRandom().randrange(1, TOKENS)
 
 
 class ProgramRegisters:
-    """The registers of one program.
+    """Registers of one program.
 
-    A program reads no message before its token is in its register. The token is written once the program has begun, and
-    only while its motion runs. So a program that the controller begins too late finds another token, and ends.
+    A program reads no message before its token is in its register. The token is written when the program has begun, and
+    only while its motion runs. So a program that the controller starts too late finds another token, and ends.
 
     Args:
-        inputs: the claimed inputs.
-        names: of all of them, in the order in which they are written.
+        inputs: Claimed inputs.
+        names: Names of all inputs, in their order of writing.
 
     Attributes:
-        is_up: whether the program has begun, so that messages are written.
+        is_up: Whether the program has begun, so that messages are written.
     """
 
     def __init__(self, inputs: InputClaim, names: Sequence[str]) -> None:
@@ -126,39 +128,39 @@ class ProgramRegisters:
         self._is_closed = False
 
     def poll(self, has_begun: bool) -> bool:
-        """The link is up once the program has begun."""
+        """Check whether the link is up, which it is when the program has begun."""
         self.is_up = has_begun and not self._is_closed
         return self.is_up
 
     def received(self) -> bytes:
-        """No bytes: a program with registers answers by `textmsg` only."""
+        """Return no bytes, because a program with registers answers only by `textmsg`."""
         return b""
 
     def _write(self, values: Iterable[float]) -> None:
         if self._is_closed:
-            raise ConnectionLost("the registers are not written any more")
+            raise ConnectionLost("the registers of this link are no longer written")
         self._inputs._write(dict(zip(self._names, values, strict=True)))
 
     def absence(self, why: str) -> ConnectFailed:
-        """The error for a program that does not read what is written."""
+        """Return the error for a program that does not read the written values."""
         return ConnectFailed(
-            f"the program on the robot does not see what is written into its input registers: {why}. Does another RTDE "
-            f"client or a fieldbus write one of {', '.join(self._names)}?"
+            f"the program on the robot does not receive the values of its input registers: {why}. Check whether "
+            f"another RTDE client or a fieldbus writes one of {', '.join(self._names)}"
         )
 
     def close(self, *, farewell: bool) -> None:
-        """Write nothing more; a program that still runs finds no new message, and brakes. Idempotent."""
+        """Stop writing. A program that still runs finds no new message, and brakes. Idempotent."""
         self._is_closed, self.is_up = True, False
 
 
 class RegisterLink(ProgramRegisters):
-    """The registers of a program that is led by set-points.
+    """Registers of a program that follows set-points.
 
     Args:
-        inputs: the claimed inputs.
+        inputs: Claimed inputs.
 
     Attributes:
-        endpoint: the registers and the token, for the program's text.
+        endpoint: Registers and token, for the program's text.
     """
 
     def __init__(self, inputs: InputClaim) -> None:
@@ -169,7 +171,7 @@ class RegisterLink(ProgramRegisters):
         """Write a dated message.
 
         Raises:
-            LinkError: it could not be written.
+            LinkError: If the message could not be written.
         """
         q, qd, mode = read_message(data[:MESSAGE_SIZE])
         self._count = self._count % LARGEST + 1
@@ -177,15 +179,16 @@ class RegisterLink(ProgramRegisters):
 
 
 class PointRegisterLink(ProgramRegisters):
-    """The registers of a program that holds points, and answers.
+    """Registers of a program that buffers points, and answers.
 
     Args:
-        inputs: the claimed inputs.
-        outputs: returns the newest values of `POINT_OUTPUTS`, as attributes; None if the connection is lost.
-        clock: monotonic s.
+        inputs: Claimed inputs.
+        outputs: Function that returns the newest values of `POINT_OUTPUTS`, as attributes; None if the connection is
+            lost.
+        clock: Function that returns monotonic time, in s.
 
     Attributes:
-        endpoint: the registers and the token, for the program's text.
+        endpoint: Registers and token, for the program's text.
     """
 
     def __init__(self, inputs: InputClaim, outputs: Callable[[], Any], clock: Callable[[], float] = clock.now) -> None:
@@ -199,7 +202,7 @@ class PointRegisterLink(ProgramRegisters):
         """Write a dated message.
 
         Raises:
-            LinkError: it could not be written.
+            LinkError: If the message could not be written.
         """
         numbers = _MESSAGE.unpack(data)
         self._count = self._count % LARGEST + 1
@@ -207,15 +210,15 @@ class PointRegisterLink(ProgramRegisters):
         self._write((*numbers[:_WHOLE], *own, *map(float, numbers[_WHOLE:-1])))
 
     def received(self) -> bytes:
-        """The newest report; nothing if it is the same as before, or that of another program.
+        """Return the newest report; return nothing if it has not changed, or if it is from another program.
 
         Raises:
-            ConnectionLost: the outputs do not come any more.
+            ConnectionLost: If no outputs arrive any more.
         """
         newest, now = self._outputs(), self._clock()
         if newest is None:
             if now - self._received_at > _SILENCE:
-                raise ConnectionLost(f"the output registers have not come for {now - self._received_at:.1f} s")
+                raise ConnectionLost(f"no output registers have arrived for {now - self._received_at:.1f} s")
             return b""
         self._received_at = now
         *report, token = (getattr(newest, name) for name in POINT_OUTPUTS)
@@ -226,10 +229,10 @@ class PointRegisterLink(ProgramRegisters):
 
 
 class PointLinks:
-    """Makes links; the output registers are asked for with the first.
+    """Makes links. The output registers are requested with the first link.
 
     Args:
-        outputs: a stream of RTDE outputs by their names.
+        outputs: Function that returns a stream of RTDE outputs by their names.
     """
 
     def __init__(self, outputs: Callable[..., Stream[Any]]) -> None:
@@ -237,10 +240,10 @@ class PointLinks:
         self._stream: Stream[Any] | None = None
 
     def __call__(self, inputs: InputClaim) -> PointRegisterLink:
-        """The link of the next program.
+        """Return the link of the next program.
 
         Raises:
-            LinkError: the outputs cannot be had.
+            LinkError: If the outputs are not available.
         """
         if self._stream is None:
             self._stream = self._outputs(*POINT_OUTPUTS)

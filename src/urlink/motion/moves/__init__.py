@@ -1,1 +1,1 @@
-"""Motions along a path that is known when they begin: paths, trajectories, waypoints, and what was taught by hand."""
+"""Motions along a path that is known at the start: paths, trajectories, waypoints, and taught waypoints."""

@@ -1,12 +1,12 @@
-"""Paths of several movements that blend into each other, and the checks before one is sent.
+"""Paths of several segments that blend into each other, and the checks before a path is sent.
 
-The controller makes the movement. What is here is its plan, to find beforehand what the controller would refuse
-half-way: computed with the arm's own kinematics and TCP, from the present joint positions.
+The controller moves the arm. This module plans the path, to find errors that the controller would report only during
+the motion. It starts at the current joint positions, and uses the kinematics and the TCP of the arm.
 
-Known and unknown about controllers: blends that overlap are refused (vendor's manual; "overlapping blends"
-in users' logs), which is checked here by the sum of the radii at both ends of a movement. A line on which a joint would
-get too fast ends in a protective stop, as users report. How a controller limits the speed of a tool that turns in
-place, and how it rounds a corner, is not published: corners are checked as if they were not blended.
+Controllers refuse blends that overlap (vendor's manual; "overlapping blends" in users' logs). This module checks the
+sum of the radii at both ends of a segment. A line on which a joint would get too fast ends in a protective stop, as
+users report. It is not published how a controller limits the speed of a tool that turns in place, and how it rounds a
+corner. Therefore corners are checked as if they had no blends.
 """
 
 from __future__ import annotations
@@ -36,39 +36,42 @@ if TYPE_CHECKING:
     from ...arm.curves import Curve
     from ...arm.kinematics import Arm
 
-#: m; a larger blend has the wrong unit, since no arm is longer.
+#: Largest blend in m. A larger one has the wrong unit, because no arm is longer.
 _WIDEST = 2.0
-#: Most waypoints of a path. The limit of a controller is not known; the text of so many has 200 kB.
+#: Maximum number of waypoints of a path. The limit of a controller is unknown. A text with this number has 200 kB.
 _MOST = 1000
-#: m and rad between two places at which a line or an arc is checked, and how many there are at most.
+#: Distance in m and in rad between two checked places of a line or an arc, and the maximum number of places.
 _STEP, _TURN, _MOST_STEPS = 0.005, 0.05, 2000
-#: rad that a joint may turn between two of them if the tool turns in place; more means a singularity.
+#: Largest turn of a joint between two places, in rad, if the tool turns in place. A larger one means a singularity.
 _LEAP = 0.5
-#: m that take as long as a turn of 1 rad. A guess.
+#: Distance in m that takes as long as a turn of 1 rad (assumed).
 _RADIAN = parameters.number("metres_per_turn")
-#: m; a tool whose centre moves no further turns in place. A pose read from a robot is not more exact.
+#: Distance in m: a tool whose centre moves no further turns in place. A pose read from a robot is not more exact.
 _IN_PLACE = 1e-3
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Speed and acceleration: rad/s and rad/s² of the leading joint, or m/s and m/s² of the tool."""
+    """Speed and acceleration of the leading joint or of the tool.
+
+    The units are rad/s and rad/s² for a joint, and m/s and m/s² for the tool.
+    """
 
     speed: float
     acceleration: float
 
     def seconds(self, way: float) -> float:
-        """Duration of a movement of length `way`, from rest to rest, s."""
+        """Return the duration of a motion of length `way` from rest to rest, in s."""
         if way * self.acceleration > self.speed * self.speed:
             return way / self.speed + self.speed / self.acceleration
         return 2.0 * math.sqrt(way / self.acceleration)
 
 
 def check_joint_positions(values: ArrayLike, name: str, model: Model | None) -> FloatArray:
-    """Positions of the joints as (6,) numbers, rad, read-only.
+    """Return positions of the joints as (6,) numbers in rad, read-only.
 
     Raises:
-        BadValue: not six finite numbers, or out of the range of the arm, if that is known.
+        BadValue: If these are not six finite numbers, or are out of the range of a known arm.
     """
     q = six(values, name)
     if model is not None:
@@ -77,11 +80,11 @@ def check_joint_positions(values: ArrayLike, name: str, model: Model | None) -> 
 
 
 class Waypoint(StrictAttributes):
-    """Where a path leads next, and how; made as one of its subclasses.
+    """Next waypoint of a path, and how the arm moves to it. Use one of its subclasses.
 
     Attributes:
-        blend: radius in m at which the arm begins to round the corner; 0 to stop at the waypoint.
-        rates: its own speed and acceleration; None for those of the path.
+        blend: Radius in m where the arm begins to round the corner; 0 to stop at the waypoint.
+        rates: Speed and acceleration of the waypoint; None for the values of the path.
     """
 
     def __init__(self, blend: float, speed: float | None, acceleration: float | None) -> None:
@@ -92,22 +95,22 @@ class Waypoint(StrictAttributes):
 
     @property
     def has_motion_of_its_own(self) -> bool:
-        """Whether it has a blend, a speed or an acceleration of its own."""
+        """Whether it has a blend, a speed or an acceleration."""
         return bool(self.blend or self._speed or self._acceleration)
 
     def rates(self, usual: Rates) -> Rates:
-        """Its own speed and acceleration, else the usual ones."""
+        """Return its speed and acceleration, or the usual values if it has none."""
         return Rates(self._speed or usual.speed, self._acceleration or usual.acceleration)
 
 
 class Joint(Waypoint):
-    """A movement straight in joint space to joint positions.
+    """A motion in a straight line in joint space to joint positions.
 
     Args:
-        q: (6,) rad.
-        blend: m from there at which the next movement may begin.
-        speed: rad/s of the joint that moves furthest; None for that of the path.
-        acceleration: rad/s²; None for that of the path.
+        q: Joint positions, shape (6,), in rad.
+        blend: Distance from there, in m, where the next segment may begin.
+        speed: Speed of the joint that moves furthest, in rad/s; None for the speed of the path.
+        acceleration: Acceleration in rad/s²; None for the acceleration of the path.
     """
 
     def __init__(
@@ -121,13 +124,13 @@ class Joint(Waypoint):
 
 
 class Linear(Waypoint):
-    """A movement of the tool in a line to a pose in the base frame.
+    """A motion of the tool in a straight line to a pose in the base frame.
 
     Args:
-        pose: (6,) m, and rotation vector in rad.
-        blend: m from there at which the next movement may begin.
-        speed: m/s; None for that of the path.
-        acceleration: m/s²; None for that of the path.
+        pose: Position in m, and rotation vector in rad, shape (6,).
+        blend: Distance from there, in m, where the next segment may begin.
+        speed: Speed in m/s; None for the speed of the path.
+        acceleration: Acceleration in m/s²; None for the acceleration of the path.
     """
 
     def __init__(
@@ -141,14 +144,14 @@ class Linear(Waypoint):
 
 
 class Circular(Waypoint):
-    """A movement of the tool along the circle through one pose to another, in the base frame.
+    """A motion of the tool on the circle through one pose to another, in the base frame.
 
     Args:
-        via: (6,) m and rad, on the arc; its orientation has no effect.
-        to: (6,) m and rad, where it ends.
-        blend: m from there at which the next movement may begin.
-        speed: m/s; None for that of the path.
-        acceleration: m/s²; None for that of the path.
+        via: Pose on the arc, shape (6,), in m and rad; its orientation has no effect.
+        to: Pose at the end, shape (6,), in m and rad.
+        blend: Distance from there, in m, where the next segment may begin.
+        speed: Speed in m/s; None for the speed of the path.
+        acceleration: Acceleration in m/s²; None for the acceleration of the path.
     """
 
     def __init__(
@@ -169,11 +172,11 @@ class Circular(Waypoint):
 
 @dataclass(frozen=True)
 class PathSection:
-    """One movement of a path, as it was planned.
+    """One planned segment of a path.
 
     Attributes:
-        seconds: duration from rest to rest: its share of the path.
-        part: the fraction of it that is over, for a state.
+        seconds: Duration from rest to rest, which is its share of the path, in s.
+        part: Function that returns the fraction of it that has passed, for a state.
     """
 
     seconds: float
@@ -185,8 +188,8 @@ class Plan:
     """A path that has been checked.
 
     Attributes:
-        body: the lines of its program.
-        sections: one for each waypoint.
+        body: Lines of its program.
+        sections: Planned segments, one for each waypoint.
     """
 
     body: list[str]
@@ -195,7 +198,7 @@ class Plan:
 
 @slider(path=SliderEffect.SCALED)
 class PathMotion(Motion):
-    """The motion along a path."""
+    """Motion along a path. `robot.motion.path` returns it."""
 
     def __init__(
         self, life: Lifecycle, sections: Sequence[PathSection], newest: Callable[[], RealtimeState | None]
@@ -207,7 +210,7 @@ class PathMotion(Motion):
 
     @property
     def segment(self) -> int:
-        """Number, from 0, of the waypoint that the arm moves to; after a blend, once the blend has begun."""
+        """Number, from 0, of the waypoint that the arm is moving to; it changes when a blend begins."""
         return self._segment
 
     @property
@@ -231,24 +234,24 @@ class PathMotion(Motion):
 def plan(
     waypoints: Sequence[Waypoint], joint_rates: Rates, tool_rates: Rates, arm: Arm | None, state: RealtimeState
 ) -> Plan:
-    """Check a path from the present position of the arm.
+    """Check a path from the current position of the arm.
 
     Args:
-        waypoints: of the path.
-        joint_rates, tool_rates: for waypoints that have none.
-        arm: its kinematics; None if the model is not known: reach, joint limits and blends are not checked then.
-        state: of the robot, which shows the joints and the tool centre point.
+        waypoints: Waypoints of the path.
+        joint_rates, tool_rates: Speeds and accelerations for waypoints that have none.
+        arm: Kinematics of the arm. If None, reach, joint limits and blends are not checked.
+        state: State of the robot, which contains the joints and the tool centre point.
 
     Raises:
-        BadValue: a waypoint cannot be used; the message names it and says why.
+        BadValue: If a waypoint cannot be used. The message names the waypoint and the reason.
     """
     if not 0 < len(waypoints) <= _MOST:
-        raise BadValue(f"a path of {len(waypoints)} waypoints; expected 1 to {_MOST}")
+        raise BadValue(f"the path has {len(waypoints)} waypoints; expected 1 to {_MOST}")
     for number, waypoint in enumerate(waypoints):
         if not isinstance(waypoint, (Joint, Linear, Circular)):
             raise BadValue(f"waypoint {number} is {waypoint!r}; expected a Joint, Linear or Circular")
     if waypoints[-1].blend:
-        raise BadValue(f"waypoint {len(waypoints) - 1} is the last and has no next to blend into; expected blend=0")
+        raise BadValue(f"waypoint {len(waypoints) - 1} is the last one, so it cannot blend; expected blend=0")
     rates = [each.rates(joint_rates if isinstance(each, Joint) else tool_rates) for each in waypoints]
     body: list[str] = []
     for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
@@ -268,9 +271,9 @@ def plan(
 
 
 def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
-    """(6,) the tool centre point in the frame of the flange, m and rad.
+    """Return the tool centre point in the frame of the flange, (6,) in m and rad.
 
-    In every firmware the TCP of set_tcp is the difference between flange and tool pose.
+    On every firmware, the TCP of set_tcp is the difference between flange and tool pose.
     """
     from ...arm.poses import compose, invert
 
@@ -296,7 +299,7 @@ class _Planner:
         self._q: FloatArray = np.array(state.q_target)
 
     def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
-        """The movement to a waypoint, after one that ends with a blend of `blend` m."""
+        """Plan the segment to a waypoint, after a segment that ends with a blend of `blend` m."""
         if isinstance(waypoint, Joint):
             return self._joint(waypoint, rate, blend)
         return self._curve(waypoint, rate, blend)
@@ -334,11 +337,11 @@ class _Planner:
         return PathSection(rate.seconds(_counted(curve)), lambda state: curve.part(state.tool_vector_actual.tolist()))
 
     def _follow(self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
-        """The joint positions at its end, if the arm can follow it.
+        """Return the joint positions at the end of the curve, if the arm can follow it.
 
         Raises:
-            Unreachable: out of reach.
-            BadValue: beyond a position limit, or too fast for a joint.
+            Unreachable: If the curve is out of reach.
+            BadValue: If the curve exceeds a position limit, or is too fast for a joint.
         """
         from ...arm.kinematics import Unreachable
 
@@ -349,22 +352,22 @@ class _Planner:
         try:
             rows = self._arm.inverse_path(poses, self._q, self._tcp)
         except Unreachable as error:
-            # Without the number of the row: the message has the pose.
-            raise Unreachable(f"the way there is out of reach: {str(error).partition(': ')[2]}") from None
+            # Without the number of the row, because the message contains the pose.
+            raise Unreachable(f"the path to it is out of reach: {str(error).partition(': ')[2]}") from None
         low, high = model.position_limits.T
         beyond = (rows < low) | (rows > high)
         if beyond.any():
             row, joint = map(int, np.argwhere(beyond)[0])
             raise BadValue(
-                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would be at {rows[row, joint]:.3f} rad; "
+                f"{JOINTS[joint]} would be at {rows[row, joint]:.3f} rad at {parts[row]:.0%} of the path; "
                 f"a {model.name} reaches {low[joint]:.4f} to {high[joint]:.4f} rad"
             )
         turns = np.abs(np.diff(rows, axis=0))
         if (turns > _LEAP).any():
             row, joint = map(int, np.argwhere(turns > _LEAP)[0])
             raise BadValue(
-                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would have to leap by {turns[row, joint]:.2f} rad: "
-                "it leads through a singularity"
+                f"{JOINTS[joint]} would jump by {turns[row, joint]:.2f} rad at {parts[row]:.0%} of the path: "
+                "the path passes through a singularity"
             )
         if curve.length > _IN_PLACE:
             way = _counted(curve)
@@ -374,24 +377,27 @@ class _Planner:
         return end
 
     def _check_speeds(self, speeds: FloatArray, parts: FloatArray) -> None:
-        """Raise if a joint would be too fast; `speeds`: (steps, 6) rad/s."""
+        """Raise if a joint would be too fast; `speeds`: in rad/s, shape (steps, 6)."""
         model = self._arm.model
         excess = speeds / model.max_speed
         if excess.max() > 1.0:
             row, joint = map(int, np.unravel_index(int(excess.argmax()), excess.shape))
             raise BadValue(
-                f"after {parts[row]:.0%} of the way {JOINTS[joint]} would have to turn at {speeds[row, joint]:.2f} "
-                f"rad/s; a {model.name} turns it at {model.max_speed[joint]:.2f} rad/s at most"
+                f"{JOINTS[joint]} would have to turn at {speeds[row, joint]:.2f} rad/s at {parts[row]:.0%} of the "
+                f"path; the limit of a {model.name} is {model.max_speed[joint]:.2f} rad/s"
             )
 
 
 def _counted(curve: Curve) -> float:
-    """Length, m, of a straight path that takes as long as the curve."""
+    """Return the length in m of a straight path that takes as long as the curve."""
     return max(curve.length, _RADIAN * curve.turn)
 
 
 def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
-    """(steps, 1) m/s of the tool in the middle of each step; from rest and to rest, except at a blend."""
+    """Return the speed of the tool in the middle of each step, (steps, 1) in m/s.
+
+    It begins and ends at rest, except at a blend.
+    """
     way = (np.arange(steps) + 0.5) * (length / steps)
     speed = np.full(steps, rate.speed)
     if not is_fast_at_start:
@@ -402,8 +408,8 @@ def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool,
 
 
 def _check_blends(before: float, after: float, length: float) -> None:
-    """Raise if the blends at the ends of a movement overlap."""
+    """Raise if the blends at the ends of a segment overlap."""
     if before + after > length and (before or after):
         raise BadValue(
-            f"blends of {before:g} m at its beginning and {after:g} m at its end do not fit on a way of {length:.4g} m"
+            f"blends of {before:g} m at its beginning and {after:g} m at its end do not fit on a path of {length:.4g} m"
         )

@@ -1,17 +1,18 @@
-"""The shortest time in which joints can follow a path within limits of speed and acceleration.
+"""Shortest time for a path of the joints within limits of speed and acceleration.
 
 The path is cut into short steps of its length, measured in joint space. At each place, x is the square of the speed
-along the path. Over a step from x to y the acceleration along it is constant, (y - x) / (2 ds). Joint speeds are the
-tangent of the path times the root of x, and joint accelerations the tangent times that acceleration, plus the curvature
-times x or y. So all limits are lines in the plane of x and y. From the end backwards, the largest x is found from which
-rest can still be reached; then, from the beginning, the arm accelerates as hard as that allows. This is the
-reachability analysis of Pham and Pham ("A New Approach to Time-Optimal Path Parameterization Based on Reachability
-Analysis", IEEE Transactions on Robotics, 2018), which toppra implements. It is written out here, since it is a hundred
-lines and needs no compiled package.
+along the path. Over a step from x to y, the acceleration along the path is constant, (y - x) / (2 ds). Joint speeds are
+the tangent of the path times the root of x. Joint accelerations are the tangent times this acceleration, plus the
+curvature times x or y. So all limits are lines in the plane of x and y.
 
-The result is a curve of cubic polynomials through the places. Where the path bends much within a step, these accelerate
-harder than planned. There the limit is lowered, and the path is planned again; what is left after some rounds slows the
-whole movement down. So the curve itself keeps the limits, everywhere.
+From the end backwards, the method finds the largest x from which rest can still be reached. Then, from the beginning,
+the arm accelerates as hard as this allows. This is the reachability analysis of Pham and Pham ("A New Approach to
+Time-Optimal Path Parameterization Based on Reachability Analysis", IEEE Transactions on Robotics, 2018), which toppra
+implements. It is implemented here again, because it is a hundred lines and needs no compiled package.
+
+The result is a curve of cubic polynomials through the places. If the path bends much within a step, the polynomials
+accelerate harder than planned. There, the limit is lowered, and the path is planned again. Any excess that is left
+after some rounds slows down the whole motion. So the curve itself keeps the limits everywhere.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from linkcore.errors import BadValue
 
 from ...arm.vectors import FloatArray
 
-#: rad; a place that is closer than this to the one before is left out.
+#: Shortest distance between two places, in rad; a place that is closer to the previous one is left out.
 _SHORTEST = 1e-9
-#: Fraction of the fastest joint speed of the trajectory below which all joints rest at a place.
+#: Fraction of the fastest joint speed of the trajectory; below it, all joints are at rest at a place.
 _RESTING = 1e-6
-#: Rounds of planning, and the factor of a limit that is good enough to end them.
+#: Maximum number of planning rounds, and the excess of a limit that is small enough to end them, as a factor.
 _ROUNDS, _GOOD = 5, 1.005
-#: Steps of Newton's method for one largest x; it is piecewise linear, and two to four are usual.
+#: Maximum number of steps of Newton's method for one largest x. It is piecewise linear; two to four steps are usual.
 _MOST_STEPS = 50
 #: Relative rounding error of x within which y counts as in its range.
 _ROUNDING = 1e-12
@@ -39,33 +40,33 @@ _ROUNDING = 1e-12
 def retime(
     q: FloatArray, qd: FloatArray, speed: FloatArray, acceleration: FloatArray, closest: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The fastest timing of a path within limits, from rest to rest.
+    """Return the fastest timing of a path within limits, from rest to rest.
 
     Args:
-        q: (n, 6) places along the path, rad, close to each other.
-        qd: (n, 6) rad/s in another timing of the same path: they give its direction, and where all are zero, the new
-            timing stops as well.
-        speed, acceleration: (6,) limits, rad/s and rad/s².
-        closest: s; places closer in time than this are left out.
+        q: Places along the path, shape (n, 6), in rad, close to each other.
+        qd: Joint speeds in another timing of the same path, shape (n, 6), in rad/s. They define the direction of the
+            path. If all are zero at a place, the new timing stops there as well.
+        speed, acceleration: Limits, shape (6,), in rad/s and rad/s².
+        closest: Shortest time between two places, in s. Places that are closer in time are left out.
 
     Returns:
-        (m,) times, s, (m, 6) places and (m, 6) joint speeds: the cubic curve through them keeps the limits.
+        Times (m,) in s, places (m, 6), and joint speeds (m, 6). The cubic curve through them keeps the limits.
 
     Raises:
-        BadValue: the path has no length.
+        BadValue: If the path has no length.
     """
     end = q[-1]
     apart = np.concatenate([[True], np.linalg.norm(np.diff(q, axis=0), axis=1) > _SHORTEST])
     q, qd = q[apart], qd[apart]
     if len(q) < 2:
-        raise BadValue("the trajectory stays where it is: there is nothing to be retimed")
+        raise BadValue("the trajectory does not move, so it cannot be retimed")
     q[-1] = end
     lowered = np.tile(acceleration, (len(q) - 1, 1))
     for _ in range(_ROUNDS):
         if len(q) > 2:
             time, speeds = _fastest(q, qd, speed, lowered)
         else:
-            # One step from rest to rest needs no plan: it is only slowed down to the limits.
+            # One step from rest to rest needs no plan, and is only slowed down to the limits.
             time, speeds = np.array([0.0, closest]), np.zeros_like(q)
         if (np.diff(time) < closest).any():
             kept = _spread(time, closest)
@@ -80,21 +81,21 @@ def retime(
 
 
 def _spread(time: FloatArray, closest: float) -> list[int]:
-    """Numbers of the places to keep, which are far enough apart in time; the first and the last always."""
+    """Return the numbers of places that are far enough apart in time; always include the first and the last."""
     kept = [0]
     for i, t in enumerate(time.tolist()):
         if t - time[kept[-1]] >= closest:
             kept.append(i)
-    # The last of them is the end, or too close to it.
+    # The last of the kept places is the end, or is too close to the end.
     return [0, *kept[1:-1], len(time) - 1]
 
 
 def _peaks(time: FloatArray, q: FloatArray, qd: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n - 1, 6) largest speed and acceleration of the cubic curve in each step."""
+    """Return the largest speed and acceleration of the cubic curve in each step, (n - 1, 6)."""
     h = np.diff(time)[:, np.newaxis]
     v0, v1, mean = qd[:-1], qd[1:], np.diff(q, axis=0) / h
     first, last = (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (2.0 * v0 + 4.0 * v1 - 6.0 * mean) / h
-    # Accelerations change linearly, so speeds have their peak where those are zero, if they are within the step.
+    # Accelerations change linearly, so a speed has its peak where its acceleration is zero, if this is within the step.
     change = last - first
     with np.errstate(divide="ignore", invalid="ignore"):
         peak = v0 - 0.5 * h * first * first / change
@@ -106,14 +107,14 @@ def _peaks(time: FloatArray, q: FloatArray, qd: FloatArray) -> tuple[FloatArray,
 def _fastest(
     q: FloatArray, qd: FloatArray, speed: FloatArray, acceleration: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Times and joint speeds at the places; `acceleration` has limits (n - 1, 6) for each step."""
+    """Return times and joint speeds at the places; `acceleration` contains limits (n - 1, 6) for each step."""
     ds = np.linalg.norm(np.diff(q, axis=0), axis=1)
     chord = np.diff(q, axis=0) / ds[:, np.newaxis]
     sizes = np.linalg.norm(qd, axis=1)
     rests = sizes <= _RESTING * sizes.max()
     rests[0] = rests[-1] = True
     tangent = qd / np.where(rests, 1.0, sizes)[:, np.newaxis]
-    # Beside a rest the direction is that of the step.
+    # Next to a place at rest, the direction is the direction of the step.
     before = np.where(rests[:-1, np.newaxis], chord, tangent[:-1])
     after = np.where(rests[1:, np.newaxis], chord, tangent[1:])
     paces = np.sqrt(_squares(ds, before, after, rests, speed, acceleration))
@@ -129,13 +130,13 @@ def _squares(
     speed: FloatArray,
     acceleration: FloatArray,
 ) -> FloatArray:
-    """The square of the speed along the path at each place, as large as the limits allow."""
+    """Return the square of the speed along the path at each place, as large as the limits allow."""
     count = len(ds)
     with np.errstate(divide="ignore"):
         largest = np.pad(((speed / np.abs(before[1:])) ** 2).min(axis=1), 1)
     largest[rests] = 0.0
     bend = (after - before) / ds[:, np.newaxis]
-    # Of each step the lines a x + b y <= c: joint accelerations at its beginning, and at its end.
+    # For each step, the lines a x + b y <= c: joint accelerations at its beginning and at its end.
     ramp_before, ramp_after = before / (2.0 * ds[:, np.newaxis]), after / (2.0 * ds[:, np.newaxis])
     a = np.concatenate([bend - ramp_before, ramp_before - bend, -ramp_after, ramp_after], axis=1)
     b = np.concatenate([ramp_before, -ramp_before, ramp_after + bend, -ramp_after - bend], axis=1)
@@ -153,7 +154,7 @@ def _squares(
 def _range(
     a: FloatArray, b: FloatArray, c: FloatArray, end: float, x: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The least and the largest y at x, from 0 to `end`, each with its slope over x."""
+    """Return the smallest and the largest y at x, from 0 to `end`, each with its slope over x."""
     left = c - a * x
     upper, lower = b > 0.0, b < 0.0
     low, high = (0.0, 0.0), (end, 0.0)
@@ -171,10 +172,10 @@ def _range(
 
 
 def _largest(a: FloatArray, b: FloatArray, c: FloatArray, end: float, x: float) -> float:
-    """The largest x, not above the one given, from which some y is within the limits.
+    """Return the largest x, not above the given one, from which some y is within the limits.
 
-    How much of y is left is a concave function of x, and not negative at 0: Newton's method from the right comes closer
-    with each step, and gets there after as many steps as there are lines at most.
+    The range that is left for y is a concave function of x, and is not negative at 0. Newton's method from the right
+    comes closer with each step. It reaches the result after at most as many steps as there are lines.
     """
     for _ in range(_MOST_STEPS):
         (low, low_slope), (high, high_slope) = _range(a, b, c, end, x)

@@ -1,14 +1,14 @@
-"""The speed limit of set-points: each joint has a budget of time, which its movements use up.
+"""Speed limit of set-points: each joint has a time budget, which its motion uses up.
 
-A controller answers a set-point that a joint cannot reach in time with a protective stop, so every set-point is checked
-here, wherever it was computed. To lead a joint by x rad uses x / (its largest speed) seconds of its budget, and each
-second that passes adds one, up to a ceiling:
+If a joint cannot reach a set-point in time, the controller answers with a protective stop. Therefore every set-point is
+checked here, wherever it was computed. Moving a joint by x rad uses x / (its largest speed) seconds of its budget. Each
+second that passes adds one second, up to a maximum:
 
-- one period of the set-points and `EARLY`, as long as they are sent regularly;
-- after a late one, additionally its lateness (at most `LATE`, unless another bound is given), for the set-points that
-  follow it at once. Meanwhile the program on the robot goes on at its last speed
-  (`urlink.script.streaming`), so catching up is not a jump. The first set-point that is on time again drops
-  the rest.
+- one period of the set-points plus `EARLY`, as long as they are sent regularly;
+- after a late set-point, additionally its lateness (at most `LATE`, unless another bound is given), for the set-points
+  that follow it directly. During the delay, the program on the robot continues at its last speed
+  (`urlink.script.streaming`), so catching up is not a jump. The first set-point that is on time again drops the rest of
+  the lateness.
 """
 
 from __future__ import annotations
@@ -24,28 +24,29 @@ from ...arm.bounds import JOINT_SPEED
 from ...arm.models import Model
 from ...arm.vectors import JOINTS, FloatArray, six
 
-#: Seconds by which a set-point may be early. Chosen: more than the jitter of a sleep in Python, and little enough that
-#: the simulated arm, led at its largest speed, does not stop because of it.
+#: Largest time in s that a set-point may be early. Chosen: more than the jitter of a sleep in Python, but so little
+#: that the simulated arm, driven at its largest speed, does not stop because of it.
 EARLY = 0.001
-#: Seconds of lateness that may be made up for at once. Chosen: a tenth of the default watchdog.
+#: Lateness in s that may be made up for at once. Chosen: a tenth of the default watchdog.
 LATE = 0.01
-#: Longest period that counts, s: in a slower loop a step may be no larger than with it, since the arm takes it at once.
+#: Longest period that counts, in s. In a slower loop, a step may not be larger, because the arm executes it at once.
 LONGEST_PERIOD = 0.02
 
-#: rad; set-points are rounded to millionths, which must not count as speed.
+#: Rounding of set-points to millionths, in rad, which must not count as speed.
 _SLACK = 2e-6
 
 
 def largest_speeds(model: Model | None) -> tuple[float, ...]:
-    """(6,) rad/s; for an arm that is not known, those of the fastest arm."""
+    """Return the largest speeds, (6,) in rad/s; for an unknown arm, the speeds of the fastest arm."""
     return (JOINT_SPEED.most,) * 6 if model is None else tuple(model.max_speed.tolist())
 
 
 def check_joint_speeds(values: ArrayLike, name: str, model: Model | None) -> FloatArray:
-    """Speeds of the joints as (6,) numbers, rad/s, read-only.
+    """Return speeds of the joints as (6,) numbers in rad/s, read-only.
 
     Raises:
-        BadValue: not six finite numbers, or faster than the arm; if that is not known, than the fastest arm.
+        BadValue: If these are not six finite numbers, or are too fast for the arm. An unknown arm counts as the
+            fastest.
     """
     speeds = six(values, name)
     for joint, (value, limit) in enumerate(zip(speeds.tolist(), largest_speeds(model), strict=True)):
@@ -55,12 +56,12 @@ def check_joint_speeds(values: ArrayLike, name: str, model: Model | None) -> Flo
 
 
 class SpeedLimit:
-    """The seconds for which each joint may still be led at full speed.
+    """Time budget of each joint, in s at its full speed.
 
     Args:
-        speeds: (6,) rad/s of the joints.
-        period: seconds between two set-points.
-        late: seconds of lateness that may be made up for at once.
+        speeds: Largest speeds of the joints, shape (6,), in rad/s.
+        period: Time between two set-points, in s.
+        late: Lateness in s that may be made up for at once.
 
     The argument `now` of its methods is in monotonic seconds.
     """
@@ -74,7 +75,7 @@ class SpeedLimit:
         self._at = math.inf
 
     def excess(self, before: Sequence[float], after: Sequence[float], now: float) -> str | None:
-        """Why going from `before` to `after`, (6,) rad, is too fast now; None if it is not."""
+        """Return why a move from `before` to `after`, (6,) rad, is too fast now; None if it is not."""
         budgets = self._budgets(now)
         for joint, (here, there, speed, seconds) in enumerate(zip(before, after, self._speeds, budgets, strict=True)):
             most = speed * seconds + _SLACK
@@ -94,7 +95,7 @@ class SpeedLimit:
         self._at = now
 
     def _budgets(self, now: float) -> list[float]:
-        """The seconds that each joint has at this time."""
+        """Return the time budget of each joint at this time, in s."""
         passed = max(now - self._at, 0.0)
         if passed > 1.5 * self._period:
             ceiling = self._even + min(passed - self._period, self._late)

@@ -1,10 +1,11 @@
 """Timed joint trajectories: points, and the curve through them.
 
-Between two points the curve is a cubic polynomial per joint if the points have velocities, and a quintic one if they
-have accelerations too: it passes through every point with exactly the values of the point. Points without velocities
-get zero at both ends, and between them the velocities of a monotone cubic (Fritsch and Carlson, with the weighted
-harmonic mean that is known as PCHIP), which never leaves the range between two neighbouring points. In return the
-acceleration jumps at the points, as in every cubic.
+Between two points, the curve is a cubic polynomial per joint if the points have velocities. It is a quintic polynomial
+if they also have accelerations. It passes through every point with exactly the values of the point.
+
+Points without velocities get zero velocity at both ends. The points in between get the velocities of a monotone cubic
+(Fritsch and Carlson, with the weighted harmonic mean that is known as PCHIP). This cubic never leaves the range between
+two neighbouring points. As in every cubic, the acceleration jumps at the points.
 """
 
 from __future__ import annotations
@@ -35,18 +36,18 @@ if TYPE_CHECKING:
 
     from ...arm.kinematics import Arm
 
-#: s; points closer than this are a mistake: no controller has a cycle below 2 ms.
+#: Shortest time between two points, in s. A shorter one is an error, because no controller has a cycle below 2 ms.
 _CLOSEST = 1e-4
-#: rad, rad/s, rad/s², s; a larger number is a mistake.
+#: Largest number, in rad, rad/s, rad/s² and s; a larger one is an error.
 _LARGEST = 1e6
-#: Places in each segment at which `Trajectory.check` evaluates the curve. Between two of them the curve exceeds the
-#: values found by less than 1 % of its range, even if it oscillates as much as such a segment can.
+#: Places in each segment where `Trajectory.check` evaluates the curve. Between two places, the curve exceeds the found
+#: values by less than 1 % of its range, even if it oscillates as much as such a segment can.
 _PLACES = 17
 #: Fraction by which rounding may exceed a limit.
 _SLACK = 1e-6
-#: rad/s below which an arm counts as standing still, where a trajectory begins and ends.
+#: Speed in rad/s below which an arm counts as at rest, at the beginning and the end of a trajectory.
 _STANDING = 0.05
-#: rad that a joint may turn between two poses; more means a singularity.
+#: Largest turn of a joint between two poses, in rad. A larger one means a singularity.
 LEAP = 1.5
 
 _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
@@ -54,16 +55,16 @@ _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
 
 @dataclass(frozen=True, eq=False, init=False)
 class TrajectoryPoint:
-    """The positions of the joints at one time. Arrays are read-only, joints from base to wrist 3.
+    """Positions of the joints at one time. Arrays are read-only, joints from base to wrist 3.
 
     Attributes:
-        q: (6,) positions, rad.
-        time: seconds since the trajectory began.
-        qd: (6,) velocities, rad/s; None if the trajectory chooses them.
-        qdd: (6,) accelerations, rad/s²; None if they are not prescribed.
+        q: Positions, shape (6,), in rad.
+        time: Time in seconds since the trajectory began.
+        qd: Velocities, shape (6,), in rad/s; None if the trajectory chooses them.
+        qdd: Accelerations, shape (6,), in rad/s²; None if they are not prescribed.
 
     Raises:
-        BadValue: not six finite numbers.
+        BadValue: If these are not six finite numbers.
     """
 
     q: FloatArray
@@ -74,7 +75,7 @@ class TrajectoryPoint:
     def __init__(self, q: ArrayLike, time: float, qd: ArrayLike | None = None, qdd: ArrayLike | None = None) -> None:
         object.__setattr__(self, "q", six(q, "q"))
         if np.ndim(time) != 0:
-            raise BadValue(f"time: {time!r} is not one number of seconds")
+            raise BadValue(f"time is {time!r}; expected one number of seconds")
         object.__setattr__(self, "time", float(numbers(time, "time")))
         object.__setattr__(self, "qd", None if qd is None else six(qd, "qd"))
         object.__setattr__(self, "qdd", None if qdd is None else six(qdd, "qdd"))
@@ -84,18 +85,18 @@ class Trajectory(StrictAttributes):
     """Points in time, and the curve through them.
 
     Args:
-        points: at least two; the first at time 0, the times increasing. All of them have velocities or none, all have
-            accelerations or none, and accelerations need velocities.
+        points: At least two points. The first must be at time 0, and times must increase. Either all points or none
+            have velocities, and the same applies to accelerations. Accelerations need velocities.
 
     Attributes:
-        time: (n,) seconds.
-        q: (n, 6) rad.
-        qd: (n, 6) rad/s; the chosen ones if the points had none.
-        qdd: (n, 6) rad/s², or None. All arrays are read-only.
-        has_velocities: whether `qd` was given rather than chosen.
+        time: Times, shape (n,), in seconds.
+        q: Positions, shape (n, 6), in rad.
+        qd: Velocities, shape (n, 6), in rad/s; chosen ones if the points had none.
+        qdd: Accelerations, shape (n, 6), in rad/s², or None. All arrays are read-only.
+        has_velocities: Whether the points had velocities.
 
     Raises:
-        BadValue: a point is invalid; the message names it, and what is wrong.
+        BadValue: If a point is invalid. The message names the point and the error.
     """
 
     time: FloatArray
@@ -120,10 +121,15 @@ class Trajectory(StrictAttributes):
     def from_arrays(
         cls, time: ArrayLike, q: ArrayLike, qd: ArrayLike | None = None, qdd: ArrayLike | None = None
     ) -> Trajectory:
-        """From times (n,) in s, positions (n, 6) in rad, and optionally velocities and accelerations (n, 6).
+        """Make a trajectory from arrays.
+
+        Args:
+            time: Times, shape (n,), in s.
+            q: Positions, shape (n, 6), in rad.
+            qd, qdd: Velocities and accelerations, shape (n, 6), in rad/s and rad/s²; optional.
 
         Raises:
-            BadValue: see `Trajectory`.
+            BadValue: If a point is invalid; see `Trajectory`.
         """
         trajectory = cls.__new__(cls)
         trajectory._build(
@@ -138,41 +144,43 @@ class Trajectory(StrictAttributes):
     def from_poses(
         cls, time: ArrayLike, poses: ArrayLike, arm: Arm, near: ArrayLike, tcp: ArrayLike | None = None
     ) -> Trajectory:
-        """From poses of the tool: joint positions along them, each closest to the one before.
+        """Make a trajectory from poses of the tool.
 
-        Between the poses the joints move smoothly. The tool is exact at each pose; between them it is the more exact,
-        the closer they are.
+        Each pose gets the joint positions closest to the previous ones. Between the poses, the joints move smoothly.
+        The tool is exact at each pose. Between two poses, its deviation is smaller if the poses are closer together.
 
         Args:
-            time: (n,) s.
-            poses: (n, 6) in the base frame, m, and rotation vectors in rad.
-            arm: kinematics of the arm: ``robot.kinematics``, or an `urlink.kinematics.Arm`.
-            near: (6,) joint positions at the beginning, rad.
-            tcp: (6,) pose of the TCP in the frame of the flange; None for the flange.
+            time: Times, shape (n,), in s.
+            poses: Poses in the base frame, shape (n, 6), in m, with rotation vectors in rad.
+            arm: Kinematics of the arm: ``robot.kinematics``, or an `urlink.kinematics.Arm`.
+            near: Joint positions at the beginning, shape (6,), in rad.
+            tcp: Pose of the TCP in the frame of the flange, shape (6,). If None, use the flange.
 
         Raises:
-            BadValue: see `Trajectory`; or a joint would jump between two poses, as in a singularity.
-            Unreachable: a pose is out of reach; the message names its row.
+            BadValue: If a point is invalid (see `Trajectory`), or if a joint would jump between two poses, for example
+                at a singularity.
+            Unreachable: If a pose is out of reach. The message names its row.
         """
         q = arm.inverse_path(poses, near, tcp)
         leaps = np.abs(np.diff(q, axis=0)) > LEAP
         if leaps.any():
             point, joint = (int(index) for index in np.argwhere(leaps)[0])
             raise BadValue(
-                f"between points {point} and {point + 1} {JOINTS[joint]} (joint {joint}) leaps from "
-                f"{q[point, joint]:.4f} to {q[point + 1, joint]:.4f} rad: the poses lead through a singularity, or are "
+                f"between points {point} and {point + 1} {JOINTS[joint]} (joint {joint}) jumps from "
+                f"{q[point, joint]:.4f} to {q[point + 1, joint]:.4f} rad: the poses pass through a singularity, or are "
                 "too far apart"
             )
         return cls.from_arrays(time, q)
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """From a file with the header ``time,q0,...,q5``, optionally with ``qd0,...,qd5``, and with ``qdd0,...,qdd5``.
+        """Read a trajectory from a CSV file.
 
-        Columns may have any order. Units as in `TrajectoryPoint`.
+        The header is ``time,q0,...,q5``, optionally with ``qd0,...,qd5``, and with ``qdd0,...,qdd5``. Columns may be in
+        any order. The units are the same as in `TrajectoryPoint`.
 
         Raises:
-            BadValue: the file cannot be read, or is not such a file; the message names the line.
+            BadValue: If the file cannot be read, or has another format. The message names the line.
         """
         arrays, line = read_points(Path(path))
         try:
@@ -181,10 +189,12 @@ class Trajectory(StrictAttributes):
             raise BadValue(f"{path} (point 0 is line {line}): {error}") from None
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write what `from_csv` reads, with all digits; velocities only if they were given.
+        """Write a file for `from_csv`, with all digits.
+
+        Velocities are written only if they were given.
 
         Raises:
-            BadValue: the file cannot be written.
+            BadValue: If the file cannot be written.
         """
         arrays = [self.time, self.q]
         if self.has_velocities:
@@ -195,7 +205,7 @@ class Trajectory(StrictAttributes):
 
     def _build(self, time: FloatArray, q: FloatArray, qd: FloatArray | None, qdd: FloatArray | None) -> None:
         if time.ndim != 1 or time.size < 2:
-            raise BadValue(f"a trajectory has at least two points in time; got times of shape {time.shape}")
+            raise BadValue(f"time has the shape {time.shape}; expected at least two points in time")
         for (name, unit), array in zip(_QUANTITIES, (q, qd, qdd), strict=True):
             if array is None:
                 continue
@@ -218,14 +228,14 @@ class Trajectory(StrictAttributes):
                 array.flags.writeable = False
         self.time, self.q, self.qd, self.qdd = time, q, qd, qdd
         self._coefficients = _coefficients(time, q, qd, qdd)
-        # As plain floats, for one time at a time: numpy takes as long for six numbers as for a hundred.
+        # Plain floats, for single times: numpy takes as long for six numbers as for a hundred.
         self._times: list[float] = time.tolist()
         self._rows: list[list[list[float]]] = self._coefficients.transpose(0, 2, 1).tolist()
         self._ends: list[list[float]] = [q[0].tolist(), q[-1].tolist()]
 
     @property
     def duration(self) -> float:
-        """Seconds from the first point to the last."""
+        """Time in seconds from the first point to the last."""
         return self._times[-1]
 
     @property
@@ -235,7 +245,7 @@ class Trajectory(StrictAttributes):
 
     @property
     def points(self) -> tuple[TrajectoryPoint, ...]:
-        """The points, as they were given."""
+        """Points, as they were given."""
         return tuple(
             TrajectoryPoint(
                 self.q[i],
@@ -253,23 +263,24 @@ class Trajectory(StrictAttributes):
         return f"<Trajectory of {len(self)} points in {self.duration:g} s>"
 
     def at(self, t: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Positions, velocities and accelerations at the times `t`: (6,) each for one time, (..., 6) for an array.
+        """Return positions, velocities and accelerations at the times `t`.
 
-        Before the first and after the last point the curve stands still at that point.
+        For one time, each has shape (6,); for an array, (..., 6). Before the first point and after the last one, the
+        curve is at rest at this point.
 
         Raises:
-            BadValue: a time is not a number.
+            BadValue: If a time is not a number.
         """
         times = numbers(t, "t")
         if np.isnan(times).any():
-            raise BadValue("t is not a number")
+            raise BadValue("t contains NaN; expected numbers")
         if times.ndim == 0:
             q, qd, qdd = self.sample(float(times))
             return np.array(q), np.array(qd), np.array(qdd)
         return self._curve(times)
 
     def sample(self, t: float) -> tuple[list[float], list[float], list[float]]:
-        """As `at`, for one time and in plain floats, for control loops. NaN gives the end."""
+        """Do the same as `at` for one time, in plain floats for control loops. NaN gives the end."""
         times = self._times
         if not 0.0 <= t <= times[-1]:
             rest = [0.0] * 6
@@ -303,26 +314,26 @@ class Trajectory(StrictAttributes):
     # -- time --------------------------------------------------------------------------------------
 
     def retimed(self, speed: ArrayLike, acceleration: ArrayLike) -> Trajectory:
-        """The same path in the shortest time within limits, from rest to rest.
+        """Return the same path with the shortest time within limits, from rest to rest.
 
-        Where all joints rest in this trajectory, they rest in the new one too. The times of the points have no effect.
-        The limits of an arm are not checked: see `check`. Accelerations jump: jerk is not limited. It takes about a
-        millisecond of processor time per point.
+        The new trajectory comes to rest at all places where all joints of this one are at rest. The times of the points
+        have no effect. The limits of an arm are not checked: see `check`. Jerk is not limited, so accelerations jump.
+        Retiming takes about a millisecond of processor time per point.
 
         Args:
-            speed: largest speed, rad/s, of all joints or (6,) of each.
-            acceleration: largest acceleration, rad/s², of all joints or (6,) of each.
+            speed: Largest speed in rad/s, one number for all joints, or shape (6,).
+            acceleration: Largest acceleration in rad/s², one number for all joints, or shape (6,).
 
         Returns:
-            a trajectory with velocities, with 3 to 200 points for each step of this one, and a few hundred at least.
+            A trajectory with velocities, with 3 to 200 points for each step of this one, and at least a few hundred.
 
         Raises:
-            BadValue: a limit is not positive, or the trajectory does not move.
+            BadValue: If a limit is not positive, or if the trajectory does not move.
         """
         limits = six_limits(speed, "speed"), six_limits(acceleration, "acceleration")
         segments = len(self) - 1
         places = min(max(math.ceil(200 / segments), 20), max(math.ceil(2000 / segments), 3))
-        # Denser next to the points, where the curve bends most.
+        # The places are denser next to the points, where the curve bends most.
         parts = 0.5 - 0.5 * np.cos(np.linspace(0.0, math.pi, places + 1)[:-1])
         times = np.append((self.time[:-1, None] + np.diff(self.time)[:, None] * parts).ravel(), self.duration)
         q, qd, _ = self._curve(times)
@@ -331,26 +342,26 @@ class Trajectory(StrictAttributes):
     # -- limits ------------------------------------------------------------------------------------
 
     def check(self, model: Model | None = None, near: ArrayLike | None = None, *, within: float = 0.05) -> None:
-        """Raise if an arm could not follow it, or should not begin it.
+        """Raise if an arm could not follow the trajectory, or should not begin it.
 
-        The curve is evaluated at every point, and at 15 places between two neighbouring ones.
+        The curve is evaluated at every point, and at 15 places between two neighbouring points.
 
         Args:
-            model: its limits of position, velocity and acceleration must hold; None leaves them unchecked. The
-                accelerations are approximate, see `urlink.models`.
-            near: (6,) present joint positions, rad; no joint of the first point may be further than `within` from them,
-                and both ends must be at rest. None leaves this unchecked.
-            within: rad.
+            model: Model of the arm, whose limits of position, velocity and acceleration apply. If None, they are not
+                checked. The limits of acceleration are approximate: see `urlink.models`.
+            near: Current joint positions, shape (6,), in rad. No joint of the first point may be further away than
+                `within`, and both ends must be at rest. If None, this is not checked.
+            within: Largest distance in rad.
 
         Raises:
-            BadValue: a limit is exceeded; the message has the point, the joint, the value and the limit.
+            BadValue: If a limit is exceeded. The message contains the point, the joint, the value and the limit.
         """
         if near is not None:
             self._check_ends(six(near, "near"), within)
         if model is None:
             return
         u = np.linspace(0.0, 1.0, _PLACES)
-        # In blocks of segments: a long trajectory must not take gigabytes.
+        # Blocks of segments are used so that a long trajectory does not need gigabytes.
         for first in range(0, len(self) - 1, 4096):
             segments = np.arange(first, min(first + 4096, len(self) - 1))
             times = self.time[segments][:, None] + u * np.diff(self.time)[segments][:, None]
@@ -368,20 +379,22 @@ class Trajectory(StrictAttributes):
                 refuse(values, name, unit, np.broadcast_to(limit, values.shape), beyond)
 
     def _place(self, times: FloatArray, segment: int, place: int) -> str:
-        """One of these times, (segments, places), for messages."""
+        """Describe one of these times, (segments, places), for messages."""
         t = times[segment, place]
         after = int(np.searchsorted(self.time, t, side="right")) - 1
         where = f"point {after}" if t == self.time[after] else f"between points {after} and {after + 1}"
         return f"{where} (t = {t:.4f} s)"
 
     def plot(self, model: Model | None = None) -> Figure:
-        """Positions, speeds and accelerations over time, as a matplotlib figure: ``plot().savefig("it.png")``.
+        """Plot positions, speeds and accelerations over time with matplotlib.
+
+        For example, ``plot().savefig("it.png")`` saves the plot.
 
         Args:
-            model: its limits of speed and acceleration are drawn as well; None for none.
+            model: Model of the arm, whose limits of speed and acceleration are drawn; None for no limits.
 
         Raises:
-            LocalError: matplotlib is not installed (``pip install 'urlink-robot[plot]'``).
+            LocalError: If matplotlib is not installed (``pip install 'urlink-robot[plot]'``).
         """
         return plot(self.time, self.q, self.at, model)
 
@@ -390,15 +403,15 @@ class Trajectory(StrictAttributes):
         if (away > within).any():
             joint = int(np.argmax(away))
             raise BadValue(
-                f"the first point is too far from where the arm is: {JOINTS[joint]} (joint {joint}) at "
-                f"{near[joint]:.4f} rad, to begin at {self.q[0, joint]:.4f} rad; at most {within:g} rad apart"
+                f"the first point is too far from where the arm is: {JOINTS[joint]} (joint {joint}) is at "
+                f"{near[joint]:.4f} rad, but begins at {self.q[0, joint]:.4f} rad; at most {within:g} rad is allowed"
             )
         for point, speeds in ((0, self.qd[0]), (len(self) - 1, self.qd[-1])):
             joint = int(np.argmax(np.abs(speeds)))
             if abs(speeds[joint]) > _STANDING:
                 raise BadValue(
-                    f"point {point}: {JOINTS[joint]} (joint {joint}) moves at {speeds[joint]:.4f} rad/s; an arm begins "
-                    "and ends at rest"
+                    f"point {point}: {JOINTS[joint]} (joint {joint}) moves at {speeds[joint]:.4f} rad/s; a trajectory "
+                    "must begin and end at rest"
                 )
 
 
@@ -411,17 +424,17 @@ def refuse_beyond(
     limits: FloatArray,
     beyond: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
 ) -> None:
-    """Raise if one of the values of a curve, (segments, places, joints), is beyond its limit.
+    """Raise if one of the values of a curve, (segments, places, joints), exceeds its limit.
 
     Args:
-        where: names a place by its segment and its number in that, for the message.
-        whose: the limits are.
-        values, what, unit: of the joints.
-        limits: of the values; of those within, any.
-        beyond: whether each value is.
+        where: Function that names a place by its segment and its number in the segment, for the message.
+        whose: Owner of the limits, for the message.
+        values, what, unit: Values of the joints, their name and their unit.
+        limits: Limits of the values. Values within their limits may have any limit here.
+        beyond: Whether each value exceeds its limit.
 
     Raises:
-        BadValue: one is.
+        BadValue: If a value exceeds its limit.
     """
     if not beyond.any():
         return
@@ -434,7 +447,7 @@ def refuse_beyond(
 
 
 def _column(values: Sequence[FloatArray | None], name: str) -> FloatArray | None:
-    """All values as one array; None if all of them are None."""
+    """Return all values as one array; None if all of them are None."""
     given = [value for value in values if value is not None]
     if not given:
         return None
@@ -449,28 +462,29 @@ def _check_times(time: FloatArray) -> None:
     if bad.any():
         raise BadValue(f"point {int(np.argmax(bad))}: time is {time[bad][0]}; expected a finite number of seconds")
     if time[0] != 0.0:
-        raise BadValue(f"point 0: time is {time[0]:g} s; a trajectory begins at 0, so subtract that from all times")
+        raise BadValue(f"point 0: time is {time[0]:g} s; a trajectory begins at 0, so subtract this from all times")
     is_close = np.diff(time) < _CLOSEST
     if is_close.any():
         after = int(np.argmax(is_close)) + 1
         raise BadValue(
-            f"point {after}: time {time[after]:.9g} s after {time[after - 1]:.9g} s; times have to increase, by "
-            f"{_CLOSEST:g} s at least"
+            f"point {after}: time {time[after]:.9g} s follows {time[after - 1]:.9g} s; times must increase by at least "
+            f"{_CLOSEST:g} s"
         )
 
 
 def _chosen_velocities(time: FloatArray, q: FloatArray) -> FloatArray:
-    """Zero at both ends; between them those of a monotone cubic."""
+    """Return velocities: zero at both ends, and in between the velocities of a monotone cubic."""
     h = np.diff(time)[:, None]
     slope = np.diff(q, axis=0) / h
     qd = np.zeros_like(q)
     before, after = slope[:-1], slope[1:]
     ha, hb = h[:-1], h[1:]
     first, second = 2.0 * hb + ha, hb + 2.0 * ha
-    # Zero where the direction reverses: that point is an extremum. (By signs, since a product can underflow.)
+    # Zero if the direction reverses, because the point is then an extremum. Signs are used, because a product can
+    # underflow.
     goes_on = np.sign(before) * np.sign(after) > 0.0
     before, after = np.where(goes_on, before, 1.0), np.where(goes_on, after, 1.0)
-    # The weighted harmonic mean of the two slopes, with the lesser taken out so that nothing overflows.
+    # The weighted harmonic mean of the two slopes. The smaller slope is factored out so that nothing overflows.
     least = np.minimum(np.abs(before), np.abs(after))
     mean = least * (first + second) / (first * (least / np.abs(before)) + second * (least / np.abs(after)))
     qd[1:-1] = np.where(goes_on, np.sign(before) * mean, 0.0)
@@ -478,7 +492,7 @@ def _chosen_velocities(time: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def _coefficients(time: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray | None) -> FloatArray:
-    """(segments, 6 powers of u, 6 joints), where u goes from 0 to 1 in each segment."""
+    """Return coefficients (segments, 6 powers of u, 6 joints); u goes from 0 to 1 in each segment."""
     h = np.diff(time)[:, None]
     way = np.diff(q, axis=0)
     v0, v1 = qd[:-1] * h, qd[1:] * h

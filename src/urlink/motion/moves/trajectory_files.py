@@ -1,4 +1,4 @@
-"""A trajectory as a table in a file, ``time,q0,...,q5``, optionally with velocities and accelerations; as a picture."""
+"""Trajectories as tables in files, ``time,q0,...,q5``, optionally with velocities and accelerations; and as plots."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def _names(quantities: int) -> list[str]:
 
 
 def read_points(path: Path) -> tuple[list[FloatArray], int]:
-    """Times (n,), positions (n, 6), and velocities and accelerations if there are any; and the line of point 0.
+    """Read times (n,), positions (n, 6), velocities and accelerations if there are any; and the line of point 0.
 
     Raises:
-        BadValue: the file cannot be read, or is not such a table.
+        BadValue: If the file cannot be read, or is not such a table.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise BadValue(f"{path} is no text: {error.reason} at byte {error.start}") from None
+        raise BadValue(f"{path} is not a text file: {error.reason} at byte {error.start}") from None
     except (OSError, ValueError) as error:
         raise BadValue(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     reader = csv.reader(io.StringIO(text))
@@ -55,17 +55,17 @@ def read_points(path: Path) -> tuple[list[FloatArray], int]:
     except csv.Error as error:
         raise BadValue(f"{path}, line {reader.line_num}: {error}") from None
     if len(rows) < 2:
-        raise BadValue(f"{path}: {len(rows)} points; a trajectory has at least two")
+        raise BadValue(f"{path}: {len(rows)} points; expected at least two")
     order = [columns.index(name) for name in _names(_quantities(columns))]
     table = np.array(rows, dtype=np.float64)[:, order]
     return [table[:, 0], *np.split(table[:, 1:], table.shape[1] // 6, axis=1)], lines[0]
 
 
 def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
-    """Write what `read_points` reads, with all digits.
+    """Write a table for `read_points`, with all digits.
 
     Raises:
-        BadValue: the file cannot be written.
+        BadValue: If the file cannot be written.
     """
     try:
         with open(path, "w", newline="", encoding="utf-8") as file:
@@ -77,15 +77,15 @@ def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
 
 
 def _quantities(columns: list[str]) -> int:
-    """How many of positions, velocities and accelerations the columns have: six columns each, besides the time."""
+    """Return how many of positions, velocities and accelerations there are; each has six columns after the time."""
     return len(columns) // 6
 
 
 def _check_header(path: Path, line: int, columns: list[str]) -> None:
     if sorted(columns) != sorted(_names(max(_quantities(columns), 1))):
         raise BadValue(
-            f"{path}, line {line}: the columns are {','.join(columns)[:200]}; expected time,q0,...,q5, and, or not, "
-            "qd0,...,qd5 and qdd0,...,qdd5"
+            f"{path}, line {line}: the columns are {','.join(columns)[:200]}; expected time,q0,...,q5, optionally with "
+            "qd0,...,qd5 and with qdd0,...,qdd5"
         )
 
 
@@ -104,7 +104,7 @@ def _numbers_of(path: Path, line: int, row: list[str], columns: list[str]) -> li
     return values
 
 
-#: Places at which the curve is drawn, in all.
+#: Total number of places where the curve is drawn.
 _PLACES = 1000
 _LABELS = ("position, rad", "speed, rad/s", "acceleration, rad/s²")
 
@@ -115,10 +115,10 @@ def plot(
     """See `Trajectory.plot`.
 
     Args:
-        time: (n,) times of the points, s; the first is 0.
-        q: (n, 6) positions of the points, rad.
-        at: Positions, velocities and accelerations at times.
-        model: Whose limits are drawn.
+        time: Times of the points, shape (n,), in s; the first is 0.
+        q: Positions of the points, shape (n, 6), in rad.
+        at: Function that returns positions, velocities and accelerations at times.
+        model: Model whose limits are drawn.
     """
     try:
         from matplotlib.figure import Figure
@@ -127,7 +127,7 @@ def plot(
     figure = Figure(figsize=(8.0, 6.0), layout="constrained")
     rows = figure.subplots(3, 1, sharex=True)
     duration = float(time[-1])
-    # Accelerations jump at points: one place on each side of them.
+    # Accelerations jump at points, so there is one place on each side of a point.
     beside = 1e-6 * duration
     times = np.unique(
         np.concatenate(

@@ -1,7 +1,7 @@
-"""A motion that lasts as long as a ``with`` block, linked to its program on the robot.
+"""Motions that last as long as a ``with`` block, with a link to a program on the robot.
 
-`KeptMessage` is the dialogue with a program that runs while messages come: the same message answers each state, until
-it changes.
+`KeptMessage` is the dialogue with a program that needs messages to keep running. It answers each state with the same
+message, until the message is changed.
 """
 
 from __future__ import annotations
@@ -27,23 +27,25 @@ from .setpoints import LinkDialogue
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-#: Seconds to wait for the program to connect if no states come; if they do, `CONNECT_TIMEOUT` ends it before.
+#: Time in s to wait for the program to connect if no states arrive. If states arrive, `CONNECT_TIMEOUT` ends it
+#: earlier.
 _LONGEST = 6.0
-#: Seconds to wait for the reason of a lost connection.
+#: Time in s to wait for the reason of a lost connection.
 _REASON = 1.5
-#: Seconds to wait for the end of the program when the block is left. Chosen: a controller that runs at a fifth of its
-#: speed has two seconds of its own to brake; where it sends no states, the interlock ends the motion after one.
+#: Time in s to wait for the end of the program when the block is left. Chosen: a controller that runs at a fifth of its
+#: speed has two seconds of its own time to brake. If it sends no states, the interlock ends the motion after one
+#: second.
 _END_TIMEOUT = 10.0
 
 
 class BlockMotion(Motion):
-    """The base of the motions that last for one ``with`` block, such as a servo and a jog.
+    """Base class of the motions that last for one ``with`` block, such as a servo and a jog.
 
     Args:
-        context: the robot.
-        name: of the motion, for messages.
-        dialogue: decides the messages that are sent to the program.
-        open_link: opens the link to it.
+        context: The robot.
+        name: Name of the motion, used in messages.
+        dialogue: Dialogue that decides the messages for the program.
+        open_link: Function that opens the link to the program.
     """
 
     def __init__(
@@ -53,7 +55,7 @@ class BlockMotion(Motion):
         super().__init__(life)
         self._context = context
         self._block = contextlib.ExitStack()
-        #: what `__enter__` waits for: resolved once the program has connected, or cannot connect any more
+        #: Future that `__enter__` waits for. It is resolved when the program has connected or can no longer connect.
         self._linked: Future[None] = Future()
         self._program = LinkedProgram(life, context, dialogue, open_link, on_linked=self._link_up)
 
@@ -62,13 +64,13 @@ class BlockMotion(Motion):
         """Upload the program and wait until it has connected.
 
         Raises:
-            ConnectFailed: it did not connect.
-            SafetyStop, NotRunning: the arm may not be moved now.
-            LocalError: it was used before; or this is a callback that was subscribed with ``inline=True``.
-            LinkError: another reason why it cannot begin.
+            ConnectFailed: If the program did not connect.
+            SafetyStop, NotRunning: If the arm may not be moved now.
+            LocalError: If this object was used before, or if this is a callback subscribed with ``inline=True``.
+            LinkError: If the motion cannot start for another reason.
         """
         if not self._life.fire(Event.SEND):
-            raise LocalError(f"the {self.name} has been used before; each is good for one block")
+            raise LocalError(f"this {self.name} was used before; make a new one for each block")
         self._life.enter()
         self._program.begin()
         try:
@@ -81,11 +83,11 @@ class BlockMotion(Motion):
             raise
         if self.error is not None:
             raise self.error
-        self._block.enter_context(urgent())  # the user's loop has a message to send in each cycle
+        self._block.enter_context(urgent())  # the user's loop has to send a message in each cycle
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Stop the arm, and wait until it stands still, ten seconds at most. Raises no earlier error."""
+        """Stop the arm, and wait up to ten seconds until it is at rest. Earlier errors are not raised."""
         try:
             with self._block:
                 try:
@@ -101,21 +103,26 @@ class BlockMotion(Motion):
         """Raise unless the block is open.
 
         Raises:
-            LocalError: not within the block.
-            LinkError: the motion is over; the error says why.
+            LocalError: If not called within the block.
+            LinkError: If the motion has ended; the error is its reason.
         """
         if not (self._life.happened(Event.LINK) or self.done):
             raise LocalError(
-                f"a {self.name} is told something within its block: with robot.motion.{self.name}() as {self.name}: ..."
+                f"this {self.name} is not open; use it within its block: "
+                f"with robot.motion.{self.name}() as {self.name}: ..."
             )
         if self.done or self._program.is_finishing:
-            raise self.error or Closed(f"the block of the {self.name} was left")
+            raise self.error or Closed(f"the block of this {self.name} was left")
 
     def _say(self, data: bytes, watchdog: float) -> None:
-        """Send a message of the user's loop to the program; `watchdog`: s without a message after which that brakes.
+        """Send a message of the user's loop to the program.
+
+        Args:
+            data: The message.
+            watchdog: Longest time without a message, in s. After this time, the program brakes.
 
         Raises:
-            LinkError: why nothing can be sent; the reason that the robot reports, if that comes in time.
+            LinkError: If nothing can be sent. It is the reason that the robot reports, if this arrives in time.
         """
         try:
             self._program.feed(data, watchdog)
@@ -128,7 +135,7 @@ class BlockMotion(Motion):
 
     def _link_up(self) -> None:
         if not self._linked.done():
-            # Two threads may get here at once.
+            # Two threads may reach this line at the same time.
             with contextlib.suppress(InvalidStateError):
                 self._linked.set_result(None)
 
@@ -137,20 +144,20 @@ _NO_SPEEDS = (0.0,) * 6
 
 
 def message(values: Sequence[float]) -> bytes:
-    """Six values, as a program by `urlink.script.force_control` reads them."""
+    """Pack six values in the format that the programs of `urlink.script.force_control` read."""
     return setpoint(values, _NO_SPEEDS)
 
 
 class KeptMessage(LinkDialogue):
-    """A dialogue with one such program.
+    """A dialogue with a program of `urlink.script.force_control`.
 
     Args:
-        write: makes the lines of the program, for its link.
-        values: (6,) of the message; None for a message that only shows that this computer is alive.
+        write: Function that makes the lines of the program for its link.
+        values: Values of the message, shape (6,). If None, the message only shows that this computer is alive.
 
     Attributes:
-        values: as given; may be set by any thread.
-        is_mute: whether states are no longer answered, because the user's loop sends the messages.
+        values: Values of the message, as given. Any thread may set them.
+        is_mute: Whether states are no longer answered, because the user's loop sends the messages.
     """
 
     def __init__(self, write: Writer, values: Sequence[float] | None = None) -> None:

@@ -1,17 +1,19 @@
 """A trajectory as a stream of set-points, one per cycle of the controller.
 
-Each real-time state that arrives is answered with the set-point for its own time, a little ahead: the controller's
-clock paces the stream, so it does not matter how this computer's clock runs. On the trajectory passes the time of the
-program on the robot (`urlink.command.program_time`): where the speed slider, or what else scales motion, slows that
-down, the set-points are closer together, and the program follows those that it has time for, on the same path.
+Each real-time state that arrives is answered with the set-point for its own time, a little ahead. The controller's
+clock paces the stream, so the clock of this computer does not matter. The trajectory advances with the time of the
+program on the robot (`urlink.command.program_time`). If the speed slider or another scaling slows down this time, the
+set-points are closer together. The program then follows as many of them as its time allows, on the same path.
 
-The distance between two set-points is bounded, also after set-points were missed. While none arrives, the program on
-the robot coasts: it goes on at the speed that came with the last one, ever slower (`urlink.script.streaming`). The
-follower computes where the arm has coasted to, goes on from there, fades out the difference to the trajectory, and
-follows the trajectory a tenth faster until it has caught up. Each set-point is checked against the speeds of the joints
-(`urlink.motion.moves.speed_limit`): missed cycles that a state reports count only if this computer's clock has seen
-them pass too. Where no set-point within the limit leads on, the motion ends with an error. As a last bound, the program
-on the robot approaches no set-point faster than the joints can move.
+The distance between two set-points is bounded, even after set-points were missed. While none arrives, the program on
+the robot coasts: it continues at the speed of the last set-point and slows down steadily (`urlink.script.streaming`).
+The follower computes how far the arm has coasted. It continues from this position, fades out the difference to the
+trajectory, and follows the trajectory a tenth faster until it has caught up.
+
+Each set-point is checked against the speeds of the joints (`urlink.motion.moves.speed_limit`). Missed cycles that a
+state reports count only if they have also passed on this computer's clock. If no set-point within the limit continues
+the motion, the motion ends with an error. As a last bound, the program on the robot approaches no set-point faster than
+the joints can move.
 """
 
 from __future__ import annotations
@@ -27,28 +29,28 @@ from ..moves.trajectory import Trajectory
 from .following import AHEAD, Following, Tolerances
 from .setpoints import Servoing, SetpointStream
 
-#: rad/s, at most, of the correction from the position of the arm to the trajectory.
+#: Largest speed of the correction from the position of the arm to the trajectory, in rad/s.
 _FADE_SPEED = 0.25
-#: Seconds, at least, that this correction takes.
+#: Shortest duration of this correction, in s.
 _FADE_LEAST = 0.2
-#: Factor by which a trajectory may be followed faster to catch up. Chosen: one second makes up for 0.1 s, and the jump
-#: in speed is no larger than those between the points of a coarse trajectory.
+#: Largest factor for following a trajectory faster, to catch up. Chosen: one second makes up for 0.1 s, and the jump
+#: in speed is no larger than the jumps between the points of a coarse trajectory.
 _CATCHING_UP = 1.1
-#: Seconds, at least, in which the difference to the trajectory is closed, in place and in time. Chosen: those for which
-#: the program coasts (`urlink.script.streaming.COASTING`), so that it does not overshoot.
+#: Shortest time in s for closing the difference to the trajectory, in position and in time. Chosen: as long as the
+#: program coasts (`urlink.script.streaming.COASTING`), so that it does not overshoot.
 _SETTLING = 0.1
 
 
 class _Offset(ABC):
-    """A difference between two positions of the arm, which shrinks as the trajectory goes on.
+    """A difference between two positions of the arm, which shrinks as the trajectory advances.
 
     Args:
-        offset: (6,) rad, at first.
-        begin: s on the trajectory.
-        seconds: until nothing is left of it.
+        offset: Difference at the beginning, shape (6,), in rad.
+        begin: Beginning, in s on the trajectory.
+        seconds: Time until nothing is left of the difference, in s.
 
     Attributes:
-        seconds: as given.
+        seconds: Time until nothing is left, as given.
     """
 
     def __init__(self, offset: Sequence[float], begin: float, seconds: float) -> None:
@@ -57,17 +59,17 @@ class _Offset(ABC):
         self.seconds = seconds
 
     def at(self, t: float) -> tuple[list[float], list[float]]:
-        """The rest of it at a time, rad, and how fast that changes, rad/s."""
+        """Return the remaining difference at a time, in rad, and its rate of change, in rad/s."""
         share, speed = self._left(1.0 - min(max((t - self._begin) / self.seconds, 0.0), 1.0))
         return [share * each for each in self._offset], [speed / self.seconds * each for each in self._offset]
 
     @abstractmethod
     def _left(self, rest: float) -> tuple[float, float]:
-        """The share that is left at a share `rest` of the time, and how fast it changes in the whole time."""
+        """Return the share that is left when a share `rest` of the time is left, and its change over the whole time."""
 
 
 class _Fade(_Offset):
-    """A difference that is faded out, with speed zero at the beginning and the end."""
+    """A difference that is faded out, with zero speed at the beginning and at the end."""
 
     def __init__(self, offset: Sequence[float], begin: float) -> None:
         super().__init__(offset, begin, max(1.5 * max(map(abs, offset)) / _FADE_SPEED, _FADE_LEAST))
@@ -77,7 +79,7 @@ class _Fade(_Offset):
 
 
 class _Gap(_Offset):
-    """A difference that is closed at constant speed, which works even if it is measured again in each cycle."""
+    """A difference that is closed at constant speed. This also works if it is measured again in each cycle."""
 
     def __init__(self, offset: Sequence[float], begin: float) -> None:
         super().__init__(offset, begin, max(max(map(abs, offset)) / _FADE_SPEED, _SETTLING))
@@ -87,16 +89,17 @@ class _Gap(_Offset):
 
 
 class Follower(Following):
-    """The set-points of a trajectory.
+    """Set-points of a trajectory.
 
-    If the arm does not stand exactly at the first point, the difference is faded out while it moves.
+    If the arm is not exactly at the first point, the difference is faded out while it moves.
 
     Args:
-        servoing: how its set-points are followed.
-        delay: s from a state to the one in which the arm is at the set-point that answered it; None for the cycles that
-            a set-point takes to arrive. What exceeds these is the lag of ``servoj``, which lasts longer while motion is
-            scaled down (a guess: docs/protocols/urscript.md, Speed scaling).
-        timer: of the trajectory; None for that of the program.
+        servoing: Parameters for following set-points.
+        delay: Time in s from a state until the arm is at the set-point that answered this state. If
+            None, it is the number of cycles that a set-point takes to arrive. The rest of the delay is the lag of
+            ``servoj``, which lasts longer while motion is scaled down (assumed: docs/protocols/urscript.md, Speed
+            scaling).
+        timer: Timer of the trajectory. If None, use the time of the program.
     """
 
     def __init__(
@@ -112,26 +115,26 @@ class Follower(Following):
         super().__init__(servoing.body, trajectory, tolerances, timer or ProgramTimer(self._cycle))
         self.watchdog = servoing.watchdog
         self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle
-        #: s that have passed on the trajectory; None before it began
+        #: time in s that has passed on the trajectory; None before it has begun
         self._t: float | None = None
-        # What there is once it has begun:
-        #: between the arm and the first point, or its path after a pause; and between the arm and the trajectory, after
-        #: set-points were missed
+        # The following attributes are set when it begins.
+        #: difference between the arm and the first point, or between the arm and its path after a pause
         self._start: _Fade
+        #: difference between the arm and the trajectory after set-points were missed
         self._gap: _Gap
-        #: s: the time of the last set-point on the trajectory; and those on it with which the program goes on in one of
-        #: its own
+        #: time of the last set-point on the trajectory, in s
         self._s: float
+        #: seconds on the trajectory per second of the program
         self._pace: float
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
+        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
         q, qd = super().desired(t)
         offset, speed = self._start.at(t)
         return _sum(q, offset), _sum(qd, speed)
 
     def resume(self, state: RealtimeState) -> None:
-        """Go on after a pause, from where the arm stands: from the nearest point of the trajectory."""
+        """Continue after a pause, from the position of the arm, at the nearest point of the trajectory."""
         super().resume(state)
         if self._t is not None:
             here = state.q_target.tolist()
@@ -142,13 +145,13 @@ class Follower(Following):
             self._stream.begin(here)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The message that answers a state; a second state of the same cycle is not answered.
+        """Return the message that answers a state; a second state of the same cycle is not answered.
 
         Raises:
-            BadValue: the arm is not at the beginning of the trajectory.
-            LinkTimeout: the arm does not come to rest.
-            ToleranceExceeded: the arm is too far from the trajectory, or no set-point leads back to it within the
-                limits.
+            BadValue: If the arm is not at the beginning of the trajectory.
+            LinkTimeout: If the arm does not come to rest.
+            ToleranceExceeded: If the arm is too far from the trajectory, or if no set-point within the limits leads
+                back to it.
         """
         passed, scaled = self._timer.passed(state, now)
         cycle = self._timer.rate * self._cycle
@@ -159,7 +162,7 @@ class Follower(Following):
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
             self._stream.begin(here)
-            # One that begins late is where one would be that had begun in time, and missed the set-points since then.
+            # A late beginning is treated like one in time that has missed the set-points since then.
             late = max(round(beginning / self._cycle) - 1, 0)
             begun = min(beginning, cycle + self._stream.coasted_time(late))
             self._t, self._s, self._pace = beginning, begun + (AHEAD - 1) * cycle, 1.0
@@ -175,13 +178,15 @@ class Follower(Following):
         return message
 
     def _next(self, wanted: float, cycle: float, now: float) -> bytes:
-        """The next set-point: for the time `wanted` on the trajectory, or as close to it as the limits allow.
+        """Return the next set-point: for the time `wanted` on the trajectory, or as close to it as the limits allow.
 
         Args:
-            cycle: s that pass on the trajectory in a cycle of the controller.
+            wanted: Time of the set-point, in s on the trajectory.
+            cycle: Time that passes on the trajectory in one cycle of the controller, in s.
+            now: Monotonic time, in s.
         """
         excess = None
-        # If this computer's clock shows that so many cycles cannot have passed, none was missed.
+        # If this computer's clock shows that this many cycles cannot have passed, no cycle was missed.
         for missed in (self._stream.missed, 0):
             here, _ = self._stream.coasted_to(missed)
             s = self._s + self._pace * self._stream.coasted_time(missed)
@@ -195,11 +200,13 @@ class Follower(Following):
                 if excess is None:
                     self._gap = gap
                     return self._lead(q, s + ahead, wanted, now)
-        raise ToleranceExceeded(f"the arm would have to leap to go on with its trajectory: {excess}")
+        raise ToleranceExceeded(f"the arm would have to jump to continue its trajectory: {excess}")
 
     def _lead(self, q: list[float], s: float, wanted: float, now: float) -> bytes:
-        """Send a set-point, and the speed at which the program goes on from it: along the trajectory, a little faster
-        or slower, towards `wanted`."""
+        """Return the message with a set-point and the speed from there on.
+
+        The program continues at this speed. It is along the trajectory, a little faster or slower, towards `wanted`.
+        """
         most = _CATCHING_UP - 1.0
         self._s, self._pace = s, 1.0 + min(max((wanted - s) / _SETTLING, -most), most)
         closing = self._gap.at(s)[1]

@@ -1,6 +1,6 @@
-"""The common part of both ways to follow a trajectory: its time, the start, the tolerances, the end.
+"""Common part of both ways to follow a trajectory: its time, the start, the tolerances, the end.
 
-Sans-IO and without a clock: `urlink.motion.servo.linked_program` passes states and times in.
+It does no I/O and has no clock: `urlink.motion.servo.linked_program` passes states and times in.
 """
 
 from __future__ import annotations
@@ -24,32 +24,34 @@ from ..moves.trajectory import Trajectory
 from ..slider import SliderEffect, slider
 from .setpoints import LinkDialogue
 
-#: Cycles from a state to the one in which its set-point takes effect: it is sent within the next cycle, and the program
-#: applies it at the beginning of the one after.
+#: Number of cycles from a state until its set-point takes effect. The set-point is sent within the next cycle, and the
+#: program applies it at the beginning of the cycle after that.
 AHEAD = 2
-#: rad/s below which an arm counts as standing still.
+#: Speed in rad/s below which an arm counts as at rest.
 _STANDING = 0.02
-#: Seconds that an arm has to come to rest before a trajectory begins.
+#: Time in s that an arm has to come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
-#: Seconds before and after a pause in which the place is searched where the arm stands, and between two places.
+#: Times in s before and after a pause for searching the position of the arm, and the step of this search.
 _BEFORE, _BRAKING, _NEARNESS = 0.2, 1.0, 0.004
-#: States whose time on the trajectory is remembered, for feedback that is slow: two seconds at 500 Hz.
+#: Number of states whose time on the trajectory is kept, for slow feedback: two seconds at 500 Hz.
 _REMEMBERED = 1024
 
 
 @dataclass(frozen=True)
 class TrajectoryFeedback:
-    """Where the arm is, and where its trajectory is. Arrays are (6,), joints from base to wrist 3.
+    """Actual and desired position of the arm.
+
+    Arrays have shape (6,), joints from base to wrist 3.
 
     Attributes:
-        time: seconds on the controller's clock since the trajectory began.
-        trajectory_time: seconds on the trajectory, which pass as fast as the robot executes programs: less than `time`
-            after the speed slider was below 100 %, or the program paused.
-        q_desired: rad; what the trajectory says for `trajectory_time`.
-        qd_desired: rad/s.
-        q_actual: rad; what the controller reports for this time.
-        qd_actual: rad/s.
-        error: rad, `q_desired` - `q_actual`.
+        time: Time in seconds on the controller's clock since the trajectory began.
+        trajectory_time: Time on the trajectory in seconds, which passes as fast as the robot executes programs. It is
+            less than `time` if the speed slider was below 100 %, or if the program was paused.
+        q_desired: Positions of the trajectory at `trajectory_time`, in rad.
+        qd_desired: Velocities of the trajectory at `trajectory_time`, in rad/s.
+        q_actual: Positions that the controller reports for this time, in rad.
+        qd_actual: Velocities that the controller reports for this time, in rad/s.
+        error: Difference `q_desired` - `q_actual`, in rad.
     """
 
     time: float
@@ -63,13 +65,13 @@ class TrajectoryFeedback:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far the arm may be from its trajectory.
+    """Largest allowed deviations of the arm from its trajectory.
 
     Attributes:
-        path: rad, in any joint, before the end; None for no limit.
-        goal: rad, in any joint, at the end.
-        goal_time: seconds after the end within which it has to arrive, in the time of the trajectory.
-        start: rad, in any joint, between the arm and the first point.
+        path: Largest deviation of any joint before the end, in rad; None for no limit.
+        goal: Largest deviation of any joint at the end, in rad.
+        goal_time: Time that the arm has after the end to arrive, in seconds of the trajectory's time.
+        start: Largest distance of any joint from the first point, in rad.
     """
 
     path: float | None
@@ -81,10 +83,10 @@ class Tolerances:
     def checked(
         cls, path_tolerance: float | None, goal_tolerance: float, goal_time: float, start_tolerance: float
     ) -> Tolerances:
-        """As a user gives them.
+        """Check the tolerances that a user passes.
 
         Raises:
-            BadValue: one is not a number in its range.
+            BadValue: If one is not a number in its range.
         """
         return cls(
             None if path_tolerance is None else check_number(path_tolerance, "path_tolerance", 1e-6, 100.0),
@@ -95,10 +97,10 @@ class Tolerances:
 
 
 class Rest:
-    """Waits until the arm stands still, so that a motion can begin.
+    """Waits until the arm is at rest, so that a motion can begin.
 
     Args:
-        what: the motion that is to begin, for messages.
+        what: The motion that should begin, for messages.
     """
 
     def __init__(self, what: str) -> None:
@@ -106,10 +108,10 @@ class Rest:
         self._moving_since: float | None = None
 
     def is_reached(self, state: RealtimeState, now: float) -> bool:
-        """Whether the arm stands still.
+        """Whether the arm is at rest.
 
         Raises:
-            LinkTimeout: it does not come to rest.
+            LinkTimeout: If the arm does not come to rest.
         """
         if self._moving_since is None:
             self._moving_since = now
@@ -121,54 +123,56 @@ class Rest:
 
 @slider(follow=SliderEffect.SCALED)
 class Following(LinkDialogue):
-    """A trajectory that is being followed: the base of the two dialogues that do it.
+    """Dialogue that follows a trajectory: the base class of the two dialogues that do this.
 
-    Its time is that of the program on the robot (`urlink.command.program_time`).
+    Its time is the time of the program on the robot (`urlink.command.program_time`).
 
     Args:
-        write: makes the lines of the program.
-        trajectory: what to follow.
-        tolerances: how closely.
-        timer: of the trajectory.
+        write: Function that makes the lines of the program.
+        trajectory: Trajectory to follow.
+        tolerances: Largest allowed deviations.
+        timer: Timer of the trajectory.
 
     Attributes:
-        progress: the fraction that is over.
-        is_over: whether the arm has arrived and stands still: of the arm, not of the motion, whose BRAKE follows.
+        progress: Fraction of the trajectory that has passed.
+        is_over: Whether the arm has arrived and is at rest. This is the end for the arm, but not for the motion: BRAKE
+            follows.
     """
 
     def __init__(self, write: Writer, trajectory: Trajectory, tolerances: Tolerances, timer: ProgramTimer) -> None:
         super().__init__(write)
         self.progress = 0.0
-        #: s on the trajectory: its end; later, if a difference is still faded out then
+        #: end, in s on the trajectory; later if a difference is still faded out then
         self._end = trajectory.duration
         self._trajectory = trajectory
         self._tolerances = tolerances
         self._timer = timer
-        #: s: since it began on the controller's clock; from the first comparison on
+        #: time in s since it began, on the controller's clock; set from the first comparison on
         self._passed: float
-        #: s: the time of a state, those since it began, and those on the trajectory
+        #: for each state: its time, the time since the beginning, and the time on the trajectory, in s
         self._times: deque[tuple[float, float, float]] = deque(maxlen=_REMEMBERED)
-        #: s on the trajectory: the point that the program has not passed yet, as far as it reports them
+        #: time in s on the trajectory of the point that the program has not passed yet, if it reports its points
         self._next_time = math.inf
         self._rest = Rest("the trajectory")
 
     def resume(self, state: RealtimeState) -> None:
-        """Go on after a pause, from where the arm stands."""
+        """Continue after a pause, from the position of the arm."""
         self._timer.restart()
 
     def _nearest(self, q: Sequence[float], t: float) -> float:
-        """s on the trajectory: where it is closest to `q`, (6,) rad, after a pause at `t`.
+        """Return the time of the trajectory's closest point to `q`, (6,) rad, in s, after a pause at `t`.
 
-        The controller has braked on the way from there, and the arm was behind its set-points before.
+        The controller has braked along the path from there, and the arm was behind its set-points before.
         """
         times = np.clip(np.arange(t - _BEFORE, t + _BRAKING, _NEARNESS), min(t, 0.0), self._trajectory.duration)
         places = np.array([self._trajectory.sample(each)[0] for each in times.tolist()])
         return float(times[np.square(places - q).sum(1).argmin()])
 
     def times(self, time: float) -> tuple[float, float] | None:
-        """For a state of the time `time`: s since the trajectory began, and s on the trajectory.
+        """Return, for a state of the time `time`, the time since the beginning and the time on the trajectory, in s.
 
-        None before it began, and for a state older than those that are remembered. From any thread.
+        Returns None before the trajectory has begun, and for a state older than the kept ones. May be called from any
+        thread.
         """
         after = None
         for n in range(1, len(self._times) + 1):
@@ -182,15 +186,15 @@ class Following(LinkDialogue):
         return None
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
+        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
         q, qd, _ = self._trajectory.sample(t)
         return q, qd
 
     def _check_start(self, state: RealtimeState) -> list[float]:
-        """The target joint positions of the arm, which must be close to the first point.
+        """Return the target joint positions of the arm, which must be close to the first point.
 
         Raises:
-            BadValue: they are not.
+            BadValue: If they are not close to it.
         """
         q = state.q_target.tolist()
         self._trajectory.check(near=q, within=self._tolerances.start)
@@ -200,7 +204,7 @@ class Following(LinkDialogue):
         """Compare the arm with the trajectory at the time `t`.
 
         Raises:
-            ToleranceExceeded: the arm is too far away.
+            ToleranceExceeded: If the arm is too far away.
         """
         trajectory, tolerances = self._trajectory, self._tolerances
         if not self._times:
@@ -233,5 +237,5 @@ def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float,
 
 
 def stands(speeds: FloatArray) -> bool:
-    """Whether an arm with these joint speeds, (6,) rad/s, stands still."""
+    """Whether an arm with these joint speeds, (6,) rad/s, is at rest."""
     return all(abs(speed) < _STANDING for speed in speeds.tolist())

@@ -24,35 +24,35 @@ from ..slider import SliderEffect, slider
 from .block_motion import BlockMotion, KeptMessage, message
 from .linked_program import Link
 
-#: N and Nm; no arm exerts more.
+#: Largest force in N and torque in Nm; no arm exerts more.
 _LARGEST = 1000.0
-#: m and rad, m/s and rad/s; a smaller limit holds the tool where it is.
+#: Smallest limit, in m and rad, or m/s and rad/s. A smaller one would hold the tool at its position.
 _LEAST = 1e-6
-#: The first releases with force mode, with damping (CB3), and with gain.
+#: First releases with force mode, with damping (CB3), and with gain.
 _FORCE_MODE = Firmware(3, 0)
 _DAMPING_CB, _GAIN = Firmware(3, 5), Firmware(5, 0)
-#: The axes of a frame, along and about them.
+#: Names of the directions along and about the axes of a frame.
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def axes_of(values: Sequence[object], what: str) -> tuple[bool, ...]:
-    """Six of 0 and 1, or of False and True, as booleans.
+    """Convert six values of 0 and 1, or of False and True, to booleans.
 
     Raises:
-        BadValue: not six such values.
+        BadValue: If these are not six such values.
     """
     axes = list(values)
     if len(axes) != 6 or any(each not in (0, 1) for each in axes):
-        raise BadValue(f"{what} is {axes!r}; expected six of 0 and 1: x, y, z, rx, ry, rz")
+        raise BadValue(f"{what} is {axes!r}; expected six values of 0 or 1, for x, y, z, rx, ry, rz")
     return tuple(map(bool, axes))
 
 
 def frame_of(context: MotionContext, frame: Numbers | str) -> tuple[float, ...]:
-    """The pose of a frame: "base", "tool" as it is now, or a pose in the base frame.
+    """Return the pose of a frame: "base", "tool" (its current pose), or a pose in the base frame.
 
     Raises:
-        BadValue: none of these.
-        LinkTimeout, RemoteError: no state comes, so the pose of the tool is not known.
+        BadValue: If `frame` is none of these.
+        LinkTimeout, RemoteError: If no state arrives, so that the pose of the tool is unknown.
     """
     if isinstance(frame, str):
         if frame == "base":
@@ -64,14 +64,14 @@ def frame_of(context: MotionContext, frame: Numbers | str) -> tuple[float, ...]:
 
 
 def _check_pressing(pressing: Pressing, firmware: Firmware) -> None:
-    """Check the numbers, and whether the firmware has what they need.
+    """Check the numbers, and whether the firmware supports them.
 
     Raises:
-        BadValue: a number out of range.
-        LocalError: this firmware has no force mode, damping or gain.
+        BadValue: If a number is out of range.
+        LocalError: If this firmware does not have force mode, damping or gain.
     """
     if firmware < _FORCE_MODE:
-        raise LocalError(f"force mode is used from firmware {_FORCE_MODE} on, not on {firmware}")
+        raise LocalError(f"firmware {firmware} does not support force mode; {_FORCE_MODE} or later is required")
     if pressing.kind not in (1, 2, 3):
         raise BadValue(f"kind is {pressing.kind!r}; expected 1, 2 or 3")
     for index, (name, limit, is_free) in enumerate(zip(AXES, pressing.limits, pressing.selection, strict=True)):
@@ -81,16 +81,16 @@ def _check_pressing(pressing: Pressing, firmware: Firmware) -> None:
     if pressing.damping is not None:
         check_number(pressing.damping, "damping", 0.0, 1.0)
         if firmware < _DAMPING_CB:
-            raise LocalError(f"firmware {firmware} takes no damping; {_DAMPING_CB} is the first")
+            raise LocalError(f"firmware {firmware} does not support damping; {_DAMPING_CB} or later is required")
     if pressing.gain is not None:
         check_number(pressing.gain, "gain", 0.0, 2.0)
         if firmware < _GAIN:
-            raise LocalError(f"firmware {firmware} takes no gain; {_GAIN} is the first")
+            raise LocalError(f"firmware {firmware} does not support gain; {_GAIN} or later is required")
 
 
 @slider(force_mode=SliderEffect.UNSCALED)
 class ForceMode(BlockMotion):
-    """Force mode while a ``with`` block is open; made by `robot.motion.force_mode`."""
+    """Force mode for as long as a ``with`` block is open. `robot.motion.force_mode` returns it."""
 
     def __init__(
         self,
@@ -109,17 +109,19 @@ class ForceMode(BlockMotion):
 
     @property
     def wrench(self) -> FloatArray:
-        """(6,) what the tool is to exert, N and Nm along and about the axes of the frame."""
-        assert self._message.values is not None  # there is a wrench from the first message on
+        """Wrench that the tool exerts along and about the axes of the frame, (6,), in N and Nm."""
+        assert self._message.values is not None  # every message has a wrench
         return six(self._message.values, "wrench")
 
     def set_wrench(self, wrench: Numbers) -> None:
-        """Exert another wrench from the next state on. Along axes that are not compliant it has no effect.
+        """Exert another wrench, starting with the next state.
+
+        It has no effect along axes that do not yield.
 
         Raises:
-            BadValue: not six finite numbers, or more than an arm can exert.
-            LinkError: force mode is over; the error says why.
-            LocalError: not within the block.
+            BadValue: If `wrench` is not six finite numbers, or exceeds what an arm can exert.
+            LinkError: If force mode has ended; the error is its reason.
+            LocalError: If not called within the block.
         """
         self._check_open()
         self._message.values = _wrench(wrench).tolist()
@@ -133,24 +135,24 @@ def _wrench(wrench: Numbers) -> FloatArray:
 
 
 _NOTHING = (0.0,) * 6
-#: The first releases that have freedrive in a program, and freedrive along selected axes.
+#: First releases with freedrive in a program, and with freedrive along selected axes.
 _FREEDRIVE, _SOME_AXES = Firmware(3, 0), Firmware(5, 10)
 
 
 @slider(freedrive=SliderEffect.UNSCALED)
 class Freedrive(BlockMotion):
-    """Freedrive while a ``with`` block is open; made by `robot.freedrive`.
+    """Freedrive for as long as a ``with`` block is open. `robot.freedrive` returns it.
 
     Args:
-        context: the robot.
-        axes: (6,) of the frame that are free; None for all.
-        frame: (6,) pose in the base frame.
-        watchdog: s without a message from this computer after which the robot ends freedrive.
-        open_link: opens the link to the program.
+        context: The robot.
+        axes: Whether each axis of the frame is free, shape (6,). If None, all axes are free.
+        frame: Pose of the frame in the base frame, shape (6,).
+        watchdog: Longest time without a message from this computer, in s. After it, the robot ends freedrive.
+        open_link: Function that opens the link to the program.
 
     Raises:
-        BadValue: a number out of range, or no axis is free.
-        LocalError: this firmware has no freedrive, or none along selected axes.
+        BadValue: If a number is out of range, or if no axis is free.
+        LocalError: If this firmware does not support freedrive, or not along selected axes.
     """
 
     def __init__(
@@ -163,34 +165,36 @@ class Freedrive(BlockMotion):
     ) -> None:
         firmware = context.who.identity.firmware
         if firmware < _FREEDRIVE:
-            raise LocalError(f"freedrive is used from firmware {_FREEDRIVE} on, not on {firmware}")
+            raise LocalError(f"firmware {firmware} does not support freedrive; {_FREEDRIVE} or later is required")
         if axes is not None and not any(axes):
-            raise BadValue("no axis is free; expected one at least")
+            raise BadValue("no axis is free; expected at least one")
         if axes is not None and firmware < _SOME_AXES:
-            raise LocalError(f"firmware {firmware} frees all axes or none; {_SOME_AXES} is the first that takes axes")
+            raise LocalError(
+                f"firmware {firmware} can only free all axes; {_SOME_AXES} or later is required to select axes"
+            )
         seconds = check_number(watchdog, "watchdog", 0.05, 10.0)
         body = partial(force_control.freedrive, firmware, axes=axes, frame=frame, watchdog=seconds)
         super().__init__(context, "freedrive", KeptMessage(body, _NOTHING), open_link)
 
 
-#: The first releases that have direct torque.
+#: First releases with direct torque.
 DIRECT_TORQUE = Since("5.23/10.11")
 
 
 @slider(torque=SliderEffect.UNSCALED)
 class Torque(BlockMotion):
-    """Sends the torques of a loop; made by `robot.motion.torque`, and open within a ``with`` block.
+    """Sends the torques of your loop within a ``with`` block. `robot.motion.torque` returns it.
 
     Args:
-        context: the robot.
-        limits: (6,) Nm; None for what the joints of this arm can exert.
-        friction_compensation: whether the controller compensates the friction of the joints.
-        watchdog: s without a torque after which the arm brakes.
-        open_link: opens the link to the program.
+        context: The robot.
+        limits: Largest torques that `send` accepts, shape (6,), in Nm. If None, the largest torques of the joints.
+        friction_compensation: Whether the controller compensates the friction of the joints.
+        watchdog: Longest time without a torque, in s. After this time, the arm brakes.
+        open_link: Function that opens the link to the program.
 
     Raises:
-        BadValue: a number out of range.
-        LocalError: this firmware has no direct torque.
+        BadValue: If a number is out of range.
+        LocalError: If this firmware does not have direct torque.
     """
 
     def __init__(
@@ -203,7 +207,7 @@ class Torque(BlockMotion):
     ) -> None:
         firmware, model = context.who.identity.firmware, context.who.identity.arm
         if firmware not in DIRECT_TORQUE:
-            raise LocalError(f"firmware {firmware} has no direct torque: 5.23 and 10.11 are the first")
+            raise LocalError(f"firmware {firmware} has no direct torque; 5.23, 10.11 or later is required")
         most = [_LARGEST] * 6 if model is None else model.max_torque.tolist()
         self._limits = most
         if limits is not None:
@@ -217,15 +221,17 @@ class Torque(BlockMotion):
         super().__init__(context, "torque", self._message, open_link)
 
     def send(self, torque: ArrayLike) -> None:
-        """Apply these torques from the next cycle on; if no others follow, they fade over the watchdog time.
+        """Apply these torques, starting in the next cycle.
+
+        If no other torques follow, they fade during the watchdog time.
 
         Args:
-            torque: (6,) Nm, added to those that hold the arm up against gravity.
+            torque: Torques in addition to gravity compensation, shape (6,), in Nm.
 
         Raises:
-            BadValue: not six finite numbers, or beyond a limit; nothing was sent.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: the mode is over.
-            LocalError: not within the block.
+            BadValue: If these are not six finite numbers, or if one exceeds its limit. Nothing is sent.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the mode has ended.
+            LocalError: If not called within the block.
         """
         self._check_open()
         values = six(torque, "torque").tolist()
@@ -238,11 +244,11 @@ class Torque(BlockMotion):
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Where a contact began.
+    """Position of the arm where a contact began.
 
     Attributes:
-        q: (6,) joint positions, rad.
-        pose: (6,) of the TCP in the base frame, m and rad; None where it is not known which arm this is.
+        q: Joint positions, shape (6,), in rad.
+        pose: Pose of the TCP in the base frame, shape (6,), in m and rad; None if the arm is unknown.
     """
 
     q: FloatArray
@@ -251,12 +257,14 @@ class Contact:
 
 @slider(until_contact=SliderEffect.SCALED)
 class ContactMotion(Motion):
-    """A movement until a contact; made by `robot.motion.until_contact`. It fails with `NoContact` if there is none.
+    """Motion until a contact. `robot.motion.until_contact` returns it.
+
+    It fails with `NoContact` if there is no contact.
 
     Args:
-        life: life cycle of the motion.
-        distance: m after which it ends without a contact, for messages.
-        pose_at: the pose of the TCP at joint positions.
+        life: Life cycle of the motion.
+        distance: Longest distance without a contact, in m, for messages.
+        pose_at: Function that returns the pose of the TCP at joint positions.
     """
 
     def __init__(self, life: Lifecycle, distance: float, pose_at: Callable[[FloatArray], FloatArray | None]) -> None:
@@ -267,7 +275,7 @@ class ContactMotion(Motion):
 
     @property
     def contact(self) -> Contact | None:
-        """Where the contact began; None while it runs, and if it ended without a contact."""
+        """Place where the contact began; None while the motion runs, and if there was no contact."""
         return self._contact
 
     def _on_text(self, text: str) -> None:

@@ -1,7 +1,7 @@
 """Impedance: springs and dampers between the arm and a target, computed on the controller.
 
-From 5.23 and 10.11 on by direct torque, of the joints or of the tool; before that of the tool, by the force that the
-wrist measures, where it has a sensor.
+On firmware 5.23, 10.11 or later, they are springs of the joints or of the tool, and act through direct torque. On older
+firmware, they are springs of the tool. They act through the force that the wrist measures, if it has a sensor.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from .jog import FrameName
 from .linked_program import Link
 from .setpoints import LinkDialogue
 
-#: One message of so many has the gains or the posture. No simple fraction: a program that takes each n-th message meets
-#: them all the same.
+#: One message of this many contains the gains or the posture. It is not a simple fraction, so that a program that
+#: receives only every n-th message still receives all of them.
 _GOLDEN, _GAINS_SHARE = 0.6180339887, 0.25
 
 
 @slider(impedance=SliderEffect.SCALED)
 class Impedance(BlockMotion):
-    """Draws the arm to a target by springs and dampers; made by `robot.motion.impedance`.
+    """Springs and dampers that pull the arm to a target. `robot.motion.impedance` returns it.
 
     Args:
-        context: the robot.
-        parameters: what it was asked for.
-        open_link: opens the link to the program.
+        context: The robot.
+        parameters: Parameters as the user passed them.
+        open_link: Function that opens the link to the program.
 
     Raises:
-        BadValue, LocalError: as `Motions.impedance`.
+        BadValue, LocalError: If an argument is rejected; see `Motions.impedance`.
 
     Attributes:
-        frame: "joints", or of the axes of the springs of the tool: "base" or "tool".
+        frame: "joints" for springs of the joints. "base" or "tool" for the axes of springs of the tool.
     """
 
     def __init__(self, context: MotionContext, parameters: ImpedanceParameters, open_link: Callable[[], Link]) -> None:
@@ -60,46 +60,57 @@ class Impedance(BlockMotion):
 
     @property
     def target(self) -> FloatArray | None:
-        """(6,) rad of the joints, or the pose of the tool; None before the first, when the arm is held where it was."""
+        """Joint positions, (6,) rad, or pose of the tool; None before the first target.
+
+        The arm is held at its position until then.
+        """
         return None if self._messages.target is None else np.array(self._messages.target)
 
     @property
     def posture(self) -> FloatArray | None:
-        """(6,) rad that the joints are drawn to beside the tool; None before the first target, and without a tool."""
+        """Joint positions that the posture springs pull to, (6,) rad.
+
+        None before the first target, and for springs of the joints.
+        """
         return None if self._messages.posture is None else np.array(self._messages.posture)
 
     @property
     def stiffness(self) -> FloatArray:
-        """(6,) as they were set last: Nm/rad, or N/m along and Nm/rad about the axes of the frame."""
+        """Stiffness as set last, (6,), in Nm/rad.
+
+        For the tool, it is in N/m along and Nm/rad about the axes of the frame.
+        """
         return np.array(self._messages.gains[0])
 
     @property
     def damping(self) -> FloatArray:
-        """(6,) ratios, as they were set last; 1 is critical."""
+        """Damping ratios as set last, (6,); 1 is critical damping."""
         return np.array(self._messages.gains[1])
 
     def send(self, target: Numbers, posture: Numbers | None = None) -> None:
-        """Draw the arm to a target from now on, at any rate: 10 or 500 a second, or one for all.
+        """Pull the arm to a target from now on.
 
-        The program goes to each in as long as the last ones took to come, so it is about one interval behind, and never
-        faster than 0.7 of the largest speed. Orientations are approached by the shorter rotation.
+        Targets may be sent at any rate: 10 or 500 per second, or only once. For each target, the program takes as long
+        as the last targets took to arrive. Therefore it is about one interval behind. It is never faster than 0.7
+        of the largest speed. Orientations are approached by the shorter rotation.
 
         Args:
-            target: (6,) rad of the joints; or, with the frame "base" or "tool", the pose of the TCP in the base frame.
-            posture: (6,) rad to which the joints are drawn beside such a pose; None for those of the pose that are
-                closest to the posture before.
+            target: Joint positions, shape (6,), in rad. With the frame "base" or "tool", the pose of the TCP in the
+                base frame.
+            posture: Joint positions that the posture springs pull to, shape (6,), in rad, in addition to such a pose.
+                If None, use the joint positions of the pose that are closest to the previous posture.
 
         Raises:
-            BadValue: not six numbers, or out of the range of a joint; a posture for joints, or without direct torque.
-                The target is as before, here and below.
-            Unreachable: the tool cannot get to this pose.
-            LinkError: the impedance is over; the error says why.
-            LocalError: not within the block.
+            BadValue: If these are not six numbers, or out of the range of a joint, or if a posture is passed for
+                springs of the joints or without direct torque. The target does not change, here and in the cases below.
+            Unreachable: If the tool cannot reach this pose.
+            LinkError: If the impedance has ended; the error is its reason.
+            LocalError: If not called within the block.
         """
         self._check_open()
         identity = self._context.who.identity
         if posture is not None and not self._messages.has_posture:
-            raise BadValue("a posture is for springs of the tool by direct torque; expected none")
+            raise BadValue("posture applies only to springs of the tool with direct torque; omit it")
         if self.frame == "joints":
             self._messages.lead(check_joint_positions(target, "target", identity.arm).tolist(), None)
             return
@@ -112,16 +123,17 @@ class Impedance(BlockMotion):
         self._messages.lead(goal.tolist(), wanted.tolist())
 
     def set_gains(self, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
-        """Go over to another stiffness and damping, within some tenths of a second.
+        """Change stiffness and damping gradually, within a few tenths of a second.
 
         Args:
-            stiffness: Nm/rad, or N/m and Nm/rad of the tool, of all axes or (6,) of each; None leaves it.
-            damping: ratio, likewise.
+            stiffness: Stiffness in Nm/rad, or for the tool in N/m and Nm/rad: one number for all axes, or shape (6,).
+                If None, it does not change.
+            damping: Damping ratio, one number or shape (6,). If None, it does not change.
 
         Raises:
-            BadValue: out of range; the gains are as before.
-            LinkError: the impedance is over; the error says why.
-            LocalError: not within the block.
+            BadValue: If a number is out of range. The gains do not change.
+            LinkError: If the impedance has ended; the error is its reason.
+            LocalError: If not called within the block.
         """
         self._check_open()
         old = self._messages.gains
@@ -132,12 +144,12 @@ class Impedance(BlockMotion):
 
 
 class _Messages(LinkDialogue):
-    """The dialogue with the program: each state is answered with the target, or with the gains or the posture.
+    """Dialogue with the program, which answers each state with the target, the gains or the posture.
 
     Attributes:
-        target, posture: (6,) sent last; None before.
-        gains: stiffness and damping, (6,) each; may be set by any thread.
-        has_posture: whether the program takes one.
+        target, posture: Target and posture sent last, shape (6,); None before the first target.
+        gains: Stiffness and damping, shape (6,) each. Any thread may set them.
+        has_posture: Whether the program accepts a posture.
     """
 
     def __init__(
@@ -159,7 +171,7 @@ class _Messages(LinkDialogue):
         return self._goal[2]
 
     def lead(self, target: list[float], posture: list[float] | None) -> None:
-        """Go to another target."""
+        """Move to another target."""
         self._goal = (self._goal[0] % 1000 + 1, target, posture)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:

@@ -1,6 +1,6 @@
-"""The parameters of an impedance: their ranges, and the program that has them.
+"""Parameters of an impedance: their ranges, and the program that uses them.
 
-Numbers that are out of range, or that have no effect with this frame or this firmware, are refused.
+Numbers that are out of range, or that have no effect with this frame or this firmware, are rejected.
 """
 
 from __future__ import annotations
@@ -27,42 +27,43 @@ from ...script.springs import Springs, ToolSprings, admittance, impedance
 from .force_control import AXES, DIRECT_TORQUE
 from .jog import FULL_SPEED, FrameName
 
-#: The first firmware of arms whose wrist measures force that computes with whole lists.
+#: First firmware that computes with whole lists, for arms whose wrist measures force.
 _MEASURED_FORCE = Since("5.10/10.0")
-#: Nm/rad of a joint at most, N/m and Nm/rad of the tool: with its inertia more would swing faster than a cycle lets
-#: it be damped.
+#: Largest stiffness, of a joint in Nm/rad, and of the tool in N/m and Nm/rad. With more stiffness, an axis with its
+#: inertia would oscillate too fast to be damped in one cycle.
 _STIFFEST, _STIFFEST_TOOL = (10_000.0,) * 6, (5_000.0,) * 3 + (200.0,) * 3
-#: The largest damping ratio.
+#: Largest damping ratio.
 _DAMPEST = (3.0,) * 6
-#: rad/s or m/s, rad or m: the least speed and the largest error that an axis can be given.
+#: Smallest allowed speed of an axis, in rad/s or m/s, and largest allowed error, in rad or m.
 _SLOWEST, _FURTHEST, _FURTHEST_TOOL = 0.01, (3.0,) * 6, (0.5,) * 3 + (1.5,) * 3
-#: The part of its largest torque that springs and dampers of a joint may have; and how many times as much, at most,
-#: brakes it. Chosen: so that what brakes is always more than what drives.
+#: Largest share of its maximum torque that springs and dampers of a joint may use, and largest multiple of this torque
+#: for braking. Chosen so that the braking torque is always larger than the driving torque.
 _SHARE, _BRAKING = 0.5, 4.0
-#: Of the tool, if nothing else is given: N/m and Nm/rad, N and Nm, m and rad. Chosen: as much as the vendor's torques
-#: can hold at half of the reach of a UR5e.
+#: Defaults for the tool: N/m and Nm/rad, N and Nm, m and rad. Chosen: as much as the vendor's torques can hold at half
+#: of the reach of a UR5e.
 _TOOL_STIFFNESS = (500.0,) * 3 + (30.0,) * 3
 _TOOL_FORCE = (50.0,) * 3 + (5.0,) * 3
 _TOOL_ERROR = (0.1,) * 3 + (0.5,) * 3
-#: N and Nm at most.
+#: Largest force in N and torque in Nm.
 _STRONGEST = (200.0,) * 3 + (30.0,) * 3
-#: Nm/rad to the posture if nothing else is given, and at most; rad/s of a joint under springs of the tool at most.
-#: Chosen: some hundredths of what springs of the tool are; and near a singular pose a joint turns far while the tool
-#: moves little.
+#: Default and largest posture stiffness, in Nm/rad, and largest speed of a joint with springs of the tool, in rad/s.
+#: Chosen: the default is a few hundredths of the springs of the tool. The speed is needed because near a singular pose
+#: a joint turns far while the tool moves little.
 _POSTURE, _TIGHTEST, _TURNING = 0.5, (200.0,) * 6, 1.5
-#: rad that stand for a joint that turns without end.
+#: Position limit in rad for a joint without position limits.
 _ENDLESS = 1e6
 
 
 @dataclass(frozen=True)
 class ImpedanceParameters:
-    """The numbers of `Motions.impedance`, as they were given.
+    """Numbers of `Motions.impedance`, as they were passed.
 
     Attributes:
-        frame: of the springs.
-        stiffness, damping, torque, speed, error, force, posture_stiffness: (6,) or one for all; None for the default.
-        friction_compensation: whether the controller compensates the friction of the joints.
-        watchdog: s without a message from this computer after which the robot ends it.
+        frame: Frame of the springs.
+        stiffness, damping, torque, speed, error, force, posture_stiffness: One number for all, or shape (6,); None for
+            the default.
+        friction_compensation: Whether the controller compensates the friction of the joints.
+        watchdog: Longest time without a message from this computer, in s. After it, the robot ends the motion.
     """
 
     frame: FrameName
@@ -77,21 +78,21 @@ class ImpedanceParameters:
     watchdog: float
 
     def program(self, firmware: Firmware, model: Model | None) -> tuple[Writer, FloatArray, bool]:
-        """What makes the lines of the program, the stiffness that it begins with, and whether it takes a posture.
+        """Return the writer of the program, its initial stiffness, and whether the program accepts a posture.
 
         Raises:
-            BadValue, LocalError: as `Motions.impedance`.
+            BadValue, LocalError: If an argument is rejected; see `Motions.impedance`.
         """
         has_torque = firmware in DIRECT_TORQUE
         if not has_torque:
             self._check_measured(firmware)
         if model is None:
-            raise LocalError("the controller does not say which arm this is, so its torques and speeds are not known")
+            raise LocalError("the controller does not report its arm model, so its torques and speeds are unknown")
         seconds = check_number(self.watchdog, "watchdog", 0.05, 10.0, "s")
         ratios = damping_of(self.frame, self.damping)
         tool = None if self.frame == "joints" else self._tool()
         if tool is None:
-            self._refuse(("force", "posture_stiffness"), "is of springs of the tool, frame='base' or 'tool'")
+            self._refuse(("force", "posture_stiffness"), "applies only to springs of the tool (frame='base' or 'tool')")
             given = _default("impedance_stiffness", model) if self.stiffness is None else self.stiffness
             rates = _within(_or(self.speed, 1.0), "speed", JOINTS, _SLOWEST, model.max_speed.tolist(), "rad/s")
             stretch = _within(_or(self.error, 0.2), "error", JOINTS, 0.0, _FURTHEST, "rad")
@@ -134,23 +135,24 @@ class ImpedanceParameters:
         return partial(impedance, firmware, springs=springs), stiffness, tool is not None
 
     def _check_measured(self, firmware: Firmware) -> None:
-        """Raise unless springs of the tool can act by the force that its wrist measures."""
-        without = f"firmware {firmware} has no direct torque: 5.23 and 10.11 have it"
+        """Raise unless springs of the tool can act through the force that its wrist measures."""
+        without = f"firmware {firmware} has no direct torque (5.23, 10.11 or later is required)"
         if firmware not in _MEASURED_FORCE:
             raise LocalError(
-                f"{without}; nor the force sensor of an e-Series wrist, by which the tool is led from 5.10 on"
+                f"{without}; without it, springs of the tool need the force sensor of an e-Series wrist, and firmware "
+                "5.10 or later"
             )
         if self.frame == "joints":
             raise LocalError(
-                f"{without}, by which springs of the joints act; those of the tool, frame='base' or 'tool', act by the "
-                "force sensor of its wrist"
+                f"{without}, which springs of the joints need; only springs of the tool, frame='base' or 'tool', can "
+                "use the force sensor of the wrist"
             )
         self._refuse(("torque", "posture_stiffness"), f"has no effect: {without}")
 
     def _refuse(self, names: Sequence[str], why: str) -> None:
         for name in names:
             if getattr(self, name) is not None:
-                raise BadValue(f"{name} {why}; expected none")
+                raise BadValue(f"{name} {why}; omit it")
 
     def _tool(self) -> ToolSprings:
         fastest = (TOOL_SPEED.most,) * 3 + (TOOL_TURN.most,) * 3
@@ -165,10 +167,10 @@ class ImpedanceParameters:
 
 
 def stiffness_of(frame: FrameName, values: ArrayLike) -> FloatArray:
-    """(6,) Nm/rad of the joints, or N/m and Nm/rad of the tool.
+    """Check a stiffness: (6,), of the joints in Nm/rad, or of the tool in N/m and Nm/rad.
 
     Raises:
-        BadValue: out of range.
+        BadValue: If a number is out of range.
     """
     if frame == "joints":
         return _within(values, "stiffness", JOINTS, 0.0, _STIFFEST, "Nm/rad")
@@ -176,10 +178,10 @@ def stiffness_of(frame: FrameName, values: ArrayLike) -> FloatArray:
 
 
 def damping_of(frame: FrameName, values: ArrayLike) -> FloatArray:
-    """(6,) ratios.
+    """Check damping ratios, (6,).
 
     Raises:
-        BadValue: out of range.
+        BadValue: If a number is out of range.
     """
     return _within(values, "damping", JOINTS if frame == "joints" else AXES, 0.0, _DAMPEST)
 
@@ -191,14 +193,14 @@ def _or(given: ArrayLike | None, default: ArrayLike) -> ArrayLike:
 def _default(name: str, model: Model) -> FloatArray:
     if (name, model.name) not in parameters():
         what = name.removeprefix("impedance_")
-        raise BadValue(f"{what} has no default for a {model.name}; expected a number, or six")
+        raise BadValue(f"{what} has no default for a {model.name}; expected one number or six")
     return np.array(parameter(name, model.name))
 
 
 def _within(
     values: ArrayLike, name: str, axes: Sequence[str], least: float, most: Sequence[float], unit: str = ""
 ) -> FloatArray:
-    """One number for all axes or six, each within its range."""
+    """Check one number for all axes, or six numbers; each must be within its range."""
     given = six(np.broadcast_to(values, 6) if np.ndim(values) == 0 else values, name)
     for at, (value, limit) in enumerate(zip(given.tolist(), most, strict=True)):
         check_number(value, f"{name}[{at}] ({axes[at]})", least, limit, unit)

@@ -1,17 +1,17 @@
 """Jerk-limited motion of a joint from any state to rest, as fast as limits of speed, acceleration and jerk allow.
 
 For one joint, with position x, speed v and acceleration a: if it brakes as hard as the limits allow, it comes to rest
-at some position. If the target lies beyond that, the joint is pushed towards it for a while, with the largest jerk
-until the largest acceleration is reached, and then brakes. The longer the push, the further away it comes to rest, so
-the length of the push is the root of a growing function. If the push would reach the largest speed, the joint keeps
-that speed for as long as needed. That makes at most seven segments of constant jerk: up, hold, down, cruise, down,
-hold, up. If the target lies in the other direction, all of it is mirrored.
+at some position. If the target is beyond this position, the joint is first pushed towards the target. A push uses the
+largest jerk until the largest acceleration is reached. Then the joint brakes. The longer the push, the further away the
+joint comes to rest, so the length of the push is the root of a growing function. If the push would reach the largest
+speed, the joint keeps this speed for as long as needed. This makes at most seven segments of constant jerk: up, hold,
+down, cruise, down, hold, up. If the target is in the other direction, everything is mirrored.
 
-Braking is the same with the speed in place of the position: the acceleration grows, is held, and dies away.
+Braking works in the same way, with the speed in place of the position: the acceleration grows, is held, and decreases.
 
-Each joint gets to its target in its own time; they are not slowed down to arrive together.
+Each joint reaches its target in its own time. Joints are not slowed down to arrive together.
 
-Everything is plain floats: one operation of numpy takes longer than all of this for one joint.
+All numbers are plain floats, because one operation of numpy takes longer than all of this for one joint.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ from linkcore.arguments import check_number
 from ...arm.models import Model
 from ...arm.vectors import JOINTS, six_limits
 
-#: Most steps: each halves the bracket at least, so nothing is left of it. Six are usual.
+#: Maximum number of steps. Each at least halves the bracket, so nothing is left of it. Six are usual.
 _MOST_STEPS = 60
 
 
 def root(function: Callable[[float], float], low: float, high: float, precision: float) -> float:
-    """The root of a growing function, by the method of Ridders.
+    """Return the root of a growing function, by the method of Ridders.
 
-    In a bracket, an exponential function is fitted to both ends and the middle; its root and the middle are the ends of
+    In a bracket, an exponential function is fitted to both ends and the middle. Its root and the middle are the ends of
     the next bracket. It converges quadratically, and halves the bracket at least (C. Ridders, "A New Algorithm for
     Computing a Single Root of a Real Continuous Function", IEEE Transactions on Circuits and Systems, 1979).
 
     Args:
-        function: not positive at `low`, and not negative at `high`, but for rounding.
-        precision: of its value.
+        function: Function that is not positive at `low` and not negative at `high`, except for rounding.
+        low, high: Ends of the bracket.
+        precision: Precision of the value of the function.
     """
     at_low, at_high = function(low), function(high)
     for _ in range(_MOST_STEPS):
@@ -60,16 +61,16 @@ def root(function: Callable[[float], float], low: float, high: float, precision:
     return low
 
 
-#: rad by which a push may miss its target: a millionth of the resolution of a set-point.
+#: Largest error of a push at its target, in rad: a millionth of the resolution of a set-point.
 _PRECISION = 1e-12
 
-#: Duration, s, and jerk, rad/s³, of a segment.
+#: Duration in s, and jerk in rad/s³, of a segment.
 _Segment = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class JointLimit:
-    """The limits of one joint: rad/s, rad/s² and rad/s³."""
+    """Limits of one joint, in rad/s, rad/s² and rad/s³."""
 
     speed: float
     acceleration: float
@@ -79,15 +80,15 @@ class JointLimit:
 def joint_limits(
     model: Model | None, speed: ArrayLike, acceleration: ArrayLike, jerk: ArrayLike
 ) -> tuple[JointLimit, ...]:
-    """The limits of six joints, each given as one number for all of them or as (6,).
+    """Return the limits of six joints, each given as one number for all joints or as (6,).
 
     Args:
-        model: the arm, whose own limits must not be exceeded; None if it is not known. The vendor publishes no limits
-            of acceleration: see `urlink.models`.
-        speed, acceleration, jerk: rad/s, rad/s², rad/s³.
+        model: Model of the arm, whose own limits must not be exceeded; None if the arm is unknown. The vendor publishes
+            no limits of acceleration: see `urlink.models`.
+        speed, acceleration, jerk: Limits in rad/s, rad/s² and rad/s³.
 
     Raises:
-        BadValue: a limit is not positive, or beyond that of the arm.
+        BadValue: If a limit is not positive, or exceeds the limit of the arm.
     """
     rows = [six_limits(speed, "speed"), six_limits(acceleration, "acceleration"), six_limits(jerk, "jerk")]
     if model is not None:
@@ -101,16 +102,16 @@ def joint_limits(
 
 
 class JointProfile:
-    """The movement of one joint from a state to rest at a target.
+    """Motion of one joint from a state to rest at a target.
 
     Args:
-        x, v, a: rad, rad/s, rad/s²; within the limits, and so is the speed that is reached when the acceleration dies
-            away as fast as the jerk allows.
-        target: rad.
-        limit: of the joint.
+        x, v, a: Position, speed and acceleration in rad, rad/s and rad/s², within the limits. The speed must also be
+            within the limits after the acceleration has decreased to 0 as fast as the jerk allows.
+        target: Target in rad.
+        limit: Limits of the joint.
 
     Attributes:
-        duration: s.
+        duration: Duration in s.
     """
 
     __slots__ = ("_pieces", "_target", "duration")
@@ -127,7 +128,7 @@ class JointProfile:
         self.duration = t
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """Position, speed and acceleration `t` s after the beginning; from the end on, the target."""
+        """Return position, speed and acceleration `t` s after the beginning; after the end, return the target."""
         for end, begin, x, v, a, jerk in self._pieces:
             if t < end:
                 return _after(x, v, a, jerk, t - begin)
@@ -135,18 +136,18 @@ class JointProfile:
 
 
 class TargetFilter:
-    """Six joints that move to targets which may change at any time.
+    """Six joints that move to targets, which may change at any time.
 
-    Each new target makes a new plan from the present positions, speeds and accelerations of the joints. So no limit is
-    exceeded, whatever the targets are and whenever they come.
+    Each new target makes a new plan from the current positions, speeds and accelerations of the joints. So no limit is
+    exceeded, whatever the targets are and whenever they arrive.
 
     Args:
-        q: (6,) rad, positions at rest.
-        limits: of each joint.
+        q: Positions at rest, shape (6,), in rad.
+        limits: Limits of each joint.
 
     Attributes:
-        q, qd, qdd: (6,) rad, rad/s, rad/s²: present positions, speeds and accelerations.
-        target: (6,) rad.
+        q, qd, qdd: Current positions, speeds and accelerations, shape (6,), in rad, rad/s and rad/s².
+        target: Target, shape (6,), in rad.
     """
 
     def __init__(self, q: Sequence[float], limits: Sequence[JointLimit]) -> None:
@@ -154,25 +155,25 @@ class TargetFilter:
         self.q, self.qd, self.qdd = list(q), [0.0] * 6, [0.0] * 6
         self.target = list(q)
         self._profiles = [JointProfile(x, 0.0, 0.0, x, limit) for x, limit in zip(q, self._limits, strict=True)]
-        #: s since each profile began
+        #: time in s since each profile began
         self._times = [0.0] * 6
 
     def aim(self, target: Sequence[float]) -> None:
-        """Go to another target, (6,) rad, from now on."""
+        """Move to another target, (6,) rad, from now on."""
         for joint, (old, new) in enumerate(zip(self.target, target, strict=True)):
             if old != new:
                 self._plan(joint, new)
         self.target = list(target)
 
     def restart(self, q: Sequence[float], qd: Sequence[float]) -> None:
-        """Go on to the target from other positions, (6,) rad, at other speeds, (6,) rad/s.
+        """Continue to the target from other positions, (6,) rad, at other speeds, (6,) rad/s.
 
-        The accelerations stay as they are, unless they would lead beyond the largest speeds.
+        The accelerations do not change, unless they would lead to more than the largest speeds.
         """
         self.q = list(q)
         for joint, (speed, limit) in enumerate(zip(qd, self._limits, strict=True)):
             self.qd[joint] = v = max(-limit.speed, min(speed, limit.speed))
-            # As it dies away, the acceleration must not lead beyond the largest speed.
+            # While it decreases to 0, the acceleration must not exceed the largest speed.
             up, down = (math.sqrt(2.0 * limit.jerk * (limit.speed - each)) for each in (v, -v))
             self.qdd[joint] = max(-down, min(self.qdd[joint], up))
         for joint, x in enumerate(self.target):
@@ -184,7 +185,7 @@ class TargetFilter:
         self._times[joint] = 0.0
 
     def after(self, seconds: float) -> tuple[list[float], list[float]]:
-        """Positions, (6,) rad, and speeds, (6,) rad/s, `seconds` later."""
+        """Return the positions, (6,) rad, and speeds, (6,) rad/s, `seconds` later."""
         states = [profile.at(t + seconds) for profile, t in zip(self._profiles, self._times, strict=True)]
         return [x for x, _, _ in states], [v for _, v, _ in states]
 
@@ -196,14 +197,14 @@ class TargetFilter:
 
 
 def _after(x: float, v: float, a: float, jerk: float, t: float) -> tuple[float, float, float]:
-    """The state after `t` s of constant jerk."""
+    """Return the state after `t` s of constant jerk."""
     return x + t * (v + t * (0.5 * a + t * jerk / 6.0)), v + t * (a + 0.5 * t * jerk), a + t * jerk
 
 
 def _brake(v: float, a: float, limit: JointLimit) -> tuple[_Segment, _Segment, _Segment]:
-    """The fastest motion to rest, at any position."""
+    """Return the segments of the fastest motion to rest, at any position."""
     most, jerk = limit.acceleration, limit.jerk
-    # The direction follows from the speed that remains when the acceleration dies away at once.
+    # The direction follows from the speed that remains when the acceleration decreases to 0 at once.
     if v + 0.5 * a * abs(a) / jerk > 0.0:
         jerk, a, gain = -jerk, -a, v
     else:
@@ -218,7 +219,7 @@ def _brake(v: float, a: float, limit: JointLimit) -> tuple[_Segment, _Segment, _
 
 
 def _way(v: float, a: float, segments: Sequence[_Segment]) -> float:
-    """The distance that the segments lead, rad."""
+    """Return the distance that the segments cover, in rad."""
     x = 0.0
     for t, jerk in segments:
         x, v, a = _after(x, v, a, jerk, t)
@@ -236,7 +237,7 @@ def _segments(x: float, v: float, a: float, target: float, limit: JointLimit) ->
 
 
 def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: JointLimit) -> list[_Segment]:
-    """A push, and the braking after it; `way` is at least the distance of braking at once."""
+    """Return a push and the braking after it; `way` is at least the braking distance without a push."""
     most, jerk = limit.acceleration, limit.jerk
     until_held = max(most - a, 0.0) / jerk
     held_x, held_v, _ = _after(0.0, v, a, jerk, until_held)
@@ -249,7 +250,7 @@ def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: 
         return held_x + held * (held_v + 0.5 * held * most), held_v + held * most, most
 
     def missing(seconds: float) -> float:
-        # `_way` of `_brake`, written out: most of the time is spent here.
+        # `_way` of `_brake`, written out, because most of the time is spent here.
         x, speed, acceleration = pushed(seconds)
         square = max(jerk * speed + 0.5 * acceleration * acceleration, 0.0)
         if square <= most * most:
@@ -262,10 +263,10 @@ def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: 
             x += held * (0.5 * most * most / jerk + 0.5 * most * held) + fading
         return x + t * (speed + t * (0.5 * acceleration - t * jerk / 6.0)) - way
 
-    # Braking may itself begin with a push; the whole push is at least as long as that.
+    # Braking may itself begin with a push. The whole push is at least as long as this part.
     (first, its_jerk), (held, _), _ = braking
     least = first + held if its_jerk > 0.0 else 0.0
-    # At the end of the longest push the acceleration dies away just as the largest speed is reached.
+    # At the end of the longest push, the acceleration decreases to 0 just when the largest speed is reached.
     slack = max(limit.speed - v + 0.5 * a * a / jerk, 0.0)
     if jerk * slack <= most * most:
         peak = math.sqrt(jerk * slack)

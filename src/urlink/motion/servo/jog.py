@@ -1,4 +1,4 @@
-"""Speeds of the joints or of the tool over a link: jogging, and a speed for a while (`HeldSpeed`)."""
+"""Speeds of the joints or of the tool over a link: jogging, and a speed for a given time (`HeldSpeed`)."""
 
 from __future__ import annotations
 
@@ -24,34 +24,36 @@ from .block_motion import BlockMotion, message
 from .linked_program import Link, LinkedProgram
 from .setpoints import LinkDialogue
 
-#: The frame of the six speeds.
+#: Frame of the six speeds.
 FrameName = Literal["joints", "base", "tool"]
 
 _JOINTS, _TOOL = (1.05,) * 6, (0.25,) * 3 + (0.8,) * 3
-#: What keys and buttons take for the whole speed in each frame, rad/s; m/s and rad/s: the defaults of the vendor's
-#: `movej` and `movel`.
+#: Full speed for keys and buttons in each frame, in rad/s, or in m/s and rad/s: the defaults of the vendor's `movej`
+#: and `movel`.
 FULL_SPEED: Mapping[FrameName, tuple[float, ...]] = {"joints": _JOINTS, "base": _TOOL, "tool": _TOOL}
 
 _REST = np.zeros(6)
-#: Seconds for which an arm may go on at a speed that nobody wants any more: the longest time of a speed that is sent as
-#: one program, and the watchdog of a longer one.
+#: Longest time in s that an arm may continue at a speed that is no longer wanted. It is the longest duration of a
+#: speed that is sent as one program, and the watchdog of a longer one.
 UNLED = 0.5
 
 
 class _Jogging(LinkDialogue):
-    """Answers each state with the newest speeds, or with `WAIT_MESSAGE` if they have expired.
+    """Dialogue that answers each state with the newest speeds, or with zero speeds if they have expired.
+
+    Before the first speeds, it answers with `WAIT_MESSAGE`.
 
     Args:
-        frame: of the speeds.
-        timeout: s after which they expire.
-        write: makes the lines of the program.
+        frame: Frame of the speeds.
+        timeout: Time in s until they expire.
+        write: Function that makes the lines of the program.
     """
 
     def __init__(self, frame: FrameName, timeout: float, write: Writer) -> None:
         super().__init__(write)
         self._frame = frame
         self._timeout = timeout
-        #: the speeds, and when they were set, monotonic s; one assignment, by any thread
+        #: the speeds, and the monotonic time in s when they were set; any thread may assign both at once
         self.newest: tuple[FloatArray, float] | None = None
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
@@ -64,7 +66,7 @@ class _Jogging(LinkDialogue):
         elif self._frame == "tool":
             from ...arm.poses import rotvec_to_matrix
 
-            # From the axes of the tool, in its present orientation, to those of the base.
+            # Convert from the axes of the tool, in its current orientation, to the axes of the base.
             turned = rotvec_to_matrix(state.tool_vector_actual[3:])
             speeds = np.concatenate([turned @ speeds[:3], turned @ speeds[3:]])
         return message(speeds.tolist())
@@ -72,11 +74,13 @@ class _Jogging(LinkDialogue):
 
 @slider(jog=SliderEffect.SCALED)
 class Jog(BlockMotion):
-    """Speeds by hand; made by `robot.motion.jog`, and open within a ``with`` block. Leaving the block stops the arm.
+    """Moves the arm at speeds from a person. `robot.motion.jog` returns it.
+
+    Use it as a ``with`` block. Leaving the block stops the arm.
 
     Attributes:
-        frame: of the speeds: "joints", "base" or "tool".
-        timeout: seconds after which a speed expires.
+        frame: Frame of the speeds: "joints", "base" or "tool".
+        timeout: Time in seconds until a speed expires.
     """
 
     def __init__(
@@ -98,15 +102,18 @@ class Jog(BlockMotion):
         self._arm = identity.arm
 
     def move(self, speeds: Numbers) -> None:
-        """Move at these speeds until others come, or `timeout` seconds are over. Does not wait.
+        """Move at these speeds until others are set, or until `timeout` seconds have passed.
+
+        The call does not wait.
 
         Args:
-            speeds: (6,) rad/s of the joints; or of the tool, m/s along and rad/s about the axes of the frame.
+            speeds: Speeds, shape (6,): of the joints in rad/s, or of the tool in m/s along and rad/s about the axes of
+                the frame.
 
         Raises:
-            BadValue: not six finite numbers, or faster than the arm can be; the speeds before stay.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: the jog is over.
-            LocalError: not within the block.
+            BadValue: If these are not six finite numbers, or faster than the arm can be. The previous speeds remain.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the jog has ended.
+            LocalError: If not called within the block.
         """
         self._check_open()
         values = (
@@ -117,22 +124,22 @@ class Jog(BlockMotion):
         self._dialogue.newest = values, self._context.clock()
 
     def stop(self) -> None:
-        """Brake; the next `move` moves again.
+        """Brake. The next `move` moves the arm again.
 
         Raises:
-            LinkError: as for `move`.
+            LinkError: If `move` raises it.
         """
         self.move(_REST)
 
 
 class _Holding(LinkDialogue):
-    """Answers each state with one speed, until it has been held for its time.
+    """Dialogue that answers each state with one speed, until this speed has been held for its time.
 
     Args:
-        section: lock of the robot.
-        write: makes the lines of the program.
-        speeds: (6,) of the joints, or of the tool in the base frame.
-        duration: s from the first message on.
+        section: Lock of the robot.
+        write: Function that makes the lines of the program.
+        speeds: Speeds of the joints, or of the tool in the base frame, shape (6,).
+        duration: Duration from the first message on, in s.
     """
 
     def __init__(
@@ -145,7 +152,7 @@ class _Holding(LinkDialogue):
         self._began: float | None = None
 
     def change(self, speeds: FloatArray, duration: float) -> bool:
-        """Hold another speed from the next state on; False if the last message has been decided on."""
+        """Hold another speed from the next state on; return False if the last message was already decided."""
         with self._section:
             if not self.is_over:
                 self._speeds, self._duration, self._began = speeds, duration, None
@@ -159,21 +166,23 @@ class _Holding(LinkDialogue):
             return message(self._speeds.tolist())
 
     def part(self, now: float) -> float:
-        """The part of its time that is over."""
+        """Return the fraction of its time that has passed."""
         with self._section:
             return 0.0 if self._began is None else (now - self._began) / self._duration
 
 
 @slider(speed_joints=SliderEffect.SCALED)
 class HeldSpeed(Motion):
-    """A speed for longer than `UNLED`: the robot brakes by itself that long after the last message from this computer.
+    """Speed for a duration longer than `UNLED`, over a link.
+
+    The robot brakes on its own when it has received no message from this computer for `UNLED` seconds.
 
     Args:
-        context: the robot.
-        name: of the motion.
-        is_tool: a speed of the tool in the base frame, rather than of the joints.
-        speeds, acceleration, duration: see `Motions.speed_joints`.
-        open_link: opens the link to its program.
+        context: The robot.
+        name: Name of the motion.
+        is_tool: Whether it is a speed of the tool in the base frame, rather than of the joints.
+        speeds, acceleration, duration: See `Motions.speed_joints`.
+        open_link: Function that opens the link to its program.
     """
 
     def __init__(
@@ -195,7 +204,7 @@ class HeldSpeed(Motion):
         LinkedProgram(life, context, self._dialogue, open_link).begin()
 
     def change(self, name: str, speeds: FloatArray, acceleration: float, duration: float) -> bool:
-        """Go on at another speed, without a stop; False if another program is needed for it."""
+        """Continue at another speed, without a stop; return False if this needs another program."""
         if self.done or (name, acceleration) != (self.name, self._acceleration):
             return False
         return self._dialogue.change(speeds, duration)

@@ -1,10 +1,12 @@
-"""A program on the robot that is linked to this computer, and the messages that are sent to it.
+"""A program on the robot with a link to this computer, and the messages that are sent to it.
 
-Each real-time state that arrives, one per cycle of the controller, is answered with a message, so the controller's
-clock sets the pace. A `LinkDialogue` decides the messages. Each message carries the cycle of the newest
-state, by which the program counts one as none that is too old (`urlink.script.links`): so messages that waited in the
-socket of a controller that hung do not lead the arm. If no state arrives, the interlock closes after a second, which
-ends every motion; the program on the robot brakes sooner.
+A real-time state arrives in each cycle of the controller and is answered with a message, so the controller's clock sets
+the pace. A `LinkDialogue` decides the messages. Each message contains the cycle of the newest state. By this cycle, the
+program recognizes and ignores messages that are too old (`urlink.script.links`). Therefore messages that were delayed
+in the socket of a hung controller do not move the arm.
+
+If no state arrives, the interlock closes after one second, which ends every motion. The program on the robot brakes
+earlier.
 """
 
 from __future__ import annotations
@@ -27,12 +29,12 @@ from ..links.messages import dated
 from .following import stands
 from .setpoints import LinkDialogue
 
-#: Seconds within which the program must connect.
+#: Longest time in s until the program must have connected.
 CONNECT_TIMEOUT = 5.0
-#: Seconds after a lost connection in which its reason may arrive over the other interfaces.
+#: Time in s after a lost connection. Within it, the reason may arrive over the other interfaces.
 _GRACE = 1.0
-#: Seconds on the controller's clock after the last message, from which on an arm that stands still ends the motion
-#: though the end of the program was not reported.
+#: Time in s after the last message, on the controller's clock. After it, an arm at rest ends the motion even if the end
+#: of the program was not reported.
 _END_TIMEOUT = 1.0
 
 
@@ -41,43 +43,44 @@ def _nothing() -> None:
 
 
 class Link(Protocol):
-    """The link to the program: `ReverseLink`, `RegisterLink` or `PointRegisterLink`. None of its methods waits."""
+    """Link to the program: `ReverseLink`, `RegisterLink` or `PointRegisterLink`. None of its methods waits."""
 
     @property
     def endpoint(self) -> Any:
-        """Its address or registers, and its token, for the text of the program: of the kind that the dialogue takes."""
+        """Address or registers, and token, for the text of the program: of the kind that the dialogue takes."""
 
     @property
     def is_up(self) -> bool:
         """Whether the program can receive messages."""
 
     def poll(self, has_begun: bool) -> bool:
-        """Check whether it is up now; `has_begun`: whether the controller has begun the program."""
+        """Check whether the link is up now; `has_begun`: whether the controller has started the program."""
 
     def send(self, data: bytes) -> None:
         """Send a message; raises `LinkError` if the connection is lost."""
 
     def received(self) -> bytes:
-        """The bytes from the program since the last call; raises `ConnectionLost` if the connection is lost."""
+        """Return the bytes from the program since the last call; raise `ConnectionLost` if the connection is lost."""
 
     def absence(self, why: str) -> LinkError:
-        """The error for a link that does not come up."""
+        """Return the error for a link that does not come up."""
 
     def close(self, *, farewell: bool) -> None:
-        """Close the link; with `farewell` the last message is still delivered. Idempotent."""
+        """Close the link; with `farewell`, the last message is still delivered. Idempotent."""
 
 
 class LinkedProgram:
-    """The program of one motion.
+    """Program of one motion.
 
     Args:
-        life: life cycle of the motion.
-        context: the robot.
-        dialogue: decides its messages.
-        open_link: opens the link to it; may raise `LinkError`.
-        tolerance: rad by which any joint may be away, after a pause, from where the arm came to rest in it.
-        on_linked: called, possibly more than once, when the first message has been sent, and when no more messages will
-            be sent.
+        life: Life cycle of the motion.
+        context: The robot.
+        dialogue: Dialogue that decides the messages.
+        open_link: Function that opens the link to the program; may raise `LinkError`.
+        tolerance: Largest distance of any joint, in rad, from the position where the arm came to rest in a pause. It is
+            checked after the pause.
+        on_linked: Function that is called when the first message has been sent, and when no more messages will be sent.
+            It may be called more than once.
     """
 
     def __init__(
@@ -101,18 +104,18 @@ class LinkedProgram:
         self._subscription: Subscription | None = None
         self._cycle = 1.0 / context.who.identity.firmware.rate
         self._controller = ControllerTimer(self._cycle)
-        #: s on the controller's clock from the first state to the newest one
+        #: time in s on the controller's clock from the first state to the newest one
         self._passed = 0.0
-        #: when the newest state was looked at, monotonic s; from the first one on
+        #: monotonic time in s when the newest state was processed; set after the first state
         self._seen: float
-        self._owes_farewell = False  # of the link: what it still has to deliver when it is closed
+        self._owes_farewell = False  # whether the link has to deliver its last message when it is closed
 
     def begin(self) -> None:
         """Open the link, and send the program.
 
         Raises:
-            SafetyStop, NotRunning: the arm may not be moved now: no port was opened and nothing was sent.
-            LinkError: another reason why it cannot begin. Its life cycle is over then.
+            SafetyStop, NotRunning: If the arm may not be moved now. No port is opened and nothing is sent.
+            LinkError: If it cannot start for another reason. Its life cycle has then ended.
         """
         life, context = self._life, self._context
         life.brake = self._brake
@@ -123,12 +126,12 @@ class LinkedProgram:
             self._subscription = context.realtime.subscribe(on_state, policy=latest)
             life.on_end(self._release)
             context.programs.start(
-                # It needs no start permission: once the motion is over, its connection is refused or its token not
-                # written.
+                # It needs no start permission: after the end of the motion, its connection is refused, or its token is
+                # not written.
                 context.programs.own(self._dialogue.body(link.endpoint), asks=False),
                 life,
                 is_linked=True,
-                left_alone="its program on the robot brakes by itself",
+                left_alone="its program on the robot brakes on its own",
                 on_text=self._on_text,
                 on_finish=self._on_finish,
             )
@@ -141,31 +144,31 @@ class LinkedProgram:
             raise
 
     def say(self, data: bytes) -> None:
-        """Send to the program, through the interlock and only while the motion runs.
+        """Send data to the program, through the interlock and only while the motion runs.
 
         Raises:
-            SafetyStop, NotRunning: the arm may not be moved now.
-            ConnectionLost: the connection is lost.
-            LinkError: the motion is over; the error says why.
+            SafetyStop, NotRunning: If the arm may not be moved now.
+            ConnectionLost: If the connection is lost.
+            LinkError: If the motion has ended; the error is its reason.
         """
         self._context.channel.setpoint(lambda: self._transmit(data))
 
     def feed(self, data: bytes, watchdog: float) -> None:
-        """Send a message that answers no state, but comes from a loop of the user, unless no state comes either.
+        """Send a message from the user's loop, unless no states arrive.
 
-        Without a state for `watchdog` seconds it would be too old for the program, and is not sent: read at once, after
-        a controller has hung, it would be where the arm has to go with all its speed. After twice that time the program
-        has braked, or the controller hangs, and the motion is over.
+        If no state has arrived for `watchdog` seconds, the message would be too old for the program, and is not sent. A
+        hung controller would read it later, and drive the arm to its position with full speed. After twice that time,
+        the program has braked or the controller hangs, so the motion ends.
 
         Raises:
-            ConnectionLost: no state has come for twice the watchdog's time.
-            LinkError: as for `say`.
+            ConnectionLost: If no state has arrived for twice the time of the watchdog.
+            LinkError: If `say` raises it.
         """
         silence = self._clock() - self._seen
         if silence > 2.0 * watchdog:
             error = ConnectionLost(
                 f"the robot has sent no state for {silence:.2f} s, more than twice watchdog={watchdog:g} s, so its "
-                "program takes no message; it brakes by itself. A larger watchdog= tolerates longer delays"
+                "program accepts no message; it brakes on its own. A larger watchdog= tolerates longer delays"
             )
             self._life.fail(error, brake=True)
             raise error
@@ -174,9 +177,9 @@ class LinkedProgram:
 
     @property
     def is_paused(self) -> bool:
-        """Whether the program is paused: it takes no messages.
+        """Whether the program is paused, so that it accepts no messages.
 
-        By the newest state too: a loop of the user may have it before the thread that answers states.
+        The newest state is also checked, because a user's loop may have it before the thread that answers states.
         """
         newest = self._context.realtime.latest
         return self._pause.holds or (newest is not None and is_paused(newest))
@@ -184,29 +187,30 @@ class LinkedProgram:
     def _transmit(self, data: bytes) -> None:
         if self._life.error is not None:
             raise self._life.error
-        # Composed before another thread ended the program: a register holds its newest message only. Or before the
-        # thread that stops it for a task that was cancelled has come to do so: nothing follows that task but the stop.
+        # The message may have been composed before another thread ended the program, and a register holds only its
+        # newest message. It may also have been composed before a thread stops the program for a task that was
+        # cancelled. After such a task, only the stop may be sent.
         if (self.is_finishing or not self._life.is_wanted) and data != self._dialogue.farewell:
             return
         assert self._link is not None
         self._link.send(self._dated(data))
 
     def _dated(self, data: bytes) -> bytes:
-        """What the dialogue sends, with the date of the newest state and the number of pauses.
+        """Add the date of the newest state and the number of pauses to a message of the dialogue.
 
-        A program that ends by itself asks for each of its points by number, so they need no date.
+        A program that ends on its own requests each of its points by number, so its messages need no date.
         """
         if not self._dialogue.farewell:
             return data
         return dated(data, round(self._passed / self._cycle), self._pause.count)
 
     def finish(self) -> None:
-        """End the program; the motion is over once it has ended.
+        """End the program. The motion ends when the program has ended.
 
         Raises:
-            LinkError: the message could not be sent.
+            LinkError: If the message could not be sent.
         """
-        # Fired before sending: the program may end before this thread goes on.
+        # Fired before sending, because the program may end before this thread continues.
         if self._life.fire(Event.BRAKE, at=self._passed) and self._dialogue.farewell:
             self._owes_farewell = True
             self.say(self._dialogue.farewell)
@@ -217,8 +221,8 @@ class LinkedProgram:
         return self._life.happened(Event.BRAKE) is not None
 
     def lose(self, error: LinkError) -> None:
-        """Handle a lost connection. The primary interface may still report what stopped the program."""
-        lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes by itself: {error}")
+        """Handle a lost connection. The primary interface may still report the reason why the program stopped."""
+        lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes on its own: {error}")
         self._life.fire(Event.LOSE, lost, at=self._clock())
 
     # -- events --------------------------------------------------------------------------------------
@@ -231,7 +235,7 @@ class LinkedProgram:
         except LinkError as error:
             self._life.fail(error, brake=True)
         except Exception as error:
-            # An unexpected exception must not leave the arm without set-points, nor a thread that waits for ever.
+            # An unexpected exception must not leave the arm without set-points, nor a thread waiting forever.
             self._life.fail(error, brake=True)
             raise
 
@@ -255,11 +259,11 @@ class LinkedProgram:
         elif link.is_up or link.poll(self._life.phase is Phase.RUNNING):
             self._talk(link, state, now)
         elif now - sent > CONNECT_TIMEOUT:
-            self._life.fail(link.absence(f"it has not within {CONNECT_TIMEOUT:g} s"), brake=True)
+            self._life.fail(link.absence(f"it did not connect within {CONNECT_TIMEOUT:g} s"), brake=True)
 
     def _talk(self, link: Link, state: RealtimeState, now: float) -> None:
         if self._pause.look(state):
-            # A program that is paused reads nothing: what is sent to it would wait, and be old when it goes on.
+            # A paused program reads nothing. A message would be queued, and be too old when the program continues.
             return
         if self._pause.is_over:
             self._pause.is_over = False
@@ -279,18 +283,18 @@ class LinkedProgram:
         error: LinkError
         if text.startswith(links.NO_CONNECTION):
             assert self._link is not None
-            error = self._link.absence("it says that it was refused, or found no way")
+            error = self._link.absence("it reported that it was refused, or found no route")
         elif text.startswith(links.LINK_ENDED):
-            error = ConnectionLost("the program on the robot says that its connection ended; it brakes by itself")
+            error = ConnectionLost("the program on the robot reported that its connection ended; it brakes on its own")
         elif text.startswith(links.STARVED):
             watchdog = self._dialogue.watchdog
             within = "" if watchdog is None else f" (watchdog={watchdog:g} s)"
             error = ConnectionLost(
-                f"nothing came to the program on the robot in time{within}; it brakes by itself. Send more often, or "
-                "pass a larger watchdog="
+                f"no message reached the program on the robot in time{within}; it brakes on its own. Send more often, "
+                "or pass a larger watchdog="
             )
         elif text.startswith(links.TOO_FAR):
-            error = ToleranceExceeded("the program on the robot says that the first point is too far away")
+            error = ToleranceExceeded("the program on the robot reported that the first point is too far away")
         else:
             return
         if not self.is_finishing:
@@ -306,7 +310,7 @@ class LinkedProgram:
         elif lost and lost.error is not None:
             self._life.fail(lost.error)
         else:
-            self._life.fail(ProgramStopped(f"the program of {self._life.name} ended before its time"))
+            self._life.fail(ProgramStopped(f"the program of {self._life.name} ended unexpectedly"))
 
     def _brake(self) -> None:
         link = self._link
@@ -315,15 +319,15 @@ class LinkedProgram:
             self._context.channel.setpoint(lambda: link.send(self._dated(self._dialogue.farewell)), is_stop=True)
             if not self.is_paused:
                 return
-        # One that is paused reads nothing, and would go on for some cycles before it reads that message.
+        # A paused program reads nothing, and would continue for some cycles before it reads this message.
         self._context.programs.stop(self._life)
 
     def _release(self) -> None:
         self._on_linked()
-        self._on_linked = _nothing  # which refers to the handle, and this to the program
+        self._on_linked = _nothing  # the callback refers to the handle, and the handle to the program
         subscription, self._subscription = self._subscription, None
         if subscription is not None:
-            # Without waiting: this may be the thread of its callback.
+            # Do not wait, because its callback may be running in this thread.
             subscription.close(0)
         if self._link is not None:
             self._link.close(farewell=self._owes_farewell)

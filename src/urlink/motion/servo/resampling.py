@@ -1,9 +1,9 @@
 """Resampling of targets or of a schedule to set-points, one for each cycle of the controller.
 
 Each real-time state that arrives is answered with the next set-point, so the controller's clock sets the pace, whenever
-targets come. While set-points are missed, the program on the robot coasts (`urlink.motion.servo.setpoints`). Usually
-the position that it has coasted to is close to the next set-point of the source, and the difference is faded out; if it
-is not, the source begins again from that position, with the speed that is left.
+targets arrive. While set-points are missed, the program on the robot coasts (`urlink.motion.servo.setpoints`). Usually
+the position after coasting is close to the next set-point of the source, and the difference is faded out. If it is not
+close, the source begins again from this position, with the remaining speed.
 """
 
 from __future__ import annotations
@@ -25,47 +25,47 @@ from .following import Rest
 from .jerk_limited import JointLimit, TargetFilter
 from .setpoints import Servoing, SetpointStream
 
-#: rad and rad/s, in any joint; a larger gap is not faded out. Chosen: at 1 rad/s it is the gap after 20 ms without
+#: Largest gap in any joint that is faded out, in rad and rad/s. Chosen: at 1 rad/s it is the gap after 20 ms without
 #: set-points, with the default watchdog.
 _WIDEST_GAP, _LARGEST_CHANGE = 0.005, 0.2
-#: Time constant, s, of closing a gap: after this time a third of it is left. Chosen: longer than set-points are missed
-#: on a busy computer, so that a program that coasts does not overshoot.
+#: Time constant of closing a gap, in s: after this time, a third of the gap is left. Chosen: longer than set-points are
+#: missed on a busy computer, so that a coasting program does not overshoot.
 _SETTLING = 0.1
 
 
 class ResampledSource(Protocol):
-    """A source of set-points. Times are those of states, on the controller's clock; `rate` is that of the program."""
+    """Source of set-points. Times are times of states, on the controller's clock; `rate` is the rate of the program."""
 
     @property
     def has_targets(self) -> bool:
         """Whether there is a target."""
 
     def begin(self, time: float, q: Sequence[float]) -> None:
-        """The arm rests at `q` (6, rad)."""
+        """Begin with the arm at rest at `q`, (6,) rad."""
 
     def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
-        """Set-points were missed, and the program on the robot coasted for `seconds`.
+        """Skip missed set-points, while the program on the robot coasted for `seconds`.
 
         Returns:
-            the present positions, (6,) rad, and speeds, (6,) rad/s.
+            Current positions, (6,) rad, and speeds, (6,) rad/s.
         """
 
     def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
-        """Go on from `q`, (6,) rad, at speeds `qd`, (6,) rad/s, which the program has now after coasting."""
+        """Continue after coasting, from positions `q`, (6,) rad, at speeds `qd`, (6,) rad/s, of the program."""
 
     def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
-        """The set-point that answers the state of this time: (6,) rad, and (6,) rad/s."""
+        """Return the set-point that answers the state of this time: (6,) rad, and (6,) rad/s."""
 
     def accept(self, time: float, rate: float) -> None:
-        """The set-point of this time was sent."""
+        """Record that the set-point of this time was sent."""
 
 
 class ResampledSetpoints:
     """Answers states with set-points.
 
     Args:
-        servoing: how set-points are followed.
-        source: makes the set-points.
+        servoing: Parameters for following set-points.
+        source: Source of the set-points.
     """
 
     def __init__(self, servoing: Servoing, source: ResampledSource) -> None:
@@ -74,11 +74,11 @@ class ResampledSetpoints:
         self._timer = ProgramTimer(self._stream.cycle)
         self._rest = Rest("the servo")
         self._has_begun = False
-        #: rad, between the last set-point and that of the source
+        #: difference between the last set-point and the set-point of the source, in rad
         self._gap = [0.0] * 6
 
     def resume(self, state: RealtimeState) -> None:
-        """Go on after a pause, from where the arm stands."""
+        """Continue after a pause, from the position of the arm."""
         self._timer.restart()
         if self._has_begun:
             here = state.q_target.tolist()
@@ -87,10 +87,10 @@ class ResampledSetpoints:
             self._gap = [0.0] * 6
 
     def answer(self, state: RealtimeState, now: float) -> bytes:
-        """The message for the program on the robot.
+        """Return the message for the program on the robot.
 
         Raises:
-            LinkTimeout: the arm does not come to rest before the first set-point.
+            LinkTimeout: If the arm does not come to rest before the first set-point.
         """
         passed, scaled = self._timer.passed(state, now)
         if not self._has_begun:
@@ -112,7 +112,7 @@ class ResampledSetpoints:
         q, qd = self._source.at(state.time, rate)
         q = [a + b for a, b in zip(q, gap, strict=True)]
         if self._stream.excess(q, now) is not None:
-            # Further than the joints can move in the time that has passed here: nothing is sent, and the robot coasts.
+            # The joints cannot move this far in the time that has passed here: nothing is sent, and the robot coasts.
             return b""
         self._source.accept(state.time, rate)
         self._gap = gap
@@ -122,7 +122,7 @@ class ResampledSetpoints:
         """Handle that the program on the robot coasted for `missed` cycles."""
         here, speeds = self._stream.coasted_to(missed)
         if self._stream.excess(here, now) is not None:
-            # By this computer's clock, so many cycles cannot have passed.
+            # According to this computer's clock, this many cycles cannot have passed.
             return
         there, theirs = self._source.skip(time, self._stream.coasted_time(missed))
         self._gap = [a - b for a, b in zip(here, there, strict=True)]
@@ -133,20 +133,20 @@ class ResampledSetpoints:
 
 
 class FilteredTargets:
-    """Makes the set-points of a servo from the last target of `Servo.send`.
+    """Source that makes the set-points of a servo from the last target of `Servo.send`.
 
     Args:
-        limits: of each joint.
-        cycle: s of the controller's cycle.
+        limits: Limits of each joint.
+        cycle: Cycle of the controller, in s.
 
     Attributes:
-        newest: the last target, (6,) rad; set by the thread that calls `Servo.send`.
+        newest: Last target, shape (6,), in rad; set by the thread that calls `Servo.send`.
     """
 
     def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:
         self.newest: list[float] | None = None
         self._limits, self._cycle = limits, cycle
-        self._filter: TargetFilter  # made by `begin`, which comes first
+        self._filter: TargetFilter  # made by `begin`, which is called first
 
     @property
     def has_targets(self) -> bool:
@@ -171,33 +171,35 @@ class FilteredTargets:
         self._filter.advance(rate * self._cycle)
 
 
-#: s; waypoints that are closer in time count as one.
+#: Time in s; waypoints that are closer in time count as one.
 _CLOSEST = 1e-3
-#: s for the rest of the path, if set-points were missed until all waypoints were past.
+#: Time in s for the rest of the path if set-points were missed until the times of all waypoints had passed.
 _LATE = 0.1
-#: How often waypoints are postponed, and by which fraction of the time before the first of them: up to 400 times that.
+#: Maximum number of times that waypoints are postponed, and the fraction of the time before the first of them that each
+#: time adds. In total, this is up to 400 times the time before the first.
 _PUT_OFF, _LATER = 16, 0.45
 
 _Waypoint = tuple[float, list[float]]
 
 
 class Schedule:
-    """Makes the set-points of a servo from waypoints with times on the robot's clock.
+    """Source that makes the set-points of a servo from waypoints with times on the robot's clock.
 
-    A cubic curve in joint space goes through the waypoints that are still ahead, from the present set-point and its
-    speed, to rest at the last waypoint; the speeds at those between are chosen as for a `Trajectory`. Each new waypoint
+    A cubic curve in joint space passes through all future waypoints, from the current set-point and its speed, to rest
+    at the last waypoint. The speeds at the waypoints in between are chosen as for a `Trajectory`. Each new waypoint
     makes a new curve from there, so the speed never jumps.
 
-    As in the interpolation controller of UMI, a program for learning from demonstrations, a waypoint replaces those of
-    the same time or later, one whose time is past changes nothing, and one that cannot be reached in time is reached
-    later. So are all that are ahead if the arm is not at its set-point, because set-points were missed. That controller
-    moves straight from pose to pose, with a jump in speed at each.
+    The rules are the same as in the interpolation controller of UMI, a program for learning from demonstrations. A
+    waypoint replaces all waypoints of the same time or later. A waypoint whose time has passed changes nothing. A
+    waypoint that cannot be reached in time is reached later. All future waypoints are reached later if the arm is not
+    at its set-point because set-points were missed. One difference: UMI's controller moves straight from pose to pose,
+    with a jump in speed at each pose.
 
     Args:
-        model: its limits hold; None for an arm that is not known.
-        cycle: s of the controller's cycle.
-        delay: s from a state to the one in which the arm is at the set-point that answers it.
-        section: of the robot: waypoints and states come in different threads.
+        model: Model of the arm, whose limits apply; None if the arm is unknown.
+        cycle: Cycle of the controller, in s.
+        delay: Time in s from a state until the arm is at the set-point that answers this state.
+        section: Lock of the robot, because waypoints and states arrive in different threads.
     """
 
     def __init__(
@@ -208,24 +210,26 @@ class Schedule:
         self._delay = delay
         self._section = section
         self._waypoints: list[_Waypoint] = []
-        #: begins at `_origin` on the robot's clock
+        #: curve that begins at `_origin` on the robot's clock
         self._curve: Trajectory | None = None
         self._origin: float
-        #: the time of the last set-point; None before the first
+        #: time of the last set-point; None before the first
         self._now: float | None = None
 
     def add(self, q: list[float], at: float, time: float, here: Sequence[float]) -> float | None:
-        """Be at `q` (6, rad) at a time on the robot's clock.
+        """Be at `q`, (6,) rad, at a time on the robot's clock.
 
         Args:
-            time: of the newest state.
-            here: (6,) rad; target positions of the arm, for the case that it has not begun.
+            q: Joint positions of the waypoint, shape (6,), in rad.
+            at: Time of the waypoint, in s.
+            time: Time of the newest state, in s.
+            here: Target positions of the arm, shape (6,), in rad. Used if it has not begun.
 
         Returns:
-            when it will be there: `at`, or later if the arm needs more time; None if that time is past.
+            Time at which the arm will be there: `at`, or later if it needs more time; None if this time has passed.
 
         Raises:
-            BadValue: the curve leaves the range of a joint, or none was found that the arm can follow.
+            BadValue: If the curve leaves the range of a joint, or if no curve was found that the arm can follow.
         """
         with self._section:
             anchor = self._now if self._now is not None else time + self._delay
@@ -233,13 +237,13 @@ class Schedule:
                 return None
             waypoints = [each for each in self._waypoints if anchor + _CLOSEST < each[0] < at - _CLOSEST]
             q0, qd0 = self._sample(anchor) if self._now is not None else (list(here), [0.0] * 6)
-            # A waypoint that is almost due is left out: the curve begins there anyway.
+            # A waypoint that is almost due is left out, because the curve begins there anyway.
             self._plan(anchor, q0, qd0, [*waypoints, (at, q)], len(waypoints))
             return self._waypoints[-1][0]
 
     @property
     def last(self) -> list[float] | None:
-        """The last waypoint, (6,) rad; None if there is none."""
+        """Last waypoint, (6,) rad; None if there is none."""
         return self._waypoints[-1][1] if self._waypoints else None
 
     # -- the source of set-points --------------------------------------------------------------------
@@ -250,11 +254,11 @@ class Schedule:
         return bool(self._waypoints)
 
     def begin(self, time: float, q: Sequence[float]) -> None:
-        """The arm rests at `q`."""
+        """Begin with the arm at rest at `q`."""
         self._set_out(time + self._delay, q, [0.0] * 6)
 
     def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
-        """Go on from `q` at speeds `qd`."""
+        """Continue from `q` at speeds `qd`."""
         self._set_out(time + self._delay - self._cycle, q, qd)
 
     def _set_out(self, anchor: float, q: Sequence[float], qd: Sequence[float]) -> None:
@@ -264,17 +268,17 @@ class Schedule:
             self._plan(anchor, q, qd, ahead or [(anchor + _LATE, self._waypoints[-1][1])], 0)
 
     def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
-        """The present positions and speeds: time passes, whether set-points are sent or not."""
+        """Return the current positions and speeds. Time passes even if no set-points are sent."""
         with self._section:
             return self._sample(time + self._delay - self._cycle)
 
     def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
-        """The set-point that answers the state of this time."""
+        """Return the set-point that answers the state of this time."""
         with self._section:
             return self._sample(time + self._delay)
 
     def accept(self, time: float, rate: float) -> None:
-        """The set-point of this time was sent."""
+        """Record that the set-point of this time was sent."""
         self._now = time + self._delay
 
     # ------------------------------------------------------------------------------------------------
@@ -287,7 +291,10 @@ class Schedule:
     def _plan(
         self, anchor: float, q: Sequence[float], qd: Sequence[float], waypoints: list[_Waypoint], new: int
     ) -> None:
-        """The curve from the present set-point through waypoints; those from number `new` on are put off if needed."""
+        """Plan the curve from the current set-point through waypoints.
+
+        If necessary, waypoints from number `new` on are postponed.
+        """
         times = [time for time, _ in waypoints]
         places = np.array([list(q), *(place for _, place in waypoints)])
         before = times[new - 1] if new else anchor
@@ -308,7 +315,7 @@ class Schedule:
 
 
 def _curve(times: np.ndarray, places: np.ndarray, qd: Sequence[float]) -> Trajectory:
-    """A curve through places at times, with speeds `qd` at first and rest at the end."""
+    """Return a curve through places at times, with speeds `qd` at the beginning, and at rest at the end."""
     speeds = Trajectory.from_arrays(times, places).qd.copy()
     speeds[0] = qd
     return Trajectory.from_arrays(times, places, speeds)

@@ -1,4 +1,4 @@
-"""Servo loops: set-points or targets from the user's own loop."""
+"""Servo loops: set-points or targets from the user's loop."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from .resampling import FilteredTargets, ResampledSetpoints, Schedule
 from .servo_delay import measure
 from .setpoints import LinkDialogue, Servoing
 
-#: Intervals that the statistics keep: a minute and a half at 500 Hz.
+#: Number of intervals that the statistics keep: a minute and a half at 500 Hz.
 _REMEMBERED = 50_000
-#: Seconds between two set-points from which on an error mentions the delay.
+#: Time in s between two set-points above which an error mentions the delay.
 _LATE = 0.05
-#: rad between the first set-point and the target position of the arm, at most.
+#: Largest distance in rad between the first set-point and the target position of the arm.
 _NEAR = 0.05
 
 
 @dataclass(frozen=True)
 class ServoStatistics:
-    """How regularly set-points, or targets, were sent.
+    """Statistics of how regularly set-points, or targets, were sent.
 
     Attributes:
-        count: how many were sent.
-        mean: s between two of them.
-        p50, p99, max: s: the median, the 99th percentile and the largest of the deviations of that from the period.
-        late: number of intervals longer than one and a half periods.
+        count: Number of set-points that were sent.
+        mean: Mean interval between two of them, in s.
+        p50, p99, max: Median, 99th percentile and maximum of the deviations of the interval from the period, in s.
+        late: Number of intervals longer than one and a half periods.
     """
 
     count: int
@@ -57,27 +57,27 @@ class ServoStatistics:
 
 
 class _Leading(LinkDialogue):
-    """Answers each state with the next set-point of a target filter or schedule.
+    """Dialogue that answers each state with the next set-point of a target filter or schedule.
 
-    Before the first one, and if the loop sends its own set-points, it answers with `WAIT_MESSAGE`.
+    Before the first set-point, and if the loop sends its own set-points, it answers with `WAIT_MESSAGE`.
 
     Args:
-        servoing: how set-points are followed.
-        resampled: makes the set-points; None if the loop sends its own.
+        servoing: Parameters for following set-points.
+        resampled: Object that makes the set-points. If None, the loop sends its own set-points.
     """
 
     def __init__(self, servoing: Servoing, resampled: ResampledSetpoints | None) -> None:
         super().__init__(servoing.body)
         self.watchdog = servoing.watchdog
-        #: set once, by any thread
+        #: set once; any thread may do so
         self.resampled = resampled
         self._timer = ProgramTimer(1.0 / servoing.firmware.rate)
-        #: s by which the program is behind the controller's clock, and when that was measured, monotonic s
+        #: lag of the program behind the controller's clock, in s, and monotonic time in s of this measurement
         self._behind = self._at = 0.0
-        #: rad; target positions of the arm before the first message
+        #: target positions of the arm before the first message, in rad
         self.here: list[float] | None = None
         self.has_begun = False
-        #: after a pause: the next set-point is as the first
+        #: whether the next set-point is checked like the first one, because the program was paused
         self.begins_anew = False
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
@@ -91,7 +91,7 @@ class _Leading(LinkDialogue):
         return WAIT_MESSAGE
 
     def program_time(self, now: float) -> float:
-        """Monotonic s of which those are left out in which the program stood still, or its part of them."""
+        """Return monotonic time in s, minus the time that the program has lost by stops and scaling."""
         return now - self._behind - (1.0 - self._timer.rate) * max(now - self._at, 0.0)
 
     def resume(self, state: RealtimeState) -> None:
@@ -111,13 +111,13 @@ class _Leading(LinkDialogue):
     }
 )
 class Servo(BlockMotion):
-    """Sends the set-points of a loop; made by `robot.motion.servo`, and open within a ``with`` block.
+    """Sends the set-points of your loop. `robot.motion.servo` returns it.
 
-    Send a set-point in each of the controller's cycles, or in each of your own; with a target filter, a target whenever
-    there is one. Leaving the block stops the arm.
+    Use it as a ``with`` block. Send a set-point in each cycle of the controller, or in each cycle of your loop. With a
+    target filter, send a target whenever you have a new one. Leaving the block stops the arm.
 
     Attributes:
-        rate: intended number of set-points or targets per second.
+        rate: Intended number of set-points or targets per second.
     """
 
     def __init__(
@@ -141,9 +141,9 @@ class Servo(BlockMotion):
         super().__init__(context, "servo", self._dialogue, open_link)
         self.rate = rate
         self._last: list[float] | None = None
-        #: s and rad of the newest set-points, and of one that is older than `LONGEST_PERIOD`
+        #: times in s and positions in rad of the newest set-points, and of one set-point older than `LONGEST_PERIOD`
         self._recent: list[tuple[float, list[float]]] = []
-        self._began: float  # when the first was sent
+        self._began: float  # when the first set-point was sent
         self._sent_at: float
         self._count = self._late = 0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
@@ -154,21 +154,23 @@ class Servo(BlockMotion):
     def send(self, q: Numbers) -> None:
         """Send one set-point; with a target filter, a target.
 
+        The first set-point must be within 0.05 rad of the target position of the arm. After that, no joint may be
+        driven faster than it can move in the time of the program (`scaling`). `urlink.motion.moves.speed_limit`
+        describes which set-points are rejected, and how irregular a loop may be. While the program is paused, nothing
+        is sent. The next set-point after a pause is checked like the first one. With a target filter, any target within
+        the joint limits is accepted.
+
         Args:
-            q: (6,) joint positions, rad. With a target filter, anywhere within the joint limits. Without one, the first
-                must be within 0.05 rad of the target position of the arm, and after that no joint may be led faster
-                than it can move in the time of the program (`scaling`): `urlink.motion.moves.speed_limit` describes
-                what is refused, and how irregular a loop may be. While the program is paused nothing is sent, and the
-                next set-point after it is as the first.
+            q: Joint positions, shape (6,), in rad.
 
         Raises:
-            BadValue: not six finite numbers, too fast, or beyond a limit of the arm; nothing was sent.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: the servo is over.
-            LocalError: not within the block; or waypoints were scheduled in it.
+            BadValue: If `q` is not six finite numbers, is too fast, or exceeds a limit of the arm. Nothing is sent.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the servo has ended.
+            LocalError: If not called within the block, or if waypoints were scheduled in the block.
         """
         self._check_open()
         if self._schedule is not None:
-            raise LocalError("waypoints were scheduled, so set-points are made of them; schedule the next one too")
+            raise LocalError("schedule() was already used in this block; use either send() or schedule(), not both")
         now = self._context.clock()
         values: list[float] = check_joint_positions(q, "q", self._model).tolist()
         if self._targets is not None:
@@ -185,38 +187,38 @@ class Servo(BlockMotion):
         self._count_one(values, now)
 
     def schedule(self, target: Numbers | Joint | Linear, at: float) -> float | None:
-        """Be at a waypoint at a time on the robot's clock, which is that of `RealtimeState.time`.
+        """Schedule a waypoint for a time on the robot's clock.
 
-        Between waypoints the joints move in a smooth curve, from the present set-point through all waypoints that are
-        ahead, to rest at the last one. A waypoint replaces those of the same time or later. A pose becomes the joint
-        positions closest to those of the waypoint before; the closer the poses are, the straighter the tool moves
-        between them.
+        Times are on the same clock as `RealtimeState.time`. Between waypoints, the joints move along a smooth curve,
+        from the current set-point through all future waypoints, to rest at the last one. A waypoint replaces all
+        waypoints of the same time or later. A pose is converted to the joint positions closest to the previous
+        waypoint. The closer the poses are, the straighter the tool moves between them.
 
         Args:
-            target: (6,) joint positions, rad, or a `Joint`; or a `Linear` with a pose in the base frame.
-            at: s.
+            target: Joint positions, shape (6,), in rad, or a `Joint`, or a `Linear` with a pose in the base frame.
+            at: Time in s.
 
         Returns:
-            when the arm will be there: `at`, or later if the limits of speed and acceleration of the arm need more
-            time; None if that time is past, and nothing was changed.
+            Time at which the arm will arrive: `at`, or later if the limits of speed and acceleration of the arm require
+            more time. None if this time has passed; then nothing is changed.
 
         Raises:
-            BadValue: not finite numbers, out of the range of a joint, or a jump of a joint.
-            Unreachable: a pose is out of reach.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: the servo is over.
-            LocalError: not within the block; with a target filter; or after `send`.
+            BadValue: If these are not finite numbers, are out of the range of a joint, or require a jump of a joint.
+            Unreachable: If a pose is out of reach.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the servo has ended.
+            LocalError: If not called within the block, with a target filter, or after `send`.
         """
         self._check_open()
         if self._targets is not None:
-            raise LocalError("a servo with a target filter takes targets by send; schedule needs one without")
+            raise LocalError("schedule() is not available with a target filter; use send() for targets")
         if self._schedule is None and self._last is not None:
-            raise LocalError("set-points were sent in this block; it is either send or schedule")
+            raise LocalError("send() was already used in this block; use either send() or schedule(), not both")
         time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
             schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock)
             self._dialogue.resampled = ResampledSetpoints(self._servoing, schedule)
-            # Last: one that an interruption left without its set-points would lead nothing.
+            # Set this last: if it were set earlier, an interruption could leave a schedule that moves nothing.
             self._schedule = schedule
         schedule = self._schedule
         here = state.q_target.tolist()
@@ -231,7 +233,7 @@ class Servo(BlockMotion):
         if not isinstance(target, Waypoint):
             return target
         if target.has_motion_of_its_own or not isinstance(target, (Joint, Linear)):
-            raise BadValue(f"{target!r} is scheduled by its time; expected a Joint or Linear without blend and speed")
+            raise BadValue(f"{target!r} cannot be scheduled; expected a Joint or Linear without blend and speed")
         if isinstance(target, Joint):
             return target.q
         arm = self._context.who.identity.kinematics
@@ -239,33 +241,33 @@ class Servo(BlockMotion):
         for joint, (value, before) in enumerate(zip(q.tolist(), near, strict=True)):
             if abs(value - before) > LEAP:
                 raise BadValue(
-                    f"q[{joint}] ({JOINTS[joint]}) would have to go from {before:.4f} to {value:.4f} rad: the pose is "
-                    "beyond a singularity, or too far from the last one"
+                    f"q[{joint}] ({JOINTS[joint]}) would have to move from {before:.4f} to {value:.4f} rad: the pose "
+                    "is beyond a singularity, or too far from the last one"
                 )
         return q
 
     def measure_delay(self, joint: int = 5, amplitude: float = 0.05, duration: float = 1.0) -> float:
-        """Measure by how much the arm lags behind its set-points. THE ARM MOVES: one joint, there and back.
+        """Measure by how much the arm lags behind its set-points. THE ARM MOVES.
 
-        Use it in a block of its own; what it returns is for ``follow(delay=)`` and ``servo(delay=)``. It depends on
-        `lookahead_time` and `gain`.
+        One joint moves there and back. Use it in its own block. Pass the result to ``follow(delay=)`` and
+        ``servo(delay=)``. It depends on `lookahead_time` and `gain`.
 
         Args:
-            joint: number of the joint, 0 to 5.
-            amplitude: rad of the movement, with its sign.
-            duration: s for the movement there and back; measuring takes half a second more.
+            joint: Number of the joint, 0 to 5.
+            amplitude: Amplitude of the motion in rad, with its sign.
+            duration: Duration of the motion there and back, in s. Measuring takes half a second more.
 
         Returns:
-            s from a state to the one in which the arm is at the set-point that answered it.
+            Time in s from a state until the arm is at the set-point that answered this state.
 
         Raises:
-            BadValue: the movement is beyond the range or the speed of the joint.
-            LinkError: the arm does not follow, or what ended the servo.
-            LocalError: not within the block, with a target filter, or while waypoints are scheduled.
+            BadValue: If the motion is beyond the range or the speed of the joint.
+            LinkError: If the arm does not follow, or if the servo has ended; then it is the reason.
+            LocalError: If not called within the block, with a target filter, or while waypoints are scheduled.
         """
         self._check_open()
         if self._targets is not None or self._schedule is not None:
-            raise LocalError("the delay is measured in a block of its own, without target filter and waypoints")
+            raise LocalError("measure_delay() needs its own block, without target filter and scheduled waypoints")
         return measure(
             self._context.realtime,
             self.send,
@@ -288,18 +290,21 @@ class Servo(BlockMotion):
 
     @property
     def scaling(self) -> float:
-        """The fraction of its speed with which the robot executes programs, 0 to 1, by the newest state.
+        """Speed scaling of programs on the robot, as a fraction from 0 to 1, in the newest state.
 
-        A loop of your own lets its own time pass so much slower; otherwise the arm falls behind it.
+        Your own loop has to let its time pass more slowly by this factor. Otherwise the arm falls behind.
 
         Raises:
-            LinkTimeout, RemoteError: no state comes.
+            LinkTimeout, RemoteError: If no state arrives.
         """
         return reported_scaling(self._context.state())
 
     @property
     def stats(self) -> ServoStatistics:
-        """How regularly set-points, or targets, were sent; deviations are of the last 50000 intervals."""
+        """Statistics of how regularly set-points, or targets, were sent.
+
+        Deviations are from the last 50000 intervals.
+        """
         intervals = np.array(self._intervals)
         if not intervals.size:
             return ServoStatistics(self._count, 0.0, 0.0, 0.0, 0.0, self._late)
@@ -309,10 +314,11 @@ class Servo(BlockMotion):
         return ServoStatistics(self._count, mean, p50, p99, float(deviations.max()), self._late)
 
     def _speeds(self, before: list[float] | None, values: list[float], now: float) -> list[float]:
-        """(6,) rad/s since the set-point `before`, if any: the program goes on at these if the next one is late.
+        """Return the speeds since the set-point `before`, if any, (6,) in rad/s.
 
-        No faster than over the last `LONGEST_PERIOD`, and in no other direction: after this computer was held up, an
-        old set-point may be followed at once by a current one, and their difference is not a speed.
+        The program continues at these speeds if the next set-point is late. They are no faster than over the last
+        `LONGEST_PERIOD`, and in no other direction: after this computer was delayed, a current set-point may directly
+        follow an old one, and their difference is not a speed.
         """
         recent = self._recent
         if before is None:
@@ -324,14 +330,14 @@ class Servo(BlockMotion):
         return [min(a, b, key=abs) if a * b > 0.0 else 0.0 for a, b in zip(longer, last, strict=True)]
 
     def _since(self, at: float, q: list[float]) -> list[float]:
-        """(6,) rad/s from a set-point that was sent to the newest one."""
+        """Return the speeds from an earlier set-point to the newest one, (6,) in rad/s."""
         now, values = self._recent[-1]
-        # Two set-points that are sent at once still are for two cycles.
+        # Two set-points that are sent at the same time are still executed in two cycles.
         seconds = max(now - at, self._cycle)
         return [(there - here) / seconds for here, there in zip(q, values, strict=True)]
 
     def _lateness(self) -> str:
-        """The end of the message about a set-point that is too far away, if the loop was late."""
+        """Return the end of the message about a set-point that is too far away, if the loop was late."""
         late = self._context.clock() - self._sent_at
         if late <= max(1.5 / self.rate, _LATE):
             return ""
@@ -341,7 +347,7 @@ class Servo(BlockMotion):
         )
 
     def _check_step(self, last: list[float] | None, values: list[float], now: float) -> None:
-        """Refuse what is too far from the last set-point; the first one, also after a pause, from where the arm is."""
+        """Reject a step that is too large: from the last set-point, or at first and after a pause from the arm."""
         if last is not None:
             excess = self._limit.excess(last, values, now)
             if excess is not None:

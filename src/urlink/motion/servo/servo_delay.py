@@ -1,4 +1,4 @@
-"""The lag of an arm behind its set-points: measured by a wave of one joint."""
+"""Lag of an arm behind its set-points, measured with a wave of one joint."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from linkcore.errors import LinkError
 from ...arm.vectors import FloatArray
 from ...protocol.realtime.packets import RealtimeState
 
-#: Steps of Newton's method for the delay; four are usual.
+#: Maximum number of steps of Newton's method for the delay; four are usual.
 _STEPS = 8
-#: s; a longer delay means that the arm does not follow.
+#: Longest delay in s. A longer one means that the arm does not follow.
 _LONGEST = 0.5
-#: Fraction of the wave that may be left unexplained by a delay.
+#: Largest fraction of the wave that a delay may leave unexplained.
 _UNEXPLAINED = 0.2
 
 
@@ -27,20 +27,20 @@ def measure(
     amplitude: float,
     duration: float,
 ) -> float:
-    """Move a joint there and back, and find out by how much it lags.
+    """Move a joint there and back, and measure its lag.
 
     Args:
-        states: of the robot, each as it arrives.
-        send: sends a set-point (6, rad).
-        joint: number of the joint.
-        amplitude: rad of the movement, with its sign.
-        duration: s for the movement there and back.
+        states: States of the robot, each as it arrives.
+        send: Function that sends a set-point, (6,) rad.
+        joint: Number of the joint.
+        amplitude: Amplitude of the motion in rad, with its sign.
+        duration: Duration of the motion there and back, in s.
 
     Returns:
-        s from a state to the one in which the arm is at the set-point that answered it.
+        Time in s from a state until the arm is at the set-point that answered this state.
 
     Raises:
-        LinkError: the arm does not follow.
+        LinkError: If the arm does not follow.
     """
     rate = 2.0 * math.pi / duration
 
@@ -57,7 +57,7 @@ def measure(
         if t > duration + _LONGEST:
             break
     times, actual = np.array(seen).T
-    # Relative to the first positions: sensors have an offset.
+    # Relative to the first positions, because sensors have an offset.
     times, actual = times - times[0], actual - actual[0]
     delay = 0.0
     for _ in range(_STEPS):
@@ -66,6 +66,7 @@ def measure(
     rest = float(np.abs(wave(times - delay) - actual).max())
     if not 0.0 <= delay <= _LONGEST or rest > _UNEXPLAINED * abs(amplitude):
         raise LinkError(
-            f"the arm does not follow: a wave of {amplitude:g} rad came back {rest:.4f} rad off, by {delay:.3f} s"
+            f"the arm does not follow its set-points: with a delay of {delay:.3f} s, it is up to {rest:.4f} rad off a "
+            f"wave of {amplitude:g} rad"
         )
     return delay

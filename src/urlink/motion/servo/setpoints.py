@@ -1,6 +1,6 @@
-"""Set-points: how the streaming program follows them, and the set-points that are sent, one for each cycle.
+"""Set-points: how the streaming program follows them, and the stream that sends one for each cycle.
 
-A `LinkDialogue` decides the messages, for this program and for others that are linked to this computer.
+A `LinkDialogue` decides the messages for this program, and for the other programs with a link to this computer.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from ..moves.speed_limit import SpeedLimit
 
 
 class LinkDialogue(ABC):
-    """Decides the messages for a program, from the bytes that it sends and from the states of the robot; sans-IO.
+    """Decides the messages for a program, from the bytes that it sends and the states of the robot. Does no I/O.
 
     Args:
-        write: makes the lines of the program, for its link.
+        write: Function that makes the lines of the program for its link.
 
     Attributes:
-        farewell: the message that ends the program and brakes; empty if the program ends by itself.
-        is_over: whether no message is left to send: where it is, the BRAKE of the motion's life follows.
-        survives_its_program: whether the program may end by itself before the dialogue is over.
-        watchdog: Seconds without a message after which the program brakes, for error messages; None if unknown.
+        farewell: Message that ends the program and brakes; empty if the program ends on its own.
+        is_over: Whether no message is left to send. The BRAKE of the motion's life then follows.
+        survives_its_program: Whether the program may end on its own before the dialogue has ended.
+        watchdog: Longest time without a message until the program brakes, in s, for error messages; None if unknown.
     """
 
     watchdog: float | None = None
@@ -39,30 +39,30 @@ class LinkDialogue(ABC):
         self._write = write
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program, which receives its messages over `link`."""
+        """Return the lines of the program, which receives its messages over `link`."""
         return self._write(link)
 
     @abstractmethod
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The message that answers a state; raises `LinkError` if the motion cannot go on."""
+        """Return the message that answers a state; raise `LinkError` if the motion cannot continue."""
 
-    def resume(self, state: RealtimeState) -> None:  # noqa: B027 -- most have nothing to do then
-        """Go on after a pause: the arm stands where the program has left it, or close to that."""
+    def resume(self, state: RealtimeState) -> None:  # noqa: B027 -- most dialogues do nothing then
+        """Continue after a pause. The arm is at rest where the program has left it, or close to this position."""
 
-    def conclude(self) -> None:  # noqa: B027 -- only one of them has something left to do then
-        """Handle that the program has ended by itself."""
+    def conclude(self) -> None:  # noqa: B027 -- only one dialogue has something left to do then
+        """Handle that the program has ended on its own."""
 
 
 @dataclass(frozen=True)
 class Servoing:
-    """The parameters by which set-points are followed.
+    """Parameters for following set-points.
 
     Attributes:
-        firmware: of the controller.
-        speeds: (6,) rad/s, the largest of each joint.
-        watchdog: seconds without a set-point after which the robot brakes.
-        lookahead_time, gain: of ``servoj``, if the firmware has them.
-        period: seconds between two set-points, if they do not come in each cycle; else 0.
+        firmware: Firmware of the controller.
+        speeds: Largest speed of each joint, shape (6,), in rad/s.
+        watchdog: Longest time without a set-point, in seconds. After this time, the robot brakes.
+        lookahead_time, gain: Parameters of ``servoj``, if the firmware has them.
+        period: Time between two set-points, in seconds, if they do not arrive in each cycle; otherwise 0.
     """
 
     firmware: Firmware
@@ -74,30 +74,30 @@ class Servoing:
 
     @property
     def _coasting(self) -> float:
-        """Seconds of coasting: three periods, so that a loop slower than the controller moves the arm evenly."""
+        """Time of coasting, in s: three periods, so that a loop slower than the controller moves the arm evenly."""
         return max(COASTING, 3.0 * self.period)
 
     @property
     def coastable(self) -> int:
-        """Cycles for which the program on the robot coasts at most."""
+        """Largest number of cycles of coasting by the program on the robot."""
         return missable(min(self.watchdog, self._coasting), self.firmware.rate)
 
     @property
     def late(self) -> float:
-        """Seconds of lateness that may be made up for at once, since the robot has coasted meanwhile."""
+        """Lateness in s that may be made up for at once, because the robot has coasted meanwhile."""
         return self.coastable / self.firmware.rate
 
     def coasting(self, missed: int) -> float:
-        """Number of cycles at full speed that lead as far as coasting for `missed` cycles."""
+        """Return the number of cycles at full speed that cover the same distance as coasting for `missed` cycles."""
         n = min(missed, self.coastable)
         return n - n * (n + 1) / (2.0 * self.coastable)
 
     def share(self, missed: int) -> float:
-        """The fraction of the full speed after coasting for `missed` cycles."""
+        """Return the fraction of the full speed after coasting for `missed` cycles."""
         return 1.0 - min(missed, self.coastable) / self.coastable
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
-        """The lines of the program, which receives its set-points over `link`."""
+        """Return the lines of the program, which receives its set-points over `link`."""
         return streaming(
             self.firmware,
             link,
@@ -110,19 +110,19 @@ class Servoing:
 
 
 class SetpointStream:
-    """The last set-point that was sent, and how far the program on the robot has gone on from it.
+    """The last set-point that was sent, and how far the program on the robot has continued from it.
 
-    While set-points are missed, that program goes on at the speed that came with the last one, ever slower
-    (`urlink.script.streaming`): it coasts. It counts its own cycles, which take longer while motion is scaled down.
-    Other times are those of the controller's clock; `now` is monotonic s here.
+    While set-points are missed, this program continues at the speed of the last one and slows down steadily: it coasts
+    (`urlink.script.streaming`). It counts its own cycles, which take longer while motion is scaled down. Other times
+    are on the controller's clock. `now` is a monotonic time in s here.
 
     Args:
-        servoing: how set-points are followed.
+        servoing: Parameters for following set-points.
 
     Attributes:
-        cycle: s of the controller.
-        q: the last set-point, (6,) rad; empty before `begin`.
-        qd: (6,) rad/s with which the program goes on from there; empty before `begin`.
+        cycle: Cycle of the controller, in s.
+        q: Last set-point, shape (6,), in rad; empty before `begin`.
+        qd: Speeds of the program after this set-point, shape (6,), in rad/s; empty before `begin`.
     """
 
     def __init__(self, servoing: Servoing) -> None:
@@ -131,44 +131,44 @@ class SetpointStream:
         self._limit = SpeedLimit(servoing.speeds, self.cycle, late=servoing.late)
         self.q: list[float] = []
         self.qd: list[float] = []
-        #: s since the last set-point, on the controller's clock and for the program; from `begin` on
+        #: time in s since the last set-point, on the controller's clock and for the program; set by `begin`
         self._since: float
         self._since_scaled: float
 
     def begin(self, q: Sequence[float]) -> None:
-        """The arm rests at `q` (6, rad)."""
+        """Begin with the arm at rest at `q`, (6,) rad."""
         self.q, self.qd, self._since, self._since_scaled = list(q), [0.0] * 6, 0.0, 0.0
 
     def advance(self, seconds: float, scaled: float) -> None:
-        """Advance the time, by so many s on the controller's clock and so many for the program."""
+        """Advance the time by `seconds` on the controller's clock, and by `scaled` seconds for the program."""
         self._since += seconds
         self._since_scaled += scaled
 
     @property
     def is_due(self) -> bool:
-        """Whether the cycle of the last set-point is over, so that the next one may be sent."""
+        """Whether the cycle of the last set-point has ended, so that the next one may be sent."""
         return self._since >= 0.5 * self.cycle
 
     @property
     def missed(self) -> int:
-        """Cycles of the program without a set-point since the last one."""
+        """Number of cycles of the program without a set-point since the last one."""
         return max(round(self._since_scaled / self.cycle) - 1, 0)
 
     def coasted_time(self, missed: int) -> float:
-        """s at the speed of the last set-point in which the arm goes as far as by coasting for `missed` cycles."""
+        """Return the time in s at the last set-point's speed that covers as much as coasting for `missed` cycles."""
         return self._servoing.coasting(missed) * self.cycle
 
     def coasted_to(self, missed: int) -> tuple[list[float], list[float]]:
-        """Positions, rad, and speeds, rad/s, after coasting for `missed` cycles."""
+        """Return the positions in rad, and speeds in rad/s, after coasting for `missed` cycles."""
         seconds, share = self.coasted_time(missed), self._servoing.share(missed)
         return [a + seconds * b for a, b in zip(self.q, self.qd, strict=True)], [share * each for each in self.qd]
 
     def excess(self, q: Sequence[float], now: float) -> str | None:
-        """Why a set-point at `q` must not be sent: it is further away than a joint can move; None if it may."""
+        """Return why a set-point at `q` is further away than a joint can move; None if it may be sent."""
         return self._limit.excess(self.q, q, now)
 
     def send(self, q: list[float], qd: list[float], now: float) -> bytes:
-        """The bytes of a set-point, which becomes the last one."""
+        """Return the bytes of a set-point, which becomes the last one."""
         self._limit.take(self.q, q, now)
         self.q, self.qd, self._since, self._since_scaled = q, qd, 0.0, 0.0
         return setpoint(q, qd)

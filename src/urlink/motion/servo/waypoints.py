@@ -1,7 +1,7 @@
-"""A trajectory sent point by point: the robot interpolates by itself, and requests the next point in good time.
+"""A trajectory sent point by point: the robot interpolates on its own, and requests each next point early enough.
 
-For links that are too slow or too uneven to stream over. A point has to arrive while the arm moves to the one before,
-so points should be further apart in time than an answer takes.
+It is for links that are too slow or too irregular to stream over. A point has to arrive while the arm moves to the
+previous one, so the time between two points should be longer than an answer takes.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from ...script.text import number
 from ..moves.trajectory import Trajectory
 from .following import Following, Tolerances
 
-#: Seconds without a line of the program, which sends a heartbeat, after which it counts as gone.
+#: Longest time in s without a line from the program, which sends a heartbeat. After it, the program counts as lost.
 _SILENCE = 3.0
-#: Bytes in a line at most.
+#: Maximum number of bytes in a line.
 _LONGEST_LINE = 32
 
 
 class WaypointServer(Following):
-    """Serves the points of a trajectory.
+    """Dialogue that sends the points of a trajectory when they are requested.
 
     The first point is the position of the arm, so that the arm leaves it without a jump.
 
     Args:
-        firmware: of the controller.
-        lookahead_time, gain: of ``servoj``.
+        firmware: Firmware of the controller.
+        lookahead_time, gain: Parameters of ``servoj``.
     """
 
     farewell = b""
@@ -42,7 +42,7 @@ class WaypointServer(Following):
         self, trajectory: Trajectory, tolerances: Tolerances, firmware: Firmware, lookahead_time: float, gain: float
     ) -> None:
         def write(link: ReverseSocket | InputRegisters) -> list[str]:
-            assert isinstance(link, ReverseSocket), "it asks for its points, and registers answer nothing"
+            assert isinstance(link, ReverseSocket), "the program requests its points, and registers cannot answer"
             is_quintic = trajectory.is_quintic
             return waypoints.interpolating(
                 firmware, *link, is_quintic=is_quintic, lookahead_time=lookahead_time, gain=gain
@@ -52,23 +52,24 @@ class WaypointServer(Following):
         self._next_time = float(trajectory.time[1])
         self._line = b""
         self._requests: list[int] = []
-        #: s on the trajectory that the arm has gone on in a pause; and then: when that was, s, and (6,) rad from there
+        #: advance of the arm in a pause, in s on the trajectory
         self._skipped = 0.0
+        #: time in s on the trajectory of the end of the pause, and difference of the arm from there, (6,) rad
         self._resumed: tuple[float, list[float]] | None = None
         self._received_at: float | None = None
         self._has_arrived = False
-        #: s that have passed on the trajectory; None before it began
+        #: time in s that has passed on the trajectory; None before it has begun
         self._t: float | None = None
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The message that answers a state, and the requests that the program has sent since the last one.
+        """Return the message for a state and for the requests that the program has sent since the last state.
 
         Raises:
-            BadValue: the arm is not at the beginning of the trajectory.
-            ConnectionLost: the program has sent nothing for too long.
-            LinkTimeout: the arm does not come to rest.
-            ProgramStopped: the program has sent something that is not a request.
-            ToleranceExceeded: the arm is too far from the trajectory.
+            BadValue: If the arm is not at the beginning of the trajectory.
+            ConnectionLost: If the program has sent nothing for too long.
+            LinkTimeout: If the arm does not come to rest.
+            ProgramStopped: If the program has sent something that is not a request.
+            ToleranceExceeded: If the arm is too far from the trajectory.
         """
         passed, scaled = self._timer.passed(state, now)
         if self._t is not None:
@@ -84,28 +85,28 @@ class WaypointServer(Following):
         elif self._has_arrived:
             self.is_over = True
         if not self._has_arrived and self._received_at is not None and now - self._received_at > _SILENCE:
-            raise ConnectionLost(f"the program on the robot has said nothing for {_SILENCE:g} s")
+            raise ConnectionLost(f"the program on the robot has sent nothing for {_SILENCE:g} s")
         return b"".join(answers)
 
     def conclude(self) -> None:
-        """Handle that the program has ended by itself: the arm was led to the last point."""
+        """Handle that the program has ended on its own, so that the arm has reached the last point."""
         self._has_arrived = True
 
     def _read(self, data: bytes, now: float) -> None:
-        """Parse the lines of the program."""
+        """Parse the lines that the program has sent."""
         if data or self._received_at is None:
             self._received_at = now
         *lines, self._line = (self._line + data).split(b"\n")
         if len(self._line) > _LONGEST_LINE:
-            raise ProgramStopped(f"the program on the robot does not speak in numbers: {self._line[:50]!r}")
+            raise ProgramStopped(f"the program on the robot sent {self._line[:50]!r}; expected a number")
         for line in lines:
             try:
                 self._requests.append(int(line))
             except ValueError:
-                raise ProgramStopped(f"the program on the robot does not speak in numbers: {line[:50]!r}") from None
+                raise ProgramStopped(f"the program on the robot sent {line[:50]!r}; expected a number") from None
 
     def _answer(self, request: int, state: RealtimeState, now: float) -> bytes | None:
-        """The answer to one request; None if it has to wait."""
+        """Return the answer to one request; None if the request has to wait."""
         if request == waypoints.ARRIVED:
             self._has_arrived = True
             return b""
@@ -115,27 +116,27 @@ class WaypointServer(Following):
             skipped, self._skipped = self._skipped, 0.0
             return f"({number(1.0 + skipped)})\r\n".encode()
         if request < 0:
-            raise ProgramStopped(f"the program on the robot asks for point {request}")
+            raise ProgramStopped(f"the program on the robot requested point {request}, which does not exist")
         if request == 0:
             return self._point(0, self._check_start(state)) if self._rest.is_reached(state, now) else None
         if request == 2 and self._t is None:
-            # It has received the first point to go to, and moves from now on.
+            # The program has received the first point to move to, and moves from now on.
             self._t = self._passed = 0.0
         elif self._t is not None and request > 2:
-            # It moves to the last but one of the points that it has asked for.
+            # The program moves to the point before the last requested point.
             time = self._trajectory.time
             self._t = max(self._t, float(time[request - 3]))
-            # After the last one it asks for nothing more.
+            # After the last point, the program requests nothing more.
             self._next_time = float(time[request - 2]) if request < len(time) else math.inf
         if request < len(self._trajectory):
             return self._point(request, self._trajectory.q[request].tolist())
-        # All points have been sent: the program may end before its last line was read.
+            # All points have been sent, so the program may end before its last line is read.
         self.survives_its_program = True
         zeros = [0.0] * (waypoints.numbers_of_point(self._trajectory.is_quintic) - 1)
         return _line(waypoints.NO_MORE, zeros)
 
     def resume(self, state: RealtimeState) -> None:
-        """Go on after a pause, from where the arm stands: the program asks how far on that is."""
+        """Continue after a pause, from the position of the arm: the program requests how far it has advanced."""
         super().resume(state)
         self._received_at = None
         if self._t is not None:
@@ -146,7 +147,7 @@ class WaypointServer(Following):
             self._resumed = self._t, [a - b for a, b in zip(state.q_target.tolist(), q, strict=True)]
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Positions, rad, and velocities, rad/s, that the arm should have at a time."""
+        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
         q, qd = super().desired(t)
         if self._resumed is None:
             return q, qd

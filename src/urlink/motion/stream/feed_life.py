@@ -1,9 +1,9 @@
-"""The life of a stream of points, as this computer knows it: whether the program takes points, and what it was asked.
+"""Life of a point stream, as this computer sees it: whether the program accepts points, and what was requested.
 
-The program takes points in epochs. A cut opens an epoch: from rest, from braking, or in the middle of the points that
-it replaces. The program accepts a cut, or refuses it because it came too late. The epoch is closed when the program is
-out of points. `TRANSITIONS` is the whole of it; docs/architecture.md shows the table. What is not in the table cannot
-happen: it raises.
+The program accepts points in epochs. A cut opens an epoch: from rest, while braking, or in the middle of the points
+that it replaces. The program accepts a cut, or refuses it because it came too late. The epoch is closed when the
+program has no more points. `TRANSITIONS` contains all of this, and docs/architecture.md shows the table. An event that
+is not in the table cannot happen, and raises an error.
 """
 
 from __future__ import annotations
@@ -14,30 +14,30 @@ from types import MappingProxyType
 
 
 class FeedPhase(enum.Enum):
-    """Whether the program takes points."""
+    """Whether the program accepts points."""
 
     STARTING = "starting"  # the arm has to come to rest first
-    CLOSED = "closed"  # the arm brakes or rests, and the program takes no points
-    RESUMING = "resuming"  # the program was sent a cut, to go on from braking or rest
-    OPEN = "open"  # the program takes points
-    CLEARED = "cleared"  # as OPEN, and the end of the points was asked for by the user
-    REPLACING = "replacing"  # the program was sent a cut, to take other points or none
-    REPLACING_CLEARED = "replacing cleared"  # as REPLACING, from CLEARED
+    CLOSED = "closed"  # the arm brakes or is at rest, and the program accepts no points
+    RESUMING = "resuming"  # the program was sent a cut, to continue from braking or rest
+    OPEN = "open"  # the program accepts points
+    CLEARED = "cleared"  # like OPEN, and the user has requested the end of the points
+    REPLACING = "replacing"  # the program was sent a cut, to replace its points by others or by none
+    REPLACING_CLEARED = "replacing cleared"  # like REPLACING, from CLEARED
 
 
 class FeedEvent(enum.Enum):
-    """What can happen to the stream."""
+    """Event in the life of a stream."""
 
-    REST = "rest"  # the arm rests for the first time
-    RESUME = "resume"  # a cut is sent, to go on
+    REST = "rest"  # the arm is at rest for the first time
+    RESUME = "resume"  # a cut is sent, to continue
     REPLACE = "replace"  # a cut is sent, for other points
     ACCEPT = "accept"  # the program has accepted the cut
     REFUSE = "refuse"  # the program has refused the cut, which came too late
-    CLEAR = "clear"  # the points end here, as the user has asked
-    CLOSE = "close"  # the program brakes or rests
+    CLEAR = "clear"  # the points end here, as the user has requested
+    CLOSE = "close"  # the program brakes or is at rest
 
 
-#: (phase, event) -> the phase after it
+#: (phase, event) -> the next phase
 TRANSITIONS: Mapping[tuple[FeedPhase, FeedEvent], FeedPhase] = MappingProxyType(
     {
         (FeedPhase.STARTING, FeedEvent.REST): FeedPhase.CLOSED,
@@ -65,10 +65,10 @@ _CUT = (FeedPhase.RESUMING, FeedPhase.REPLACING, FeedPhase.REPLACING_CLEARED)
 
 
 class FeedLife:
-    """What one stream is doing.
+    """State of one stream.
 
     Attributes:
-        phase: whether its program takes points.
+        phase: Whether its program accepts points.
     """
 
     def __init__(self) -> None:
@@ -76,19 +76,19 @@ class FeedLife:
 
     @property
     def is_open(self) -> bool:
-        """An epoch is open, or a cut that opens one was sent."""
+        """Whether an epoch is open, or a cut that opens one was sent."""
         return self.phase not in _CLOSED
 
     @property
     def is_cut(self) -> bool:
-        """The program has not answered a cut."""
+        """Whether the program has not yet answered a cut."""
         return self.phase in _CUT
 
     def fire(self, event: FeedEvent) -> None:
-        """Something has happened.
+        """Record an event.
 
         Raises:
-            RuntimeError: it cannot happen now.
+            RuntimeError: If it cannot happen now.
         """
         after = TRANSITIONS.get((self.phase, event))
         if after is None:

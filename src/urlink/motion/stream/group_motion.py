@@ -1,4 +1,4 @@
-"""Motions of a group of arms: the handle, and streams of points on one time base."""
+"""Motions of a group of arms: the handle, and point streams on one time base."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ if TYPE_CHECKING:
 
 E = TypeVar("E", bound=Exception)
 
-#: s by which the points of two arms may end at different times.
+#: Largest difference in s between the ends of the points of two arms.
 _SAME_TIME = 1e-6
-#: s within which the ways of all arms onto other points have been found. Chosen: two take a few ms; if it takes longer,
-#: some arms go over later.
+#: Time in s for planning the paths of all arms onto other points. Chosen: two arms take a few ms. If it takes longer,
+#: some arms change to their new points later.
 _PLANNING = 0.01
-#: s within which the handle is notified of the end of a stream, and the reason of it.
+#: Time in s until the handle is notified of the end of a stream, and of its reason.
 _REASON = 1.0
 
 
 class GroupMotion(Motion):
-    """A motion of several arms that runs. It is over when that of each arm is; what ends one before its time ends all.
+    """Handle of a motion of several arms.
+
+    It ends when the motions of all arms have ended. If one motion ends early, all motions are ended.
 
     Attributes:
-        motions: those of the arms, in the order of the group.
+        motions: Motions of the arms, in the order of the group.
     """
 
     def __init__(
@@ -51,22 +53,22 @@ class GroupMotion(Motion):
         lives = [motion._life for motion in motions]
         life.brake = partial(end_all, lives, f"cancelled with its group of {len(lives)}")
         for number, each in enumerate(lives):
-            # In a thread of its own: the one that ends a motion may hold the section of its robot, and must not wait
-            # for that of another.
+            # Called in a dedicated thread: the thread that ends a motion may hold the section of its robot, and must
+            # not wait for the section of another robot.
             each.on_end(partial(stopping.call, self._look, number))
 
     def _measured(self) -> float:
         return min(motion.progress for motion in self.motions)
 
     def _look(self, number: int) -> None:
-        """The motion of one arm is over."""
+        """Handle the end of the motion of one arm."""
         motion = self.motions[number]
         error = motion.error
         if error is not None:
             others = [each._life for each in self.motions if each is not motion]
-            end_all(others, f"stopped, since that of {self._names[number]} ended: {error}")
+            end_all(others, f"stopped because the motion of {self._names[number]} ended: {error}")
             if isinstance(error, Cancelled):
-                self._life.cancel(f"cancelled with that of {self._names[number]}: {error}")
+                self._life.cancel(f"cancelled with the motion of {self._names[number]}: {error}")
             else:
                 self._life.fail(of_arm(error, self._names[number]))
         elif all(each.done and each.error is None for each in self.motions):
@@ -74,13 +76,14 @@ class GroupMotion(Motion):
 
 
 class GroupStream(GroupMotion):
-    """A stream of points for several arms; made by `Group.stream`, open in a ``with`` block.
+    """A stream of points for several arms. `Group.stream` returns it.
 
-    As `PointStream`, but each call has the points of all arms. They begin at the same moment, and none goes ahead of
-    another: all pass as slowly as the slowest, and stand on their paths while one has no points, or is paused.
+    Use it as a ``with`` block. It works like `PointStream`, but each call contains the points of all arms. All arms
+    begin at the same moment, and no arm goes ahead of another. All advance as slowly as the slowest arm. They stop on
+    their paths while one arm has no points, or is paused.
 
     Attributes:
-        motions: the streams of the arms.
+        motions: Streams of the arms.
     """
 
     motions: tuple[PointStream, ...]
@@ -89,9 +92,9 @@ class GroupStream(GroupMotion):
         self, life: Lifecycle, streams: Sequence[PointStream], names: Sequence[str], stopping: CallbackThread
     ) -> None:
         super().__init__(life, streams, names, stopping)
-        #: of all streams; from `__enter__` on
+        #: block of all streams; set by `__enter__`
         self._block: contextlib.ExitStack
-        #: points are handed to all arms, or taken from all; re-entrant, for signal handlers
+        #: held while points are handed to all arms, or removed from all; re-entrant, for signal handlers
         self._handing = threading.RLock()
 
     @starts_motion
@@ -99,7 +102,7 @@ class GroupStream(GroupMotion):
         """Upload the programs and wait until all have connected.
 
         Raises:
-            LocalError, LinkError: as `PointStream`; none has moved.
+            LocalError, LinkError: If a `PointStream` would raise it. No arm has moved.
         """
         self._stopping.start()
         try:
@@ -115,7 +118,7 @@ class GroupStream(GroupMotion):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Stop all arms, and wait until they stand still. Raises no earlier error."""
+        """Stop all arms, and wait until they are at rest. Earlier errors are not raised."""
         try:
             with self._block:
                 for stream in self.motions:
@@ -131,23 +134,26 @@ class GroupStream(GroupMotion):
         """Append points for each arm; see `PointStream.append`.
 
         Args:
-            points: for each arm, in the order of the group. Their times are s on the one clock of the stream; they end
-                at the same time.
-            wait: return once all robots have room for all of them, within 60 s or as many as are given.
+            points: Points for each arm, in the order of the group. Their times are in s on the common clock of the
+                stream, and the points of all arms end at the same time.
+            wait: Whether to wait until all robots have room for all points, up to 60 s, or up to this number of
+                seconds.
 
         Returns:
-            s of points for which there is room after that.
+            Time of the points that there is room for after the call, in s.
 
         Raises:
-            BadValue: not for each arm; they end at different times; or an arm could not follow them. Nothing was
-                appended.
-            LocalError, LinkError: as `PointStream.append`; or what has ended the stream of another arm.
+            BadValue: If there are not points for each arm, if they end at different times, or if an arm could not
+                follow them. Nothing is appended.
+            LocalError, LinkError: If `PointStream.append` would raise it, or if the stream of another arm has ended;
+                then it is the reason.
         """
         seconds = check_wait(wait)
         with self._producing(points):
             handed: list[Handed | None] = []
-            while not any(handed):  # another thread has cleared the stream meanwhile
-                # After a replacement that some arms took later than others, their points may end at different times.
+            while not any(handed):  # repeated if another thread has cleared the stream meanwhile
+                # After a replacement that took effect later on some arms, the points of the arms may end at different
+                # times.
                 begins = max(stream._mark().time for stream in self.motions)
                 checked = [stream._checked(each, begins) for stream, each in zip(self.motions, points, strict=True)]
                 _check_ends([aims for _, aims in checked])
@@ -160,23 +166,23 @@ class GroupStream(GroupMotion):
         return self.room
 
     def replace(self, from_time: float, points: Sequence[Points]) -> float:
-        """Replace all points of all arms after a time, from the same time on; see `PointStream.replace`.
+        """Replace all points of all arms after the same time; see `PointStream.replace`.
 
-        Each arm goes over onto its new points as soon as its limits allow.
+        Each arm moves onto its new points as soon as its limits allow.
 
         Args:
-            from_time: s on the clock of the stream; if that is past, or one of the robots cannot be reached any more,
-                from as soon as all can be.
-            points: for each arm, as for `append`; the time of a trajectory begins at `from_time`.
+            from_time: Time in s on the clock of the stream. If it is past, or if one of the robots can no longer be
+                reached in time, the points are replaced as soon as this is possible for all.
+            points: Points for each arm, see `append`. The time of a trajectory begins at `from_time`.
 
         Returns:
-            s on the clock of the stream from which it holds for all.
+            Time in s on the clock of the stream when the new points take effect for all arms.
 
         Raises:
-            BadValue: not for each arm; they end at different times; or an arm could not follow them. The old points of
-                all arms stay; but if it came to one robot so late that it cannot go over any more, after others
-                have, the stream of all is cleared.
-            LocalError, LinkError: as for `append`.
+            BadValue: If there are not points for each arm, if they end at different times, or if an arm could not
+                follow them. The old points of all arms remain. The exception is a change that reaches one robot too
+                late, after it has taken effect on others. Then the stream of all arms is cleared.
+            LocalError, LinkError: If `append` would raise it.
         """
         since = check_number(from_time, "from_time", 0.0, unit="s")
         with self._producing(points):
@@ -185,13 +191,13 @@ class GroupStream(GroupMotion):
             return self._put(since, curves)
 
     def clear(self) -> float:
-        """Drop all points of all arms, and brake, all from the same time on; see `PointStream.clear`.
+        """Drop all points of all arms, and brake at the same time; see `PointStream.clear`.
 
         Returns:
-            s on the clock of the stream at which the points end now.
+            Time in s on the clock of the stream when the points now end.
 
         Raises:
-            LocalError, LinkError: as for `append`.
+            LocalError, LinkError: If `append` would raise it.
         """
         with self._reasons():
             for stream in self.motions:
@@ -200,7 +206,7 @@ class GroupStream(GroupMotion):
             return self._put(0.0, [()] * len(self.motions))
 
     def _put(self, since: float, curves: Sequence[Sequence[Aim]]) -> float:
-        """Replace the points of all arms, if each can go over; returns s from which that holds."""
+        """Replace the points of all arms if this is possible for each; return the time when this takes effect, in s."""
         replaced: list[Future[float]] = []
         while not replaced:
             for stream in self.motions:
@@ -224,20 +230,22 @@ class GroupStream(GroupMotion):
         name, reason = refused[0]
         if times:
             self.clear()
-            raise BadValue(f"all points of all arms were cleared: it came too late to {name}: {reason}") from reason
+            raise BadValue(
+                f"all points of all arms were cleared, because the change reached {name} too late: {reason}"
+            ) from reason
         raise reason
 
     def _undo(self) -> None:
-        """Clear the stream, since the task that replaced its points was cancelled."""
+        """Clear the stream, because the task that replaced its points was cancelled."""
         with contextlib.suppress(LinkError):
             self.clear()
 
     def wait_until_dry(self, timeout: float = 60.0) -> None:
-        """Wait until all arms have come to the end of their points, and rest.
+        """Wait until all arms have reached the end of their points, and are at rest.
 
         Raises:
-            LinkTimeout: they have not, in `timeout` seconds; they go on.
-            LocalError, LinkError: as for `append`.
+            LinkTimeout: If this takes longer than `timeout` seconds. The stream continues.
+            LocalError, LinkError: If `append` would raise it.
         """
         until = clock.now() + check_seconds(timeout, "timeout", finite=True)
         with self._reasons():
@@ -246,39 +254,41 @@ class GroupStream(GroupMotion):
 
     @property
     def time(self) -> float:
-        """The clock of the stream, s, as `PointStream.time`: of the arm that is furthest behind."""
+        """Time on the clock of the stream, in s, of the slowest arm; see `PointStream.time`."""
         return min(stream.time for stream in self.motions)
 
     @property
     def end(self) -> float:
-        """The time of the last point, s on the clock of the stream."""
+        """Time of the last point, in s on the clock of the stream."""
         return max(stream.end for stream in self.motions)
 
     @property
     def buffered(self) -> float:
-        """s from `time` to `end`: how much is left."""
+        """Time from `time` to `end`, in s, which is still left."""
         return max(self.end - self.time, 0.0)
 
     @property
     def room(self) -> float:
-        """s of points that all robots have room for; less than zero if points wait in memory."""
+        """Time of points that all robots have room for, in s; negative if points are queued here."""
         return min(stream.room for stream in self.motions)
 
     @property
     def is_dry(self) -> bool:
-        """Whether all arms rest because there are no points."""
+        """Whether all arms are at rest because there are no points."""
         return all(stream.is_dry for stream in self.motions)
 
     @property
     def starved(self) -> int:
-        """How often one of the arms had to brake because there were no more points."""
+        """Largest number of times that one of the arms had to brake because no points were left."""
         return max(stream.starved for stream in self.motions)
 
     @contextlib.contextmanager
     def _producing(self, points: Sequence[Points]) -> Iterator[None]:
-        """Nobody else appends or replaces."""
+        """Make sure that no other thread or task appends or replaces points."""
         if len(points) != len(self.motions):
-            raise BadValue(f"points for {len(points)} arms; expected them for each of the {len(self.motions)}")
+            raise BadValue(
+                f"points has entries for {len(points)} arms; expected one for each of the {len(self.motions)}"
+            )
         with self._reasons(), contextlib.ExitStack() as stack:
             for stream in self.motions:
                 stack.enter_context(stream._producing())
@@ -286,7 +296,7 @@ class GroupStream(GroupMotion):
 
     @contextlib.contextmanager
     def _reasons(self) -> Iterator[None]:
-        """What has ended one stream is the error of all."""
+        """Raise the error that has ended one stream as the error of all streams."""
         try:
             yield
         except LinkError:
@@ -304,7 +314,7 @@ def _check_ends(aims: Sequence[Sequence[Aim]]) -> None:
 
 
 def of_arm(error: E, name: str) -> E:
-    """A copy of the error of one arm, whose message begins with the name of the arm."""
+    """Return a copy of the error of one arm, whose message begins with the name of the arm."""
     named = unraised(error)
     if error.args and isinstance(error.args[0], str):
         named.args = (f"{name}: {error.args[0]}", *error.args[1:])
@@ -321,6 +331,6 @@ def naming(name: str) -> Iterator[None]:
 
 
 def end_all(lives: Sequence[Lifecycle], why: str) -> None:
-    """Cancel these, and have their arms brake."""
+    """Cancel these motions, and make their arms brake."""
     for life in lives:
         life.cancel(why, brake=True)

@@ -1,4 +1,4 @@
-"""Streams without an end: points that are appended while the arm moves through those before."""
+"""Point streams: points that are appended while the arm moves through the previous ones."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from .stream_feed import StreamFeed
 from .stream_points import PointReader, Points
 from .stream_steps import Aim, Bounds, Handed, Mark
 
-#: The first firmware on which a program can hold points.
+#: First firmware with programs that can buffer points.
 _BUFFERS = Firmware(3, 4)
-#: Most points that the program holds, whatever their distance. Chosen: its text stays within half of that of the
-#: largest public driver program.
+#: Maximum number of points that the program buffers, at any distance. Chosen: the text of the program is then at most
+#: half as long as the largest public driver program.
 _MOST = 256
-#: s that the robot may take to answer a replacement, or the arm to come to rest before the first point.
+#: Time in s for the robot to answer a replacement, or for the arm to come to rest before the first point.
 _ANSWER = 10.0
 
 T = TypeVar("T")
@@ -41,16 +41,17 @@ T = TypeVar("T")
 
 @slider(stream=SliderEffect.SCALED)
 class PointStream(BlockMotion):
-    """Moves through points that are appended while it runs; made by `robot.motion.stream`, open in a ``with`` block.
+    """Moves through points that are appended while it runs. `robot.motion.stream` returns it.
 
-    A program on the robot holds the next points. Where none is left the arm brakes, and goes on with the next ones.
-    Leaving the block stops the arm where it is: `wait_until_dry` before lets it come to the end of its points.
+    Use it as a ``with`` block. A program on the robot buffers the next points. If no point is left, the arm brakes, and
+    the next points continue the motion. Leaving the block stops the arm where it is. Call `wait_until_dry` before, so
+    that the arm reaches the end of its points.
 
-    One thread, or one task, appends and replaces; a call while another one's is under way is refused. `clear` is for
-    any thread.
+    Only one thread or task may append and replace points at a time; a concurrent call is rejected. Any thread may call
+    `clear`.
 
     Attributes:
-        buffer: s of points that the program on the robot holds.
+        buffer: Time of the points that the program on the robot buffers, in s.
     """
 
     def __init__(
@@ -67,15 +68,15 @@ class PointStream(BlockMotion):
             why = (
                 "CB2 controllers cannot read binary messages"
                 if firmware.is_cb2
-                else "its URScript lacks what that needs"
+                else "its URScript does not have the required functions"
             )
             raise LocalError(
-                f"firmware {firmware} cannot hold points of a stream: {why}; {_BUFFERS} is the first. servo leads the "
-                "arm by a set-point in each cycle"
+                f"firmware {firmware} cannot buffer points of a stream: {why}; {_BUFFERS} or later is required. "
+                "Alternatively, servo() moves the arm by one set-point per cycle"
             )
         self.buffer = buffer
         cycle = 1.0 / firmware.rate
-        shortest = 2.0 * cycle  # the program reads one message in each cycle, and has to gain on the arm
+        shortest = 2.0 * cycle  # the program reads one message in each cycle, and has to read faster than the arm moves
         bounds = Bounds(identity.arm, servoing.speeds, limits)
         self._reader = PointReader(bounds, shortest, partial(_inverse, context))
         capacity = min(round(buffer / shortest) + 4, _MOST)
@@ -93,11 +94,11 @@ class PointStream(BlockMotion):
         super().__init__(context, "stream", self._feed, open_link)
         feed = self._feed
         life = self._life
-        life.on_end(lambda: feed.end(life.error or Closed("the block of the stream was left")))
-        self._is_producing = False  # a lock without waiting: a second caller is refused
+        life.on_end(lambda: feed.end(life.error or Closed("the block of this stream was left")))
+        self._is_producing = False  # works like a lock, but a second caller is rejected instead of waiting
 
     def _join(self, pace: MemberPace) -> None:
-        """Go on with other streams, before it begins."""
+        """Pass points at the common pace of other streams. Call it before the stream begins."""
         self._feed.pace = pace
         pace.is_paused = partial(getattr, self._program, "is_paused")
         self._life.on_end(pace.leave)
@@ -107,25 +108,28 @@ class PointStream(BlockMotion):
     def append(self, points: Points, *, wait: bool | float = True) -> float:
         """Append points after the last one.
 
-        A `TrajectoryPoint` that carries positions only is reached in a straight line at constant speed; with velocities
-        on a cubic curve, with accelerations too on a quintic one. A `Trajectory` begins where the points end.
+        A `TrajectoryPoint` with positions only is reached in a straight line at constant speed. With velocities, it is
+        reached on a cubic curve, and with accelerations in addition on a quintic one. A `Trajectory` begins where the
+        points end.
 
         Args:
-            points: one, several, or a trajectory. Times are s on the clock of the stream, and increase; the first must
-                be two cycles of the controller after `end`, but for a place within 0.05 rad of where the arm rests.
-            wait: return once the robot has room for all of them, within 60 s or as many as are given. With False they
-                wait in memory.
+            points: One point, several points, or a trajectory. Times are in s on the clock of the stream, and must
+                increase. The first must be at least two cycles of the controller after `end`. The exception is a first
+                point within 0.05 rad of the position where the arm rests.
+            wait: Whether to wait until the robot has room for all points, up to 60 s, or up to this number of seconds.
+                If False, points are queued in memory.
 
         Returns:
-            s of points for which there is room after that; less than zero if points wait in memory.
+            Time of the points that there is room for after the call, in s. It is negative if points are queued in
+            memory.
 
         Raises:
-            BadValue: the arm could not follow them; nothing was appended.
-            LinkTimeout: the robot has not had room in time; the points stay.
-            Unreachable: a pose is out of reach; nothing was appended.
-            Cancelled: they were cleared before the robot had room; or the stream was.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped: the stream is over.
-            LocalError: not within the block, or another thread appends or replaces.
+            BadValue: If the arm could not follow the points. Nothing is appended.
+            LinkTimeout: If the robot has no room in time. The points remain.
+            Unreachable: If a pose is out of reach. Nothing is appended.
+            Cancelled: If the points were cleared before the robot had room, or if the stream was cancelled.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped: If the stream has ended.
+            LocalError: If not called within the block, or if another thread appends or replaces.
         """
         seconds = check_wait(wait)
         with self._producing():
@@ -137,7 +141,7 @@ class PointStream(BlockMotion):
         return self.room
 
     def _checked(self, points: Points, begins: float = 0.0) -> tuple[Mark, list[Aim]]:
-        """Where the stream ends, and what is to be appended there, from `begins`, s on its clock, if that is later."""
+        """Return the end of the stream, and the points for it, not before `begins`, in s on the clock of the stream."""
         mark = self._mark()
         if mark.time < begins:
             with self._context.section.lock:
@@ -146,7 +150,7 @@ class PointStream(BlockMotion):
         return mark, self._reader.after(points, mark, begins)
 
     def _add(self, mark: Mark, aims: Sequence[Aim]) -> Handed | None:
-        """Append them; None where another thread has cleared the stream meanwhile."""
+        """Append the points; return None if another thread has cleared the stream meanwhile."""
         handed = Handed()
         with self._context.section.lock:
             if self._feed.mark is not mark:
@@ -155,28 +159,28 @@ class PointStream(BlockMotion):
         return handed
 
     def _await_room(self, handed: Handed, seconds: float) -> None:
-        self._await(handed.future, seconds, "the robot has had no room for the points")
+        self._await(handed.future, seconds, "the robot had no room for the points")
 
     def replace(self, from_time: float, points: Points) -> float:
-        """Replace all points after a time by others, with continuous positions, speeds and accelerations.
+        """Replace all points after a time by others.
 
-        What the robot holds already is replaced too. From where the arm is at that time it goes over onto the curve
-        through the new points as soon as the acceleration and the jerk of the stream allow, and is at each of the
-        points after that at its time. So the points may begin in the past: at the time of the observation that they
-        were computed from.
+        Positions, speeds and accelerations are continuous. The points that the robot has buffered are replaced, too.
+        The arm leaves its old curve at `from_time`. It moves onto the curve through the new points as soon as the
+        acceleration and the jerk of the stream allow. From then on, it reaches each point at its time. Therefore the
+        points may begin in the past, for example at the time of the observation from which they were computed.
 
         Args:
-            from_time: s on the clock of the stream; if that is past, or cannot be reached any more, from as soon as
-                possible.
-            points: as for `append`; the time of a trajectory begins at `from_time`.
+            from_time: Time in s on the clock of the stream. If it is past, or can no longer be reached, the points are
+                replaced as soon as possible.
+            points: See `append`. The time of a trajectory begins at `from_time`.
 
         Returns:
-            s on the clock of the stream from which it holds.
+            Time in s on the clock of the stream when the new points take effect.
 
         Raises:
-            BadValue: the arm could not follow them, they are past, or no path within the limits leads onto them; the
-                old points stay.
-            LocalError, LinkError: as for `append`.
+            BadValue: If the arm could not follow the points, if they are past, or if no path within the limits leads
+                onto them. The old points remain.
+            LocalError, LinkError: If `append` would raise it.
         """
         since = check_number(from_time, "from_time", 0.0, unit="s")
         with self._producing():
@@ -185,30 +189,30 @@ class PointStream(BlockMotion):
             return self._answered(replaced)
 
     def _undo(self, replaced: Future[float]) -> None:
-        """Clear the stream, since the task that replaced its points was cancelled; unless that has failed anyway."""
+        """Clear the stream, because the task that replaced its points was cancelled; do nothing if this failed."""
         if not (replaced.done() and replaced.exception() is not None):
             with contextlib.suppress(LinkError):
                 self.clear()
 
     def _curve(self, points: Points, since: float) -> list[Aim]:
-        """What the points are replaced by."""
+        """Return the points that replace the old ones."""
         return self._reader.curve(points, since, self._mark())
 
     def _put(self, since: float, curve: Sequence[Aim]) -> Future[float]:
-        """Have the points after a time replaced, by none too."""
+        """Request the replacement of the points after a time, or their removal if there are no new points."""
         with self._context.section.lock:
             if curve:
                 check_wanted()
             return self._feed.replace(since, curve)
 
     def _await_answer(self) -> None:
-        """Wait until it is known which points the robot holds."""
+        """Wait until it is certain which points the robot has buffered."""
         with self._context.section.lock:
             answered = self._feed.answered()
-        self._await(answered, _ANSWER, "the robot has not answered")
+        self._await(answered, _ANSWER, "the robot did not answer")
 
     def _check(self, since: float, curve: Sequence[Aim]) -> None:
-        """Raise BadValue if it is known now that `_put` would be refused."""
+        """Raise `BadValue` if `_put` would be rejected now."""
         with self._context.section.lock:
             self._feed.check(since, curve)
 
@@ -222,71 +226,77 @@ class PointStream(BlockMotion):
         return self._feed.is_answered
 
     def _answered(self, replaced: Future[float]) -> float:
-        return self._await(replaced, _ANSWER, "the robot has not taken the change of its points")
+        return self._await(replaced, _ANSWER, "the robot did not confirm the change of its points")
 
     def clear(self) -> float:
-        """Drop all points, also those that the robot holds, and brake; the stream goes on with the next points.
+        """Drop all points, including the robot's buffered points, and brake.
+
+        The next points continue the stream.
 
         Returns:
-            s on the clock of the stream at which the points end now.
+            Time in s on the clock of the stream when the points now end.
 
         Raises:
-            LocalError, LinkError: as for `append`.
+            LocalError, LinkError: If `append` would raise it.
         """
         self._check_open()
         self._mark()
         return self._answered(self._put(0.0, ()))
 
     def wait_until_dry(self, timeout: float = 60.0) -> None:
-        """Wait until the arm has come to the end of all points, and rests.
+        """Wait until the arm has reached the end of all points, and is at rest.
 
         Raises:
-            LinkTimeout: it has not, in `timeout` seconds; it goes on.
-            LocalError, LinkError: as for `append`.
+            LinkTimeout: If this takes longer than `timeout` seconds. The stream continues.
+            LocalError, LinkError: If `append` would raise it.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
         self._check_open()
         self._mark()
         with self._context.section.lock:
             dry = self._feed.dry()
-        self._await(dry, seconds, "the stream has not run dry")
+        self._await(dry, seconds, "the stream did not run dry")
 
-    # -- where it is -----------------------------------------------------------------------------------
+    # -- its state -------------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
-        """The clock of the stream, s: the time of the points at which the arm is led now.
+        """Time on the clock of the stream, in s: the time of the points that the arm is passing now.
 
-        It begins at 0, goes as slow as the robot does (speed slider, pause), and stands while the stream is dry.
+        It begins at 0, and advances as slowly as the robot does (speed slider, pause). It stops while the stream is
+        dry.
         """
         with self._context.section.lock:
             return self._feed.time
 
     @property
     def end(self) -> float:
-        """The time of the last point, s on the clock of the stream."""
+        """Time of the last point, in s on the clock of the stream."""
         mark = self._feed.mark
         return 0.0 if mark is None else mark.time
 
     @property
     def buffered(self) -> float:
-        """s from `time` to `end`: how much is left."""
+        """Time from `time` to `end`, in s, which is still left."""
         return max(self.end - self.time, 0.0)
 
     @property
     def room(self) -> float:
-        """s of points that the robot has room for; less than zero if points wait in memory."""
+        """Time of points that the robot has room for, in s; negative if points are queued here."""
         return self.buffer - self.buffered
 
     @property
     def is_dry(self) -> bool:
-        """Whether the arm rests because there are no points."""
+        """Whether the arm is at rest because there are no points."""
         with self._context.section.lock:
             return self._feed.is_dry
 
     @property
     def starved(self) -> int:
-        """How often the arm had to brake because there were no more points, after one at which it was not at rest."""
+        """Number of times that the arm had to brake because no points were left.
+
+        It does not count if the last point was at rest.
+        """
         return self._feed.starved
 
     # --------------------------------------------------------------------------------------------------
@@ -296,7 +306,7 @@ class PointStream(BlockMotion):
         self._check_open()
         with self._context.section.lock:
             if self._is_producing:
-                raise LocalError("another thread or task appends or replaces points; a stream has one producer")
+                raise LocalError("another thread or task is appending or replacing points; only one may do so at once")
             self._is_producing = True
         try:
             yield
@@ -304,13 +314,13 @@ class PointStream(BlockMotion):
             self._is_producing = False
 
     def _mark(self) -> Mark:
-        self._await(self._feed.begun, _ANSWER, "the arm does not come to rest")
+        self._await(self._feed.begun, _ANSWER, "the arm did not come to rest")
         mark = self._feed.mark
         assert mark is not None
         return mark
 
     def _await(self, future: Future[T], seconds: float, what: str) -> T:
-        """The result, within so many seconds; raises what has ended the stream."""
+        """Return the result, and wait up to `seconds` for it. Raise the error that has ended the stream."""
         if not future.done():
             with self._context.section.waiting():
                 if not clock.is_done(future, seconds):
@@ -322,6 +332,6 @@ class PointStream(BlockMotion):
 
 
 def _inverse(context: MotionContext, pose: FloatArray, near: FloatArray) -> FloatArray:
-    """The joint positions for a pose, with the TCP that the robot shows."""
+    """Return the joint positions for a pose, with the TCP that the robot shows."""
     arm = context.who.identity.kinematics
     return arm.inverse(pose, near, shown_tcp(arm, context.state()))

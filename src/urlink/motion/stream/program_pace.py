@@ -1,4 +1,4 @@
-"""The pace of the program of a stream: what it was sent, and what it keeps by now."""
+"""Pace of the program of a stream: the pace that was sent, and the pace that the program keeps by now."""
 
 from __future__ import annotations
 
@@ -7,34 +7,34 @@ from collections import deque
 from ...script.buffering import BRAKING, MOVING, PACING
 from ..servo.following import AHEAD
 
-#: Difference of two paces that is not sent while points are waiting to be sent.
+#: Difference of two paces below which the new one is not sent while points are queued.
 _SAME = 1e-3
 
 
 class ProgramPace:
-    """The pace at which a program passes its points, for streams of several arms; 1 for one by itself.
+    """Pace of a program along its points, for streams of several arms; 1 for a single stream.
 
     Attributes:
-        now: the pace of the program.
+        now: Current pace of the program.
     """
 
     def __init__(self) -> None:
         self.now = 1.0
-        #: those that the program is to have, up to the newest: a message takes so many states to have an effect
+        #: paces for the program, up to the newest; a message takes as many states to have an effect
         self._wanted = deque([1.0], AHEAD + 1)
         self._sent = 1.0
         self._is_last_message = True
 
     def want(self, pace: float) -> None:
-        """The program is to have this pace from now on. Once for each state."""
+        """Set the pace for the program from now on. Call it once for each state."""
         self._wanted.append(pace)
 
     def passed(self, phase: int, seconds: float) -> float:
-        """s on the points, of so many seconds of the program that have passed; with the pace as the program keeps it.
+        """Return the time in s that has passed on the points, at the pace of the program, and update this pace.
 
         Args:
-            phase: of the program, as in its last report.
-            seconds: on its clock.
+            phase: Phase of the program in its last report.
+            seconds: Time that has passed on the clock of the program, in s.
         """
         change = PACING * seconds
         if phase in (MOVING, BRAKING):
@@ -45,15 +45,15 @@ class ProgramPace:
         return self.now * seconds
 
     def send(self) -> float:
-        """The pace for the message that is sent now."""
+        """Return the pace for the message that is sent now."""
         self._sent, self._is_last_message = self._wanted[-1], True
         return self._sent
 
     @property
     def has_room_for_a_point(self) -> bool:
-        """The message that is sent now may be a point, which carries no pace."""
+        """Whether the message that is sent now may be a point, which contains no pace."""
         return self._is_last_message or abs(self._wanted[-1] - self._sent) < _SAME
 
     def send_point(self) -> None:
-        """The message that is sent now is a point."""
+        """Record that the message that is sent now is a point."""
         self._is_last_message = False

@@ -1,12 +1,12 @@
-"""The dialogue with the buffering program (`urlink.script.buffering`): points that are sent, and its position.
+"""Dialogue with the buffering program (`urlink.script.buffering`): the points that are sent, and its position.
 
-There are two curves. That of the points begins where the arm rests, and each point is reached at its own time. The
-arm is on it, but where the points came too late, or were replaced: then a path leads from where it is to a moment of
-that curve, and takes the time that it needs. The clock of the stream shows the time on the curve of the points; it
-stands while the arm brakes and rests for want of points.
+There are two curves. The curve of the points begins where the arm is at rest, and each point is reached at its own
+time. The arm is on this curve, except after points came too late or were replaced. Then a path leads from the position
+of the arm to a moment of the curve, and takes as long as it needs. The clock of the stream shows the time on the curve
+of the points. It stops while the arm brakes and is at rest because there are no points.
 
-A cut can come too late, and points can come after the braking has begun: the program refuses them, and reports it. Then
-what was refused is planned again, from where the arm is by then.
+A cut can come too late, and points can arrive after braking has begun. The program refuses them, and reports this. The
+refused points are then planned again, from the position that the arm has by then.
 """
 
 from __future__ import annotations
@@ -49,26 +49,28 @@ from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
 
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE}i"), struct.Struct(f">{REPORTED}i")
 _STOP_MESSAGE = _MESSAGE.pack(STOP, *[0] * (MESSAGE - 1))
-#: s without a report after which a program counts as one that goes through no points, for others. Chosen: five reports.
+#: Longest time in s without a report. After it, a program counts as passing no points, for other arms. Chosen: five
+#: reports.
 _UNANSWERED = 0.1
-#: Cycles without a state, from which on a report may be older than the state that comes next.
+#: Number of cycles without a state. After it, a report may be older than the next state.
 _GAP = 2
-#: Cycles, and s, that a cut takes to the program at first, and s at most: each that comes too late doubles the time.
+#: Time for a cut to reach the program at first, in cycles and in s, and its maximum in s. Each late cut doubles it.
 _AHEAD, _WAY, _LONGEST_WAY = 6, 0.01, 1.0
-#: Messages within which a program has found out where the arm is, after a pause in which it was slow at first.
+#: Number of messages that a program needs to find out where the arm is, after a pause. It is slow at first.
 _RESUMING = 50
 
 
 @dataclasses.dataclass(frozen=True)
 class _Sent:
-    """A step that the program holds, or is being sent.
+    """A step that the program has buffered, or that is being sent.
 
     Attributes:
-        number: of the point at its end.
-        message: number of the message that it came with.
-        begins, ends: on the clock of the stream, s.
-        until: s of all steps up to its end.
-        aim: what it leads to; None for the beginning of a step that was cut.
+        number: Number of the point at its end.
+        message: Number of the message that contained it.
+        step: The step.
+        begins, ends: Beginning and end on the clock of the stream, in s.
+        until: Total time of all steps up to its end, in s.
+        aim: Point at its end; None for the beginning of a step that was cut.
     """
 
     number: int
@@ -80,7 +82,7 @@ class _Sent:
     aim: Aim | None
 
     def clock(self, t: float) -> float:
-        """`t` s after it began, on the clock of the stream, s."""
+        """Return the time on the clock of the stream, in s, when `t` s of the step have passed."""
         return self.begins + (self.ends - self.begins) * max(t, 0.0) / self.step.length
 
 
@@ -96,12 +98,12 @@ class _Report:
 
 @dataclasses.dataclass
 class _Request:
-    """A replacement of the tail, or its removal.
+    """Replacement of the last points, or their removal.
 
     Attributes:
-        since: on the clock of the stream, s.
-        curve: the points, each with the step from the one before; none to remove the tail.
-        done: resolved to the time from which it holds.
+        since: Time on the clock of the stream, in s.
+        curve: Points, each with the step from the previous one; empty to remove the last points.
+        done: Future that is resolved to the time when the change takes effect.
     """
 
     since: float
@@ -111,7 +113,7 @@ class _Request:
 
 @dataclasses.dataclass(frozen=True)
 class _Cut:
-    """A cut that the program has not answered: its message and epoch, and what holds again if it is refused."""
+    """A cut that the program has not answered: its message and epoch, and the state to restore if it is refused."""
 
     message: int
     epoch: int
@@ -123,21 +125,21 @@ class _Cut:
 
 
 class StreamFeed(LinkDialogue):
-    """Sends points to the program, as many as it is to hold.
+    """Sends points to the program, up to its buffer size.
 
     Args:
-        write: makes the lines of the program.
-        section: of the robot: points and states come in different threads.
-        bounds: what may be asked of the arm.
-        cycle: s of the controller's cycle.
-        capacity: points that the program holds.
-        buffer: s that it is to hold.
+        write: Function that makes the lines of the program.
+        section: Lock of the robot, because points and states arrive in different threads.
+        bounds: Bounds for the steps.
+        cycle: Cycle of the controller, in s.
+        capacity: Maximum number of points that the program buffers.
+        buffer: Time that it should buffer, in s.
 
     Attributes:
-        pace: of the streams of several arms; None for one by itself.
-        begun: resolved once the arm rests, so that points can be appended.
-        starved: how often the arm had to brake because no points were left.
-        margin: s before which the program cannot be reached.
+        pace: Pace of the streams of several arms; None for a single stream.
+        begun: Future that is resolved when the arm is at rest, so that points can be appended.
+        starved: Number of times that the arm had to brake because no points were left.
+        margin: Shortest time in s for a cut to reach the program.
     """
 
     farewell = _STOP_MESSAGE
@@ -169,38 +171,38 @@ class StreamFeed(LinkDialogue):
         self._is_lossy = False
         self._received = b""
         self._messages = self._last_answered = self._epoch = self._head = 0
-        #: s on the steps since the first state, as far as states show it, and at the last report
+        #: time in s on the steps since the first state, according to the states, and at the last report
         self._passed = self._reported = 0.0
-        #: s of which no state came, before the newest; from the first one on
+        #: time in s without a state before the newest state; set from the first state on
         self._unseen: float
         self._report = _Report(0, 0, 0, 0, 0.0, RESTING)
-        #: the steps from the present one on that were sent
+        #: the steps that were sent, from the current one on
         self._steps: deque[_Sent] = deque()
-        #: the end of the step before these; while the epoch is closed, the braking from there
+        #: the step before these, and, while the epoch is closed, the braking from its end
         self._last: _Sent
         self._brake: Step
-        #: number of the step with which it went on from braking, of what was left of that; -1 before
+        #: number of the step that continued from braking, along the rest of the braking; -1 before
         self._resumed = -1
         self._queue: deque[Aim] = deque()
-        #: while a cut has no answer
+        #: cut without an answer
         self._cut: _Cut | None = None
-        #: those that wait for the answer to the cut
+        #: requests that wait for the answer to the cut
         self._requests: deque[_Request] = deque()
         self._may_skip = False
-        #: after a pause: the messages before it, and where the arm stood
+        #: after a pause: the number of messages before it, and the moment of the arm
         self._found: tuple[int, JointMoment] | None = None
         self._answered: list[Future[None]] = []
         self._dry: list[Future[None]] = []
 
-    # -- for the one who appends; in the section -----------------------------------------------------
+    # -- for the thread that appends; called within the section --------------------------------------
 
     def add(self, aims: Sequence[Aim], handed: Handed) -> None:
-        """Append points, whose steps begin at the mark."""
+        """Append points. Their steps begin at the mark."""
         self._queue.extend(dataclasses.replace(aim, handed=handed) for aim in aims)
         self.mark = Mark(aims[-1].time, aims[-1].moment)
 
     def replace(self, since: float, curve: Sequence[Aim]) -> Future[float]:
-        """Replace what comes after a time, or as soon as possible after it; without points, end there."""
+        """Replace the points after a time, or as soon as possible after it. Without points, the stream ends there."""
         request = _Request(since, curve, Future())
         self._requests.append(request)
         if not self._life.is_cut:
@@ -208,15 +210,15 @@ class StreamFeed(LinkDialogue):
         return request.done
 
     def check(self, since: float, curve: Sequence[Aim]) -> None:
-        """Raise what `replace` would now, if the program has answered every cut.
+        """Raise the error that `replace` would raise now, if the program has answered every cut.
 
         Raises:
-            BadValue: no way within the limits leads onto the points.
+            BadValue: If no path within the limits leads onto the points.
         """
         self._planned(_Request(since, curve, Future()))
 
     def reach(self, later: float) -> float:
-        """s on the clock of the stream from which points can be replaced, `later` s from now."""
+        """Return the first time that can be replaced `later` s from now, in s on the clock of the stream."""
         if not self._life.is_open:
             return self._last.ends
         place = self._place(self.margin + later)
@@ -226,13 +228,13 @@ class StreamFeed(LinkDialogue):
         return sent.clock(t)
 
     def skip(self, time: float) -> None:
-        """Where no points are left, set the clock of the stream forward to `time`, s."""
+        """If no points are left, set the clock of the stream forward to `time`, in s."""
         if not self._life.is_open and not self._queue and self.is_answered and self.mark is not None:
             self._last = dataclasses.replace(self._last, ends=max(time, self._last.ends))
             self.mark = Mark(self._last.ends, self.mark.moment)
 
     def forget(self, handed: Handed) -> None:
-        """Drop those of these points that were not sent."""
+        """Drop the points of `handed` that were not yet sent."""
         kept = [aim for aim in self._queue if aim.handed is not handed]
         if len(kept) < len(self._queue):
             self._queue = deque(kept)
@@ -245,14 +247,14 @@ class StreamFeed(LinkDialogue):
                 self.mark = Mark(self._last.ends, JointMoment.at_rest(self._brake.end.q))
 
     def answered(self) -> Future[None]:
-        """Resolved once the program has answered every cut."""
+        """Return a future that is resolved when the program has answered every cut."""
         self._answered.append(Future())
         future = self._answered[-1]
         self._settle()
         return future
 
     def dry(self) -> Future[None]:
-        """Resolved once the arm rests and no point is left."""
+        """Return a future that is resolved when the arm is at rest and no point is left."""
         self._dry.append(Future())
         future = self._dry[-1]
         self._settle()
@@ -260,42 +262,42 @@ class StreamFeed(LinkDialogue):
 
     @property
     def is_answered(self) -> bool:
-        """Whether the program has answered every cut, so that it is known which points it holds."""
+        """Whether the program has answered every cut, so that it is certain which points it has buffered."""
         return not (self._life.is_cut or self._requests)
 
     @property
     def is_dry(self) -> bool:
-        """Whether the arm rests and no point is left."""
+        """Whether the arm is at rest and no point is left."""
         if self._queue or not self.is_answered:
             return False
-        if self._report.phase == OPEN:  # its points were dropped before the first of them was sent
+        if self._report.phase == OPEN:  # all points were dropped before the first one was sent
             return not self._steps
         return not self._life.is_open and self._report.phase == RESTING
 
     @property
     def time(self) -> float:
-        """On the clock of the stream, s."""
+        """Time on the clock of the stream, in s."""
         if self.mark is None:
             return 0.0
         place = self._place(0.0)
         if place is None:
-            # It stands, or is led beyond what was sent by now.
+            # The arm is at rest, or is moving beyond the points that were sent so far.
             return self._steps[-1].ends if self._steps and self._report.phase == MOVING else self._last.ends
         sent, t = place
         return sent.clock(t)
 
     @property
     def ahead(self) -> float:
-        """s of the steps that were sent and not passed."""
+        """Time of the steps that were sent and not yet passed, in s."""
         return max(self._steps[-1].until - self._here, 0.0) if self._steps else 0.0
 
     @property
     def _here(self) -> float:
-        """s of all steps that were passed."""
+        """Time of all steps that were passed, in s."""
         return self._last.until + self._report.passed + self._passed - self._reported
 
     def end(self, error: Exception) -> None:
-        """Nothing is sent any more."""
+        """Resolve all futures to an error, because nothing more is sent."""
         with self._section:
             for aim in self._queue:
                 if aim.handed is not None:
@@ -315,17 +317,17 @@ class StreamFeed(LinkDialogue):
         return super().body(link)
 
     def resume(self, state: RealtimeState) -> None:
-        """Go on after a pause: with the points, or where the arm has braked to, if the program finds it elsewhere."""
+        """Continue after a pause with the points, or if the arm was moved, from the position after braking."""
         with self._section:
             self._timer.restart()
             self._found = self._messages, JointMoment.at_rest(state.q_target)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
-        """The message that answers a state.
+        """Return the message that answers a state.
 
         Raises:
-            LinkTimeout: the arm does not come to rest before the first point.
-            ToleranceExceeded: no path leads onto the points from where the arm has braked to.
+            LinkTimeout: If the arm does not come to rest before the first point.
+            ToleranceExceeded: If no path leads from the position of the arm after braking to the points.
         """
         with self._section:
             seconds = self._timer.passed(state, now)[1]
@@ -336,7 +338,8 @@ class StreamFeed(LinkDialogue):
             while len(self._received) >= _REPORT.size:
                 messages, epoch, head, base, passed, phase = _REPORT.unpack_from(self._received)
                 self._received = self._received[_REPORT.size :]
-                # In registers they begin at 1 again after the largest; the program is never ahead of this computer.
+                # In registers, the numbers start again at 1 after the largest one. The program is never ahead of this
+                # computer.
                 messages = self._messages - (self._messages - messages) % LARGEST
                 self._take(_Report(messages, epoch, head, base, passed / SCALE, phase))
             if self.pace is not None:
@@ -348,7 +351,7 @@ class StreamFeed(LinkDialogue):
                     self.pace.look(state.time, now, self.time, rate, is_led=is_led, is_idle=is_idle)
                 )
             if self.mark is None:
-                # Done where another thread has ended it since this one began to look.
+                # The future is already done if another thread has ended the stream since this thread came here.
                 if not self.begun.done() and self._begin.is_reached(state, now):
                     self.mark = Mark(0.0, JointMoment.at_rest(state.q_target))
                     self._brake = Step.braking(self.mark.moment, self._bounds.limits)
@@ -359,7 +362,7 @@ class StreamFeed(LinkDialogue):
             for handed in {aim.handed for aim in self._queue if aim.handed is not None}:
                 if handed.call is not None and handed.call.is_given_up:
                     self.forget(handed)
-                    handed.settle(Cancelled("the task that appended these points has given them up"))
+                    handed.settle(Cancelled("the task that appended these points was cancelled"))
             return self._next()
 
     def _wait_message(self) -> bytes:
@@ -372,7 +375,8 @@ class StreamFeed(LinkDialogue):
         if self._life.phase is FeedPhase.CLOSED and self._queue:
             self._resume()
         if self._cut is not None and (self._cut.message == 0 or self._is_lossy):
-            # Again until it is answered, where messages may be lost: so what sees a later message has seen a cut.
+            # If messages may be lost, send a cut again until it is answered. Then a program that reads a later message
+            # has also read the cut.
             if self._cut.message == 0:
                 self._cut = dataclasses.replace(self._cut, message=self._messages)
             return self._cut_message
@@ -382,7 +386,7 @@ class StreamFeed(LinkDialogue):
             assert aim.step is not None
             before = self._end_of_sent
             self._head += 1
-            # From where the step before ends, as the program does it.
+            # The step begins at the end of the previous step, as in the program.
             step = Step.to(before.step.end, aim.moment, aim.step.length, aim.degree)
             until = before.until + step.length
             self._steps.append(_Sent(self._head, self._messages, step, before.ends, aim.time, until, aim))
@@ -393,7 +397,7 @@ class StreamFeed(LinkDialogue):
 
     @property
     def _end_of_sent(self) -> _Sent:
-        """The newest step that was sent, or the one that the arm has behind it."""
+        """Newest step that was sent, or the last step that the arm has passed."""
         return self._steps[-1] if self._steps else self._last
 
     @property
@@ -430,11 +434,12 @@ class StreamFeed(LinkDialogue):
         while self._steps and self._steps[0].number <= report.base:
             self._last = self._steps.popleft()
         if has_moved and 0.0 < here - self._here <= self._unseen:
-            self._reported -= here - self._here  # it is from before this computer stood still
+            self._reported -= here - self._here  # the report is from before this computer was delayed
         if self._life.is_cut or self.mark is None:
             return
         is_closed = report.phase in (RESTING, BRAKING)
-        # While it moves, a point is refused if its message was too old; once it brakes, all that were on their way are.
+        # While the arm moves, a point is refused if its message was too old. When it brakes, all points that were still
+        # being transmitted are refused.
         refused = [
             sent for sent in self._steps if sent.number > report.head and (is_closed or sent.message <= report.messages)
         ]
@@ -448,20 +453,21 @@ class StreamFeed(LinkDialogue):
             self._life.fire(FeedEvent.CLOSE)
             if found is not None:
                 self._last = dataclasses.replace(self._last, ends=time)
-                # The controller has braked it along its path: what is behind it is left out.
+                # The controller has braked the arm along its path, so the points that it has passed are left out.
                 self._may_skip = True
                 assert self.mark is not None
-                if not self._queue:  # it was cleared, or is past its last point
+                if not self._queue:  # the stream was cleared, or the arm is past its last point
                     self.mark = Mark(time, found)
             self._brake = Step.braking(found or self._last.step.end, self._bounds.limits)
             if self._last.number == self._resumed and not is_cleared:
-                # It had gone on from braking, and its points came too late after the cut: it is the same braking.
+                # The arm had continued from braking, and its points came too late after the cut: the braking is the
+                # same one.
                 self._reach_later()
             elif self._brake.length > self._cycle and not is_cleared:
                 self.starved += 1
 
     def _undo_cut(self, cut: _Cut) -> None:
-        """The cut came too late."""
+        """Restore the state before a cut that came too late."""
         self._life.fire(FeedEvent.REFUSE)
         self._reach_later()
         new = [sent.aim for sent in self._steps if sent.number > cut.head and sent.aim is not None]
@@ -487,7 +493,7 @@ class StreamFeed(LinkDialogue):
     # -- planning --------------------------------------------------------------------------------------
 
     def _place(self, later: float) -> tuple[_Sent, float] | None:
-        """The step in which the arm is `later` s from now, if all goes well, and the time since it began."""
+        """Return the step that the arm is in `later` s from now, and the time since its beginning; None if unknown."""
         left = self._report.passed + self._passed - self._reported + later
         if self._report.phase not in (MOVING, OPEN):
             return None
@@ -512,14 +518,14 @@ class StreamFeed(LinkDialogue):
         return _Cut(0, 0, self._head, tuple(self._steps), tuple(self._queue), self.mark, request)
 
     def _resume(self) -> None:
-        """Go on from the braking, or from rest, onto the points that wait."""
+        """Continue from the braking, or from rest, to the queued points."""
         report, time = self._report, self._last.ends
         if report.phase == RESTING:
             t, here = 0.0, JointMoment.at_rest(self._brake.end.q)
         else:
             t = report.passed + self._passed - self._reported + self.margin
             if t > self._brake.length - self._cycle:
-                return  # it rests before a cut could reach it
+                return  # the arm is at rest before a cut could reach the program
             here = self._brake.at(t)
         shortest = 2.0 * self._cycle
         if self._may_skip:
@@ -531,14 +537,16 @@ class StreamFeed(LinkDialogue):
             self._may_skip = False
         aim = self._queue[0]
         if aim.step is None or not aim.step.begins_in(here):
-            # Where the points let accelerations leap, or ask for more than the stream may, it lands without one.
+            # If the points have jumps of acceleration, or exceed the limits of the stream, the path ends without
+            # acceleration.
             least, still = max(aim.time - time, shortest), dataclasses.replace(aim.moment, qdd=np.zeros(6))
             landings = [aim.moment, still] if aim.degree == 5 else [still]
             ways = ((self._bounds.way(here, landing, least), landing) for landing in landings)
             way, landing = next((each for each in ways if each[0] is not None), (None, still))
             if way is None:
                 raise ToleranceExceeded(
-                    f"no way within the limits leads from where the arm has braked to onto the point at {aim.time:g} s"
+                    "no path within the limits leads from the arm's position after braking to the point at "
+                    f"{aim.time:g} s"
                 )
             self._queue[0] = dataclasses.replace(aim, step=way, moment=landing)
         kept = self._kept(None)
@@ -548,7 +556,7 @@ class StreamFeed(LinkDialogue):
         self._steps.append(_Sent(self._head, 0, step, time, time, self._last.until + t, None))
 
     def _attend(self) -> None:
-        """Begin with the first request."""
+        """Process the first request."""
         request = self._requests.popleft()
         try:
             self._planned(request)()
@@ -556,10 +564,10 @@ class StreamFeed(LinkDialogue):
             request.done.set_exception(error)
 
     def _planned(self, request: _Request) -> Callable[[], None]:
-        """What replaces the tail, or cuts it off; nothing changes before it is called.
+        """Return a function that replaces or removes the last points. Nothing changes before it is called.
 
         Raises:
-            BadValue: no path within the limits leads onto the points.
+            BadValue: If no path within the limits leads onto the points.
         """
         now = self._place(self.margin)
         if not self._life.is_open:
@@ -573,7 +581,8 @@ class StreamFeed(LinkDialogue):
         aims = [aim for aim in request.curve if aim.time > max(request.since, time)]
         if request.curve and not aims:
             raise BadValue(
-                f"all points are past: the last is at {request.curve[-1].time:g} s, and the stream at {time:g} s"
+                f"all points are in the past: the last is at {request.curve[-1].time:g} s, but the stream is at "
+                f"{time:g} s"
             )
 
         def replace() -> None:
@@ -587,7 +596,7 @@ class StreamFeed(LinkDialogue):
         return replace
 
     def _planned_unsent(self, request: _Request) -> Callable[[], None]:
-        """What was sent stays; the arm is too near to its end, or the replacement is to begin later."""
+        """Keep the sent points: the arm is too near to their end, or the replacement should begin later."""
         end = self._end_of_sent
         assert self.mark is not None
         since = min(max(request.since, end.ends), self.mark.time)
@@ -622,7 +631,7 @@ class StreamFeed(LinkDialogue):
             time = request.since
             place = next(sent for sent in self._steps if sent.ends > time)
             t = place.step.length * (time - place.begins) / (place.ends - place.begins)
-        # A step of no length has no polynomial.
+        # A step of zero length has no polynomial.
         t = max(t, 0.5 * self._cycle)
         here = place.step.at(t)
         aims = self._onto(request, here, time)
@@ -645,7 +654,7 @@ class StreamFeed(LinkDialogue):
         return onto(self._bounds, request.curve, here, time, 2.0 * self._cycle) if request.curve else []
 
     def _put(self, aims: Sequence[Aim]) -> None:
-        """These, in place of all that were not sent."""
+        """Put these points in place of all points that were not yet sent."""
         left = {id(aim.handed) for aim in aims}
         for aim in self._queue:
             if aim.handed is not None and id(aim.handed) not in left:

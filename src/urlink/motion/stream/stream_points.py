@@ -1,4 +1,4 @@
-"""The points of a stream as they are given, and which of them are rejected."""
+"""Points of a stream as the user passes them, and the check that rejects some of them."""
 
 from __future__ import annotations
 
@@ -17,22 +17,24 @@ from ...arm.vectors import JOINTS, FloatArray
 from ..moves.trajectory import LEAP, Trajectory, TrajectoryPoint
 from .stream_steps import Aim, Bounds, JointMoment, Mark, Step
 
-#: rad between the place where the arm rests and a first point for the same time.
+#: Largest distance in rad between the position where the arm rests and a first point for the same time.
 _NEAR = 0.05
-#: s between two points, at most: a message holds its microseconds.
+#: Longest time in s between two points: a message contains it in microseconds.
 _LONGEST = 1000.0
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class PosePoint:
-    """A pose of the tool at one time, for `PointStream`: it becomes joint positions by the arm's own inverse.
+    """A pose of the tool at one time, for `PointStream`.
+
+    The inverse kinematics of the arm convert it to joint positions.
 
     Attributes:
-        pose: (6,) in the base frame, m, and rotation vector in rad; read-only.
-        time: s on the clock of the stream.
+        pose: Position in the base frame in m, and rotation vector in rad, shape (6,); read-only.
+        time: Time in s on the clock of the stream.
 
     Raises:
-        BadValue: not six finite numbers, or not a time.
+        BadValue: If `pose` is not six finite numbers, or `time` is not a time.
     """
 
     pose: FloatArray
@@ -43,17 +45,17 @@ class PosePoint:
         object.__setattr__(self, "time", check_seconds(time, "time", finite=True))
 
 
-#: What a stream takes: one point, several, or a trajectory, whose time begins where it is put.
+#: Points that a stream accepts: one point, several points, or a trajectory, whose time begins where it is put.
 Points = TrajectoryPoint | PosePoint | Trajectory | Iterable[TrajectoryPoint | PosePoint]
 
 
 class PointReader:
-    """Makes the steps of points, and compares them with what the arm can do.
+    """Converts points to steps, and compares the steps with the bounds of the arm.
 
     Args:
-        bounds: of the arm.
-        shortest: s between two points, at least.
-        inverse: of the arm: joint positions for a pose, closest to others.
+        bounds: Bounds of the arm.
+        shortest: Shortest time between two points, in s.
+        inverse: Inverse kinematics of the arm: returns the joint positions for a pose that are closest to others.
     """
 
     def __init__(
@@ -64,14 +66,16 @@ class PointReader:
         self._inverse = inverse
 
     def after(self, points: Points, mark: Mark, begins: float = 0.0) -> list[Aim]:
-        """Points that are appended at the mark.
+        """Return the aims for points that are appended at the mark.
 
         Args:
-            begins: s on the clock of the stream before which a trajectory does not begin.
+            points: The points.
+            mark: End of the stream.
+            begins: Earliest beginning of a trajectory, in s on the clock of the stream.
 
         Raises:
-            BadValue: the arm could not follow them.
-            Unreachable: a pose is out of reach.
+            BadValue: If the arm could not follow the points.
+            Unreachable: If a pose is out of reach.
         """
         aims: list[Aim] = []
         begin, time = mark.moment, mark.time
@@ -80,7 +84,7 @@ class PointReader:
             name = f"point {number} (t = {point.time:g} s)"
             is_here = number == 0 and abs(point.time - time) < self._shortest
             if is_here and isinstance(points, Trajectory):
-                self._check_near(name, point.q, begin.q)  # and it goes on from where the points end
+                self._check_near(name, point.q, begin.q)  # the trajectory continues from the end of the points
                 continue
             if is_here and begin.rests:
                 self._check_near(name, point.q, begin.q)
@@ -93,10 +97,10 @@ class PointReader:
         return aims
 
     def curve(self, points: Points, since: float, mark: Mark) -> list[Aim]:
-        """Points on a curve of their own, of which the first has no step; a trajectory begins at `since`.
+        """Return the aims for points on a separate curve, whose first aim has no step. A trajectory begins at `since`.
 
         Raises:
-            BadValue, Unreachable: as `after`.
+            BadValue, Unreachable: If `after` would raise it.
         """
         aims: list[Aim] = []
         names = []
@@ -113,17 +117,17 @@ class PointReader:
     def _check(self, aims: Sequence[Aim], names: Sequence[str]) -> None:
         steps = [aim.step for aim in aims if aim.step is not None]
         if not aims:
-            raise BadValue("there are no points; expected one at least")
+            raise BadValue("there are no points; expected at least one")
         if steps:
             self._bounds.check(steps, names)
 
     def _reached(self, name: str, point: TrajectoryPoint, begin: JointMoment, since: float) -> Aim:
-        """A point, and the step to it from a moment at `since`, s; its degree is by what the point carries."""
+        """Return a point, and the step to it from a moment at `since`, in s. The values of the point set its degree."""
         length = point.time - since
         if not since + self._shortest * (1.0 - 1e-6) <= point.time <= since + _LONGEST:
             raise BadValue(
-                f"{name}: its time is {length:.6g} s after the point before, or the end of the stream; expected "
-                f"{self._shortest:g} s, two cycles of the controller, to {_LONGEST:g} s"
+                f"{name}: its time is {length:.6g} s after the previous point, or the end of the stream; expected "
+                f"{self._shortest:g} s (two cycles of the controller) to {_LONGEST:g} s"
             )
         degree = 1 if point.qd is None else 3 if point.qdd is None else 5
         step = Step.to(begin, _moment(point), length, degree)
@@ -135,11 +139,11 @@ class PointReader:
         if away[joint] > _NEAR:
             raise BadValue(
                 f"{name}: {JOINTS[joint]} (joint {joint}) is at {q[joint]:.4f} rad, {away[joint]:.4f} rad from where "
-                f"the arm is; expected at most {_NEAR:g} rad in no time"
+                f"the arm is; expected at most {_NEAR:g} rad, because it has no time to move there"
             )
 
     def _given(self, points: Points, begin: float, mark: Mark) -> list[TrajectoryPoint]:
-        """As points of joints, with times on the clock of the stream."""
+        """Convert the points to joint positions, with times on the clock of the stream."""
         if isinstance(points, Trajectory):
             return self._of_trajectory(points, begin)
         given: list[Any] = [points] if isinstance(points, (TrajectoryPoint, PosePoint)) else _listed(points)
@@ -161,7 +165,7 @@ class PointReader:
     def _of_trajectory(self, trajectory: Trajectory, begin: float) -> list[TrajectoryPoint]:
         time, q, qd, qdd = trajectory.time, trajectory.q, trajectory.qd, trajectory.qdd
         if np.diff(time).min() < self._shortest:
-            # The program takes a point every other cycle; these describe the same curve.
+            # The program reads a point in every second cycle. The resampled points describe the same curve.
             time = np.linspace(0.0, trajectory.duration, max(int(trajectory.duration / (2.0 * self._shortest)), 1) + 1)
             q, qd, accelerations = trajectory.at(time)
             qdd = accelerations if trajectory.is_quintic else None
@@ -176,7 +180,7 @@ class PointReader:
         joint = int(leaps.argmax())
         if leaps[joint] > LEAP:
             raise BadValue(
-                f"point {number} (t = {point.time:g} s): {JOINTS[joint]} (joint {joint}) would leap from "
+                f"point {number} (t = {point.time:g} s): {JOINTS[joint]} (joint {joint}) would jump from "
                 f"{near[joint]:.4f} to {q[joint]:.4f} rad; expected at most {LEAP:g} rad: the pose is beyond a "
                 "singularity, or too far away"
             )

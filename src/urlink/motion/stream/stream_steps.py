@@ -1,8 +1,8 @@
-"""The steps of a stream: polynomials from a moment of the arm to a point, braking after the last, and the path back.
+"""Steps of a stream: polynomials from a moment of the arm to a point, braking after the last, and paths back.
 
-The program on the robot computes the same ones (`urlink.script.buffering`): so it is known here where the arm brakes,
-without a report of it. `Aim` is a point that is to be reached, and `onto` leads from one curve through points onto
-another.
+The program on the robot computes the same steps (`urlink.script.buffering`). Therefore this computer knows where the
+arm brakes, without a report. `Aim` is a point that the arm should reach, and `onto` computes the path from one curve
+through points to another.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from ...script.buffering import BRAKING_FACTOR, STRAY
 from ..moves.trajectory import refuse_beyond
 from ..servo.jerk_limited import JointLimit
 
-#: Places in a step at which it is compared with limits (see `urlink.motion.moves.trajectory`).
+#: Places in a step where it is compared with limits (see `urlink.motion.moves.trajectory`).
 _PLACES = np.linspace(0.0, 1.0, 17)
 #: Fraction by which rounding may exceed a limit.
 _SLACK = 1e-6
-#: rad/s and rad/s² below which a joint rests.
+#: Limits in rad/s and rad/s² below which a joint is at rest.
 _RESTING = 1e-6
-#: rad, rad/s and rad/s² by which a moment may differ from the one in which a step begins.
+#: Largest difference, in rad, rad/s and rad/s², between a moment and the beginning of a step in this moment.
 _SAME = 1e-6
-#: Times that are tried for a path back onto the points: each longer than the one before by this factor, until
-#: `_LONGEST` s. Chosen: the path takes at most an eighth longer than it has to.
+#: Factor between successive durations that are tried for a path back onto the points, until `_LONGEST` s. Chosen: the
+#: path takes at most an eighth longer than necessary.
 _LONGER, _LONGEST = 1.125, 20.0
-#: The powers of the time in a position, a speed and an acceleration, for six coefficients.
+#: Powers of the time in a position, a speed and an acceleration, for six coefficients.
 _POWERS = np.arange(6.0)
 
 
 @dataclass(frozen=True)
 class JointMoment:
-    """Positions, (6,) rad, speeds, rad/s, and accelerations, rad/s², of the joints at one time."""
+    """Positions in rad, speeds in rad/s, and accelerations in rad/s² of the joints at one time, shape (6,)."""
 
     q: FloatArray
     qd: FloatArray
@@ -50,7 +50,7 @@ class JointMoment:
 
     @classmethod
     def at_rest(cls, q: Sequence[float] | FloatArray) -> JointMoment:
-        """The arm stands still at `q` (6, rad)."""
+        """Return the moment of an arm at rest at `q`, (6,) rad."""
         return cls(np.array(q, dtype=np.float64), np.zeros(6), np.zeros(6))
 
     @property
@@ -63,9 +63,9 @@ class Step:
     """A polynomial of each joint over a time.
 
     Args:
-        rows: (6 powers, 6 joints), of seconds since it began.
-        length: s.
-        degree: 1, 3 or 5; 4 for the beginning of a cubic (`urlink.script.buffering`).
+        rows: Coefficients, shape (6 powers, 6 joints), of the seconds since it began.
+        length: Duration in s.
+        degree: Degree: 1, 3 or 5. A step of degree 4 is the beginning of a cubic (`urlink.script.buffering`).
     """
 
     __slots__ = ("degree", "length", "rows")
@@ -77,11 +77,14 @@ class Step:
 
     @classmethod
     def to(cls, begin: JointMoment, end: JointMoment, length: float, degree: int) -> Step:
-        """From one moment to another; of its speeds and accelerations, degree 1 and 3 leave out what they do not meet.
+        """Return the step from one moment to another.
+
+        With degree 1 and 3, the step does not match all speeds and accelerations of the moments.
 
         Args:
-            length: s.
-            degree: as that of a step.
+            begin, end: The two moments.
+            length: Duration in s.
+            degree: Degree, as for a step.
         """
         rows = np.zeros((6, 6))
         h = length
@@ -104,7 +107,10 @@ class Step:
 
     @classmethod
     def braking(cls, begin: JointMoment, limits: Sequence[JointLimit]) -> Step:
-        """From a moment to rest, all joints in the same time (`urlink.script.buffering`); of length 0 at rest."""
+        """Return the step from a moment to rest, with one duration for all joints; its length is 0 at rest.
+
+        See `urlink.script.buffering`.
+        """
         length = 0.0
         for v, a, limit in zip(np.abs(begin.qd).tolist(), np.abs(begin.qdd).tolist(), limits, strict=True):
             by_jerk = (2.0 * a + math.sqrt(4.0 * a * a + 6.0 * limit.jerk * v)) / limit.jerk
@@ -119,22 +125,22 @@ class Step:
         return cls(rows, length)
 
     def at(self, t: float) -> JointMoment:
-        """The moment `t` s after its beginning."""
+        """Return the moment `t` s after the beginning of the step."""
         return JointMoment(*_derivatives(self.rows, t**_POWERS))
 
     @property
     def begin(self) -> JointMoment:
-        """Where it begins."""
+        """Moment of the beginning."""
         return self.at(0.0)
 
     @property
     def end(self) -> JointMoment:
-        """Where it ends; one of degree 3 without an acceleration."""
+        """Moment of the end; without an acceleration if the degree is 3."""
         end = self.at(self.length)
         return JointMoment(end.q, end.qd, np.zeros(6)) if self.degree == 3 else end
 
     def begins_in(self, moment: JointMoment) -> bool:
-        """Whether it begins in a moment, as far as its degree meets one."""
+        """Whether the step begins in a moment, in the quantities that its degree can match."""
         begin = self.begin
         return all(
             np.abs(getattr(begin, each) - getattr(moment, each)).max() < _SAME
@@ -142,25 +148,25 @@ class Step:
         )
 
     def cut(self, length: float) -> Step:
-        """Its beginning."""
+        """Return the beginning of the step, with a length."""
         return Step(self.rows, length, 4 if self.degree == 3 else self.degree)
 
     def rest(self, t: float) -> Step:
-        """What is left of it after `t` s."""
+        """Return the rest of the step after `t` s."""
         # The Taylor expansion around t.
         rows = np.array([sum(math.comb(k, n) * t ** (k - n) * self.rows[k] for k in range(n, 6)) for n in range(6)])
         return Step(rows, self.length - t, self.degree)
 
 
 def _derivatives(rows: FloatArray, powers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions, speeds and accelerations, from the coefficients and the powers of the time."""
+    """Return positions, speeds and accelerations, from the coefficients and the powers of the time."""
     qd = (_POWERS[1:] * powers[..., :-1]) @ rows[..., 1:, :]
     qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[..., :-2]) @ rows[..., 2:, :]
     return powers @ rows, qd, qdd
 
 
 def _sampled(rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(n, places, joints) positions, speeds, accelerations and jerks of n steps, rows (n, 6, 6)."""
+    """Return positions, speeds, accelerations and jerks of n steps, rows (n, 6, 6), each as (n, places, joints)."""
     t = lengths[:, None] * _PLACES
     powers = t[..., None] ** _POWERS
     qddd = (_POWERS[3:] * _POWERS[2:-1] * _POWERS[1:-2] * powers[..., :-3]) @ rows[:, 3:]
@@ -168,19 +174,20 @@ def _sampled(rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 class Bounds:
-    """What a stream may ask of an arm.
+    """Bounds for the steps of a stream.
 
     Args:
-        model: its limits of position, speed and acceleration hold for the points; None if the arm is not known.
-        speeds: (6,) rad/s of its joints.
-        limits: of what the stream adds: the braking, and the paths back onto the points.
+        model: Model of the arm, whose limits of position, speed and acceleration apply to the points; None if the arm
+            is unknown.
+        speeds: Largest speeds of the joints, shape (6,), in rad/s.
+        limits: Limits for the motion that the stream adds: the braking, and the paths back onto the points.
     """
 
     def __init__(self, model: Model | None, speeds: Sequence[float], limits: Sequence[JointLimit]) -> None:
         self.limits = tuple(limits)
         self._arm = "the fastest arm" if model is None else f"a {model.name}"
         self._speeds = np.array(speeds)
-        # Positions that a message can hold, and that are meant, are no more than three turns (`buffering.FINE`).
+        # A message can hold positions of up to three turns, and larger ones are not meant (`buffering.FINE`).
         turns = np.tile([-6.0 * math.pi, 6.0 * math.pi], (6, 1))
         low, high = (turns if model is None else np.clip(model.position_limits, turns[:, :1], turns[:, 1:])).T
         self._low, self._high = low, high
@@ -188,19 +195,20 @@ class Bounds:
         self._own = np.array([[limit.acceleration, limit.jerk] for limit in limits]).T
 
     def braked(self, moment: JointMoment) -> JointMoment:
-        """Where the arm rests if nothing follows."""
+        """Return the moment at rest after braking, if no point follows."""
         return JointMoment.at_rest(Step.braking(moment, self.limits).end.q)
 
     def check(self, steps: Sequence[Step], names: Sequence[str]) -> None:
         """Raise unless an arm can follow these steps, and stays within its range if it has to brake after one.
 
-        The corners between steps of degree 1 are no accelerations.
+        The corners between steps of degree 1 do not count as accelerations.
 
         Args:
-            names: of each step, for messages.
+            steps: The steps.
+            names: Name of each step, for messages.
 
         Raises:
-            BadValue: a limit is exceeded; the message has the step, the joint, the value and the limit.
+            BadValue: If a limit is exceeded. The message contains the step, the joint, the value and the limit.
         """
         rows = np.array([step.rows for step in steps])
         lengths = np.array([step.length for step in steps])
@@ -215,17 +223,18 @@ class Bounds:
             beyond = np.abs(values) > limit * (1.0 + _SLACK)
             refuse(values, what, unit, np.broadcast_to(limit, values.shape), beyond)
         rests = np.array([[self.braked(step.end).q] for step in steps])
-        what = "position where it would brake to if nothing followed"
+        what = "position after braking, if no point followed,"
         refuse(rests, what, "rad", np.where(rests < low, low, high), (rests < low) | (rests > high))
 
     def way(self, begin: JointMoment, end: JointMoment, least: float) -> Step | None:
-        """The quickest polynomial from one moment to another within the limits; None if there is none.
+        """Return the quickest polynomial from one moment to another within the limits; None if there is none.
 
-        It exceeds neither the speed of a joint, nor the limits of acceleration and jerk of what the stream adds, but
-        where it begins or ends with more.
+        It does not exceed the speeds of the joints. It also does not exceed the limits of acceleration and jerk for the
+        motion that the stream adds, except if it begins or ends with more.
 
         Args:
-            least: s that it takes at least.
+            begin, end: The two moments.
+            least: Shortest duration, in s.
         """
         count = max(math.ceil(math.log(_LONGEST / least, _LONGER)), 1) if least < _LONGEST else 1
         for first in range(0, count, 16):
@@ -236,10 +245,10 @@ class Bounds:
         return None
 
     def first_within(self, ways: Sequence[Step]) -> int | None:
-        """Number of the first of these that is within the limits of what the stream adds."""
+        """Return the number of the first step within the limits for the motion that the stream adds."""
         q, qd, qdd, qddd = _sampled(np.array([way.rows for way in ways]), np.array([way.length for way in ways]))
         hard, sharp = self._own
-        # Where the points themselves are harder, at the ends of a path, so is it.
+        # If the points at the ends of a path have higher accelerations, the path may have them, too.
         hard = np.maximum(hard, np.maximum(np.abs(qdd[:, :1]), np.abs(qdd[:, -1:])))
         slack = 1.0 + _SLACK
         is_within = (
@@ -257,7 +266,7 @@ _LATER = 1.25
 
 @dataclasses.dataclass(frozen=True)
 class Mark:
-    """The end of the points: its time on the clock of the stream, s, and the moment."""
+    """End of the points: its time on the clock of the stream, in s, and its moment."""
 
     time: float
     moment: JointMoment
@@ -267,8 +276,8 @@ class Handed:
     """Points that were appended together.
 
     Attributes:
-        future: resolved once the last of them was sent; to an error if they were dropped.
-        call: of the task that appends them, if one does.
+        future: Future that is resolved when the last point was sent, or to an error if the points were dropped.
+        call: Call of the task that appends them; None if no task does.
     """
 
     def __init__(self) -> None:
@@ -276,7 +285,7 @@ class Handed:
         self.call: Call | PendingCall | None = current_call()
 
     def settle(self, error: Exception | None = None) -> None:
-        """Resolve it."""
+        """Resolve the future."""
         if not self.future.done():
             if error is None:
                 self.future.set_result(None)
@@ -286,13 +295,13 @@ class Handed:
 
 @dataclasses.dataclass(frozen=True)
 class Aim:
-    """A point that is to be reached.
+    """A point that the arm should reach.
 
     Attributes:
-        time: on the clock of the stream, s.
-        moment: in which the arm passes it.
-        step: from the point before; None if it is where the arm rests.
-        handed: with which points it came; None if it was computed here.
+        time: Time on the clock of the stream, in s.
+        moment: Moment of the arm at the point.
+        step: Step from the previous point; None if the arm is at rest at the point.
+        handed: Points that it was appended with; None if it was computed here.
     """
 
     time: float
@@ -302,20 +311,24 @@ class Aim:
 
     @property
     def degree(self) -> int:
-        """Of the step to it; 5 where there is none, since the moment is a whole one."""
+        """Degree of the step to it; 5 if there is no step, because the moment is then complete."""
         return 5 if self.step is None else self.step.degree
 
 
 def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, shortest: float) -> list[Aim]:
-    """From a moment of the present curve onto another, as soon as the limits allow; and the rest of that.
+    """Return a path from a moment of the current curve onto another curve, and the rest of the other curve.
+
+    The path is as short as the limits allow.
 
     Args:
-        curve: the points to go over to, each with the step from the one before.
-        here: moment of the present curve at `time`, s.
-        shortest: s that a step takes at least.
+        bounds: Bounds of the stream.
+        curve: Points of the other curve, each with the step from the previous one.
+        here: Moment of the current curve at `time`.
+        time: Time in s on the clock of the stream.
+        shortest: Shortest duration of a step, in s.
 
     Raises:
-        BadValue: its points are past, or no path within the limits leads onto it.
+        BadValue: If its points are past, or if no path within the limits leads onto it.
     """
     places: list[tuple[Aim, list[Aim]]] = []
     at = max(time + 2.0 * shortest, curve[0].time)
@@ -326,7 +339,7 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
         at = time + _LATER * (at - time)
     if not places:
         raise BadValue(
-            f"all points are past: the last is at {curve[-1].time:g} s, and they are needed from {time:g} s on"
+            f"all points are in the past: the last is at {curve[-1].time:g} s, but points are needed from {time:g} s on"
         )
     ways = [Step.to(here, aim.moment, aim.time - time, 5) for aim, _ in places]
     found = bounds.first_within(ways)
@@ -340,7 +353,7 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
 
 
 def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, list[Aim]]:
-    """The moment of a curve at a time before its end, or a little later at its next point; and the points after it."""
+    """Return the moment of a curve at a time, or a little later at its next point; and the points after it."""
     following = next(i for i, aim in enumerate(curve) if aim.time >= at)
     aim = curve[following]
     if aim.step is None or aim.time - at < shortest:

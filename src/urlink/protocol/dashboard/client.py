@@ -1,6 +1,7 @@
-"""`robot.dashboard`: power, programs, popups and modes.
+"""Client behind `robot.dashboard`: power, programs, popups and modes.
 
-It speaks to the dashboard server (port 29999), and on PolyScope X, which has none, to the Robot API (port 80).
+It connects to the dashboard server (port 29999). PolyScope X has no dashboard server, so there it uses the Robot API
+(port 80).
 """
 
 from __future__ import annotations
@@ -47,58 +48,62 @@ from .protocol import (
 from .robot_api import RobotApi
 from .stored_programs import StoredProgram
 
-#: Seconds between two looks at the robot mode while it starts.
+#: Interval for polling the robot mode while the arm starts, in seconds.
 _POLL = 0.2
-#: Seconds within which an arm no longer runs after the command to switch off.
+#: Maximum time, in seconds, from the command to switch off until the arm no longer runs.
 _OFF_WITHIN = 5.0
 #: Commands that do not wait while another thread waits for its reply.
 _STOPS = ("stop", "pause", "power off")
 
-# The beginning of the reply after which a controller wants to be connected to anew.
+# Beginning of the reply that makes a new connection necessary.
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 
 class Dashboard(StrictAttributes, Closing):
-    """A client of the dashboard server of one controller, or of the Robot API of PolyScope X.
+    """Client of the dashboard server of one controller, or of the Robot API of PolyScope X.
 
-    Both have the same methods, as far as the firmware supports them. The Robot API has a connection for each request;
-    the following about connections holds for the dashboard server.
+    Both have the same methods, as far as the firmware supports them. The Robot API uses one connection for each
+    request. The following paragraphs about connections apply to the dashboard server.
 
-    Connects at first use, and again where a connection was lost between two commands. A command that may have reached
-    the controller is never sent a second time: where the reply does not come, the connection is closed, a
-    `LinkTimeout` or `ConnectionLost` is raised, and the next command begins on a new connection. A new one is also made
-    after the refusal in local mode, since the controller requires it. Threads may share it; they take turns. If another
-    thread waits for its reply, `stop`, `pause` and `power_off` use a second connection, and do not wait.
+    The client connects when it is first used, and reconnects if the connection was lost between two commands. A command
+    that may have reached the controller is never sent a second time. If its reply does not arrive, the connection is
+    closed, the call raises `LinkTimeout` or `ConnectionLost`, and the next command uses a new connection. The client
+    also reconnects after a refusal in local mode, because the controller requires it. Threads may share the client;
+    they take turns. If another thread waits for its reply, `stop`, `pause` and `power_off` use a second connection, and
+    do not wait.
 
-    **A command that failed so may still be carried out**, when a controller that hung goes on; the error says so. Of
-    these, `play` is undone, by `stop`, at the first contact and before another command is sent, unless another
-    program has been sent since. That is owed for the life of the process: after `close` the next `Dashboard` or robot
-    of `connect` at this controller undoes it. Nothing else is: power, brakes and what was loaded are as the
-    controller leaves them.
+    **The controller might still execute a command that failed in this way**, for example when it resumes after a hang.
+    The error says so. Of these commands, only `play` is undone: urlink sends `stop` at the next contact and before any
+    other command, unless another program has been sent since. The undo remains pending for the life of the process:
+    after `close`, it is sent by the next `Dashboard` or robot of `connect` at this controller. No other command is
+    undone: power, brakes and the loaded program stay as the controller leaves them.
 
     All methods that talk to the controller raise
 
-    - `LocalError` where the firmware does not have the command, and `BadValue` for an argument that cannot be sent;
-      nothing has been sent then;
-    - `DashboardRefused` where the controller does not carry it out, as an e-Series does in local mode;
-    - `LinkTimeout` where it does not answer in time, or where a `play` that was given up could not be undone yet;
-      `ConnectFailed` and `ConnectionLost` where it is not there,
-      `WrongPeer` where another service is, and `PacketError` where an answer cannot be read;
+    - `LocalError` if the firmware does not have the command, and `BadValue` if an argument cannot be sent; nothing is
+      sent then;
+    - `DashboardRefused` if the controller does not execute the command, for example an e-Series in local mode;
+    - `LinkTimeout` if the controller does not answer in time, or if an abandoned `play` could not be undone yet;
+    - `ConnectFailed` and `ConnectionLost` if the controller cannot be reached, `WrongPeer` if another service answers,
+      and `PacketError` if a reply cannot be parsed;
     - `Closed` after `close`;
-    - what `firmware` raises.
+    - the errors that `firmware` raises.
 
     Args:
-        host: name or address.
-        port: of the dashboard server, 29999 on a real controller; None where it is not served.
-        firmware: returns the controller's firmware; called before each command, since it may have changed in between.
-        api_port: of the Robot API, 80 on a real controller; None where it is not served.
-        timeout: seconds to connect, and for the reply to a command. Those that take longer have more: `COMMANDS` says
-            how much.
-        undos: of the commands to this controller; None to share that of everything in this process that commands it.
-        on_stop: Called before each command that stops or pauses the arm, with the reason, for messages.
+        host: Host name or address of the controller.
+        port: Port of the dashboard server, 29999 on a real controller; None if it is not served.
+        firmware: Function that returns the firmware of the controller. It is called before each command, because the
+            firmware may have changed in between.
+        api_port: Port of the Robot API, 80 on a real controller; None if it is not served.
+        timeout: Maximum time to connect, and for the reply to a command, in seconds. Slow commands have more time; see
+            `COMMANDS`.
+        undos: Pending undos of the commands to this controller. If None, share those of all objects in this process
+            that command the controller.
+        on_stop: Function that is called before each command that stops or pauses the arm. Its argument is the reason,
+            used in messages.
 
     Raises:
-        BadValue: the timeout is not positive.
+        BadValue: If the timeout is not positive.
     """
 
     def __init__(
@@ -127,7 +132,7 @@ class Dashboard(StrictAttributes, Closing):
         self._transport = TcpTransport(host, port or 0, silence=timeout, refused=refused)
         self._name = f"the dashboard server at {self._transport.name}"
         self._dialogue = Dialogue(self._transport, DashboardProtocol, self._name, timeout)
-        # Another connection for what must not wait for the reply to another command; made if it is needed.
+        # Second connection for commands that must not wait for the reply to another command; connects when needed.
         stopping = TcpTransport(host, port or 0, silence=timeout, refused=refused)
         self._stopping = Dialogue(stopping, DashboardProtocol, self._name, timeout)
         self._shares_undos = undos is None
@@ -138,20 +143,21 @@ class Dashboard(StrictAttributes, Closing):
     # -- power ---------------------------------------------------------------------------------------
 
     def start(self, timeout: float = 30.0) -> None:
-        """Power the arm on and release its brakes; returns when it runs. **The arm may move** as the brakes release.
+        """Power the arm on, release its brakes, and wait until it runs. **The arm may move** as the brakes release.
 
-        It does not unlock a stop: an arm in a protective stop runs, and does not move before `unlock_protective_stop`.
-        On CB2 the arm is started by a person at the pendant; later controllers may want one to confirm the safety
-        settings first.
+        It does not unlock a stop: after a protective stop the arm runs, but cannot move before
+        `unlock_protective_stop`. On CB2, a person starts the arm at the pendant. Later controllers may require a person
+        to confirm the safety settings first.
 
         Raises:
-            LinkTimeout: it does not run after `timeout` seconds; says how far it got.
-            LocalError: CB2 has no command for it.
-            DashboardRefused: the controller does not want to, as an e-Series in local mode.
+            LinkTimeout: If the arm does not run after `timeout` seconds. The error contains the robot mode and the
+                safety mode.
+            LocalError: If the controller is a CB2, which has no command for it.
+            DashboardRefused: If the controller refuses, for example an e-Series in local mode.
         """
         until = clock.now() + _positive(timeout)
         if self._present().is_cb2:
-            raise LocalError("a CB2 controller cannot be told to power the arm on; start the arm at the pendant")
+            raise LocalError("a CB2 controller has no command to power the arm on; start the arm at the pendant")
         next_step = {RobotMode.POWER_OFF: "power on", RobotMode.IDLE: "brake release"}
         while True:
             mode = self.robot_mode()
@@ -163,29 +169,29 @@ class Dashboard(StrictAttributes, Closing):
             left = until - clock.now()
             if left <= 0:
                 raise LinkTimeout(
-                    f"the arm does not run after {timeout:g} s: robot mode {mode.name}, "
+                    f"the arm is not running after {timeout:g} s: robot mode {mode.name}, "
                     f"safety mode {self.safety_mode().name}"
                 )
-            # Each step once: if a person switches the arm off while it starts, it stays off.
+            # Send each step once: if a person switches the arm off while it starts, it stays off.
             step = next_step.pop(RobotMode(mode), None)
             if step is not None:
                 self._do(step)
             clock.sleep(min(_POLL, left))
 
     def power_on(self) -> None:
-        """Begin to power the arm on; it arrives in IDLE with its brakes locked. `start` does all of it, and waits."""
+        """Begin to power the arm on, up to IDLE with locked brakes. `start` also releases the brakes, and waits."""
         self._do("power on")
 
     def power_off(self) -> None:
-        """Begin to switch the arm off; it comes to rest first."""
+        """Begin to switch the arm off. The arm comes to rest first."""
         self._on_stop("the dashboard switched the arm off")
         self._do("power off")
         self._switched_off = clock.now()
 
     def brake_release(self) -> None:
-        """Begin to release the brakes. **The arm may move.** Powers it on first if it is off.
+        """Begin to release the brakes. **The arm may move.** An arm that is off is powered on first.
 
-        If no answer comes, it may still be carried out, and is not undone.
+        If no reply arrives, the controller might still execute the command. It is not undone.
         """
         self._do("brake release")
 
@@ -197,65 +203,66 @@ class Dashboard(StrictAttributes, Closing):
     # -- programs ------------------------------------------------------------------------------------
 
     def load(self, path: str) -> None:
-        """Load a program of the controller's, such as `"pick.urp"`.
+        """Load a program that is stored on the controller, such as `"pick.urp"`.
 
-        Up to 3.2 the controller answers before it has been loaded, and from 3.4 on after its installation is too.
+        On firmware 3.2 or earlier, the controller replies before the program is loaded. On firmware 3.4 or later, it
+        replies after the installation of the program is loaded, too.
         """
         self._do("load", path)
 
     def load_installation(self, path: str) -> None:
-        """Load an installation of the controller's, such as `"default.installation"`."""
+        """Load an installation that is stored on the controller, such as `"default.installation"`."""
         self._do("load installation", path)
 
     def play(self) -> None:
-        """Run the loaded program, or go on with it. **The arm moves.**
+        """Run the loaded program, or resume it. **The arm moves.**
 
-        If no answer comes, it may still be carried out; see `Dashboard`.
+        If no reply arrives, the controller might still execute the command; see `Dashboard`.
         """
         self._do("play")
 
     def pause(self) -> None:
-        """Pause the program that runs."""
+        """Pause the running program."""
         self._on_stop("the dashboard paused the program")
         self._do("pause")
 
     def stop(self) -> None:
-        """Stop the program that runs."""
+        """Stop the running program."""
         self._on_stop("the dashboard stopped the program")
         self._do("stop")
 
     def running(self) -> bool:
-        """Whether a program runs."""
+        """Return whether a program runs."""
         return parse_truth("running", self._do("running"))
 
     def program_state(self) -> ProgramStatus:
-        """Whether the program is stopped, plays or is paused, and its name."""
+        """Return whether the program is stopped, playing or paused, and its name."""
         return parse_program_state(self._do("programState"))
 
     def loaded_program(self) -> str | None:
-        """Path of the loaded program; None if there is none."""
+        """Return the path of the loaded program; None if no program is loaded."""
         return parse_loaded_program(self._do("get loaded program"))
 
     def is_program_saved(self) -> SavedProgram:
-        """Whether the loaded program has been saved since it was changed, and its name."""
+        """Return whether the loaded program was saved after its last change, and its name."""
         return parse_is_program_saved(self._do("isProgramSaved"))
 
     def programs(self) -> tuple[StoredProgram, ...]:
-        """The programs on the controller; from 10.12 on (PolyScope X)."""
+        """Return the programs on the controller (PolyScope X 10.12 or later)."""
         return self._api.programs(self._with_programs())
 
     def upload_program(self, path: str | os.PathLike[str], *, replace: bool = False) -> str | None:
-        """Store a program of this computer's, a file of PolyScope X (.urpx), on the controller; from 10.12 on.
+        """Store a program file (.urpx) of this computer on the controller (PolyScope X 10.12 or later).
 
         Args:
-            path: of the file.
-            replace: the program is there, and is replaced; otherwise it is a new one.
+            path: Path of the file.
+            replace: Whether the program exists on the controller and is replaced. If False, the program must be new.
 
         Returns:
-            the name that the controller says it has, by which it is loaded; None where it does not say so.
+            Name that the controller reports for the program, used to load it; None if it reports no name.
 
         Raises:
-            BadValue: the file cannot be read.
+            BadValue: If the file cannot be read.
         """
         firmware, file = self._with_programs(), Path(path)
         try:
@@ -266,56 +273,56 @@ class Dashboard(StrictAttributes, Closing):
             return self._api.upload(file.name, content, bool(replace), firmware, given_up)
 
     def download_program(self, name: str) -> bytes:
-        """A program on the controller, as the controller sends it; from 10.12 on (PolyScope X)."""
+        """Return the content of a program on the controller, as it is sent (PolyScope X 10.12 or later)."""
         return self._api.download(name, self._with_programs())
 
     # -- safety --------------------------------------------------------------------------------------
 
     def robot_mode(self) -> RobotMode | RobotModeCB2:
-        """The robot mode; CB2 has a list of its own."""
+        """Return the robot mode. CB2 has its own list of modes."""
         return parse_robot_mode(self._do("robotmode"), self._present().is_cb2)
 
     def safety_mode(self) -> SafetyMode:
-        """The safety mode."""
+        """Return the safety mode."""
         return parse_safety_mode("safetymode", self._do("safetymode"))
 
     def safety_status(self) -> SafetyMode:
-        """As `safety_mode`, with finer names for the stops."""
+        """Return the safety mode as `safety_mode` does, with finer distinctions between the stops."""
         return parse_safety_mode("safetystatus", self._do("safetystatus"))
 
     def unlock_protective_stop(self) -> None:
-        """Let the arm move again after a protective stop. **Look what caused the stop first.**
+        """Let the arm move again after a protective stop. **Find the cause of the stop first.**
 
-        Refused in the first five seconds of the stop.
+        The controller refuses it in the first five seconds of the stop.
         """
         self._do("unlock protective stop")
 
     def restart_safety(self) -> None:
-        """Restart the safety system after a fault or violation, which leaves the arm switched off."""
+        """Restart the safety system after a fault or a violation. The arm is switched off afterwards."""
         self._do("restart safety")
 
     def is_in_remote_control(self) -> bool:
-        """Whether an e-Series takes commands that move or power the arm."""
+        """Return whether an e-Series accepts commands that move or power the arm."""
         return parse_truth("is in remote control", self._do("is in remote control"))
 
     def operational_mode(self) -> OperationalMode:
-        """The operational mode; `"none"` where no password for it was set."""
+        """Return the operational mode; `"none"` if no password for it was set."""
         return parse_operational_mode(self._do("get operational mode"))
 
     def set_operational_mode(self, mode: Literal["manual", "automatic"]) -> None:
-        """Set the operational mode, and keep the pendant from changing it until `clear_operational_mode`."""
+        """Set the operational mode, and block the pendant from changing it until `clear_operational_mode`."""
         self._do("set operational mode", mode)
 
     def clear_operational_mode(self) -> None:
-        """Leave the operational mode to the pendant again."""
+        """Let the pendant control the operational mode again."""
         self._do("clear operational mode")
 
     def user_role(self) -> UserRole:
-        """What the pendant of a CB3 lets its user do."""
+        """Return the user role, which sets the permissions of the user at the pendant of a CB3."""
         return parse_user_role(self._do("getUserRole"))
 
     def set_user_role(self, role: UserRole) -> None:
-        """Set what the pendant of a CB3 lets its user do."""
+        """Set the user role, which sets the permissions of the user at the pendant of a CB3."""
         self._do("setUserRole", role)
 
     # -- pendant -------------------------------------------------------------------------------------
@@ -325,7 +332,7 @@ class Dashboard(StrictAttributes, Closing):
         self._do("popup", text)
 
     def close_popup(self) -> None:
-        """Close the message."""
+        """Close the message on the pendant."""
         self._do("close popup")
 
     def close_safety_popup(self) -> None:
@@ -336,36 +343,36 @@ class Dashboard(StrictAttributes, Closing):
         """Add a line to the controller's log."""
         self._do("addToLog", text)
 
-    # -- who it is -----------------------------------------------------------------------------------
+    # -- identity ------------------------------------------------------------------------------------
 
     def polyscope_version(self) -> str:
-        """Version and date of the software, such as `"5.4.0.76837 (Jul 30 2019)"`."""
+        """Return the version and date of the software, such as `"5.4.0.76837 (Jul 30 2019)"`."""
         return parse_text("PolyscopeVersion", self._do("PolyscopeVersion"))
 
     def version(self) -> str:
-        """Version of the software, four numbers."""
+        """Return the version of the software, four numbers."""
         return parse_text("version", self._do("version"))
 
     def serial_number(self) -> str:
-        """Serial number of the robot."""
+        """Return the serial number of the robot."""
         return parse_text("get serial number", self._do("get serial number"))
 
     def robot_model(self) -> str:
-        """Name of the arm without its generation, such as `"UR5"`."""
+        """Return the name of the arm without its generation, such as `"UR5"`."""
         return parse_text("get robot model", self._do("get robot model"))
 
     # -- reports -------------------------------------------------------------------------------------
 
     def generate_flight_report(self, kind: FlightReport = "system") -> str:
-        """Write a flight report, which takes up to three minutes; returns its id.
+        """Write a flight report, and return its id. This takes up to three minutes.
 
-        PolyScope X knows no kinds, and what it answers is not known here: the id is empty then.
+        PolyScope X has no kinds of report, and its reply is not known. The id is empty then.
         """
         reply = self._do("generate flight report", kind)
         return parse_text("generate flight report", reply) if reply else ""
 
     def generate_support_file(self, directory: str) -> str:
-        """Write a support file to a directory of the controller's, which takes up to ten minutes; returns its name."""
+        """Write a support file to a directory of the controller, and return its name. This takes up to ten minutes."""
         return parse_text("generate support file", self._do("generate support file", directory))
 
     def save_log(self) -> None:
@@ -375,15 +382,15 @@ class Dashboard(StrictAttributes, Closing):
     # -- the connection --------------------------------------------------------------------------------
 
     def send(self, command: str, timeout: float | None = None) -> str:
-        """Send any command and return the reply, whatever it says; for what has no method here.
+        """Send any command and return the reply without checking it, for commands that have no method here.
 
         Args:
-            command: one line of text, without its end.
-            timeout: seconds for the reply; by default that of the dashboard.
+            command: One line of text, without a line end.
+            timeout: Maximum time for the reply, in seconds; by default the timeout of the dashboard.
         """
         firmware = self._present()
         if firmware.is_polyscope_x:
-            raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server that takes lines")
+            raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server to send a line to")
         self._check_served(self._port, "dashboard server")
         encode_line(command)
         within = self._timeout if timeout is None else _positive(timeout)
@@ -395,11 +402,11 @@ class Dashboard(StrictAttributes, Closing):
             return self._dialogue.ask(command, within, stays, given_up=given_up)
 
     def quit(self) -> None:
-        """Take leave of the controller and disconnect; the next command connects again."""
+        """Send the command to quit, and disconnect. The next command connects again."""
         self._do("quit", is_last=True)
 
     def close(self) -> None:
-        """Disconnect for good; a command of another thread that waits for its reply ends with `Closed`. Idempotent."""
+        """Disconnect permanently. If another thread waits for a reply, its call raises `Closed`. Idempotent."""
         if self._shares_undos:
             self._undos.close(self)
         self._http.close()
@@ -410,28 +417,28 @@ class Dashboard(StrictAttributes, Closing):
         return f"<Dashboard {self._transport.name}>"
 
     def _present(self) -> Firmware:
-        """What runs on the controller at present; raises `Closed` after `close`."""
+        """Return the firmware that the controller runs now; raise `Closed` after `close`."""
         if self._dialogue.is_closed:
             raise Closed(f"{self._name} was closed")
         return self._firmware()
 
     def _with_programs(self) -> Firmware:
-        """What runs there, if it is asked for its programs over the Robot API."""
+        """Return the firmware if its Robot API has programs; raise `LocalError` otherwise."""
         firmware = self._present()
         if not firmware.is_polyscope_x:
             raise LocalError(
-                f"firmware {firmware} has a dashboard server, which neither lists nor takes programs; the Robot API of "
-                "PolyScope X does"
+                f"firmware {firmware} has a dashboard server, which cannot list or store programs; the "
+                "Robot API of PolyScope X is required"
             )
         self._check_served(self._api_port, "Robot API")
         return firmware
 
     def _check_served(self, port: int | None, what: str) -> None:
         if port is None:
-            raise LocalError(f"the controller serves no {what}")
+            raise LocalError(f"the controller does not serve the {what}")
 
     def _do(self, name: str, argument: str | None = None, *, is_last: bool = False) -> str:
-        """Have one command of the table carried out; returns the reply."""
+        """Execute one command of `COMMANDS`, and return the reply."""
         command, firmware = COMMANDS[name], self._present()
         if firmware.is_polyscope_x:
             self._check_served(self._api_port, "Robot API")
@@ -441,13 +448,13 @@ class Dashboard(StrictAttributes, Closing):
         if not command.is_on(firmware):
             first = command.first(firmware)
             generation = "e-Series" if firmware.is_e_series else "CB2 or CB3"
-            which = f"the first that has it is {version_text(first)}" if first else f"no {generation} controller has it"
+            which = f"{version_text(first)} or later is required" if first else f"no {generation} controller has it"
             raise LocalError(f"firmware {firmware} has no dashboard command {name!r}; {which}")
         line = command_line(command, argument)
 
         def stays(reply: str) -> bool:
-            # In local mode the controller wants to be connected to anew; and what is not a known reply may be the
-            # reply to something else.
+            # In local mode, the controller requires a new connection. A reply that is not known may belong to another
+            # command.
             return not is_last if command.match(reply) else command.is_refusal(reply)
 
         with self._command(name, command.only_asks) as given_up:
@@ -460,12 +467,12 @@ class Dashboard(StrictAttributes, Closing):
     def _command(
         self, name: str, only_asks: bool = False
     ) -> contextlib.AbstractContextManager[Callable[[], None] | None]:
-        """Around a command; the context is what to call if it was sent and given up, None for a question."""
+        """Guard a command. The context value is called if the command was sent and abandoned; None for a query."""
         if only_asks:
             return contextlib.nullcontext()
         undo = None
         if name == "play":
-            undos = PendingUndos(self._name)  # with it, `stop` waits for nothing that is to be undone
+            undos = PendingUndos(self._name)  # a separate one, so that `stop` does not wait for a pending undo
             host, port, api = self._host, self._port, self._api_port
             another = partial(Dashboard, host, port, self._firmware, api_port=api, timeout=self._timeout, undos=undos)
             undo = Undo(another, _stop_what_plays)
@@ -473,21 +480,21 @@ class Dashboard(StrictAttributes, Closing):
 
 
 def _stop_what_plays(dashboard: Dashboard, is_wanted: Callable[[], bool]) -> None:
-    """Take `play` back."""
+    """Undo `play`."""
     if not is_wanted():
         return
-    # Any answer is the contact.
+    # Any reply counts as contact.
     with contextlib.suppress(DashboardRefused, PacketError):
         if dashboard._present().is_polyscope_x:
             dashboard.program_state()
         else:
             dashboard.robot_mode()
     if is_wanted():
-        with contextlib.suppress(DashboardRefused):  # nothing runs
+        with contextlib.suppress(DashboardRefused):  # no program runs
             dashboard.stop()
 
 
 def _positive(timeout: float) -> float:
     if not 0 < timeout < threading.TIMEOUT_MAX:
-        raise BadValue(f"a timeout is a positive number of seconds, not {timeout!r}")
+        raise BadValue(f"timeout={timeout!r}; expected a positive number of seconds")
     return timeout

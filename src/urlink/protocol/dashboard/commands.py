@@ -1,17 +1,18 @@
-"""The dashboard server (port 29999): the one table of its commands, and the error of one that is refused.
+"""Table of the commands of the dashboard server (port 29999), and the error if a command is refused.
 
-Lines of text, one reply to each command. Source: docs/protocols/dashboard.md, section Releases, where the versions are
-those that the vendor's own client enforces. Punctuation and case of the replies changed between generations, so they
-are matched from their beginning and case-insensitively. From elsewhere:
+The protocol consists of lines of text, with one reply to each command. Source: docs/protocols/dashboard.md, section
+Releases. The versions there are those that the vendor's own client enforces. Punctuation and case of the replies
+changed between generations. Therefore they are matched from their beginning, without regard to case. Other sources:
 
-- which commands need remote control beyond those that it names (`stop`, `pause`, `shutdown`, `power off`,
-  `restart safety`), and the words of that refusal: reports of users of the e-Series;
-- the bare number by which a CB2 controller reports its mode: the vendor's older table and two public clients;
+- Further commands that need remote control (`stop`, `pause`, `shutdown`, `power off`, `restart safety`), and the text
+  of that refusal: reports of users of the e-Series.
+- The mode as a bare number, from a CB2 controller: the vendor's older table and two public clients.
 - `No log message to add`, `Failed setting user role` and `Program loaded`: public clients that follow the vendor's
-  older table;
-- `could not understand`: the vendor's own client expects it of a controller that does not know a command;
-- the kinds of flight report: a public client that follows the vendor's table for the e-Series;
-- how long slow commands may take: for the reports what the vendor's own client allows, for the others a guess.
+  older table.
+- `could not understand`: the vendor's own client expects this reply of a controller that does not have a command.
+- The kinds of flight report: a public client that follows the vendor's table for the e-Series.
+- Maximum times of slow commands: for the reports, the times that the vendor's own client allows; for the others,
+  assumed.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from ..headers import DASHBOARD_GREETING
 
 
 class DashboardRefused(RemoteError):
-    """The controller did not carry out a command, or its answer is not one that confirms it.
+    """Error if the controller did not execute a command, or if its reply does not confirm it.
 
     Attributes:
-        command: the line that was sent.
-        reply: what the controller answered, in its own words.
+        command: Line that was sent.
+        reply: Reply of the controller, unchanged.
     """
 
-    __module__ = "urlink"  # where users import it from, and what a traceback shows
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
     def __init__(self, command: str, reply: str) -> None:
         super().__init__(command, reply)
@@ -47,19 +48,19 @@ class DashboardRefused(RemoteError):
         return f"{self.command!r}: the controller answered {self.reply!r}"
 
 
-#: The server's greeting.
+#: Greeting of the server.
 GREETING = DASHBOARD_GREETING.decode("ascii") + " Robots Dashboard Server"
 
-#: The reply of an e-Series controller in local mode, to commands that need remote control.
+#: Reply of an e-Series controller in local mode, to commands that need remote control.
 NOT_IN_REMOTE_CONTROL = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to "
     "port 29999"
 )
 
-#: How the reply to an unknown command begins.
+#: Beginning of the reply to an unknown command.
 COULD_NOT_UNDERSTAND = "could not understand"
 
-#: From this version on there is no dashboard server.
+#: First version without a dashboard server.
 POLYSCOPE_X: Version = (10, 0)
 
 OperationalMode = Literal["none", "manual", "automatic"]
@@ -69,19 +70,19 @@ FlightReport = Literal["controller", "software", "system"]
 
 @dataclass(frozen=True)
 class DashboardCommand:
-    """One command.
+    """One command of the dashboard server.
 
     Attributes:
-        name: as it is sent.
-        cb: the first firmware of CB2 and CB3 that has it; None: none has.
-        e: the first of the e-Series; None: none has.
-        success: regular expression that a reply matches, from its beginning, if the command was carried out.
-        refusals: how replies begin that say that it was not.
-        argument: the kind of text that follows the name; empty for none.
-        choices: the only values of the argument; empty: any text.
-        needs_remote_control: the e-Series refuses it in local mode.
-        slow: seconds that the reply may take, where that is longer than a moment.
-        only_asks: nothing is changed by it.
+        name: Name, as it is sent.
+        cb: First firmware of CB2 and CB3 that has the command; None if none has it.
+        e: First firmware of the e-Series that has the command; None if none has it.
+        success: Regular expression that matches the beginning of a reply if the command was executed.
+        refusals: Beginnings of the replies that report a refusal.
+        argument: Kind of the text that follows the name; empty if the command has no argument.
+        choices: Allowed values of the argument; empty if any text is allowed.
+        needs_remote_control: Whether the e-Series refuses the command in local mode.
+        slow: Maximum time for the reply in seconds, if it is longer than that of other commands.
+        only_asks: Whether the command changes nothing.
     """
 
     name: str
@@ -96,22 +97,22 @@ class DashboardCommand:
     only_asks: bool = False
 
     def first(self, firmware: Version) -> Version | None:
-        """The first firmware of the generation of `firmware` that has it, or None where none has."""
+        """Return the first firmware of the generation of `firmware` that has the command, or None."""
         if firmware >= POLYSCOPE_X:
             return None
         return self.e if firmware >= (5, 0) else self.cb
 
     def is_on(self, firmware: Version) -> bool:
-        """Whether `firmware` has it."""
+        """Return whether `firmware` has the command."""
         first = self.first(firmware)
         return first is not None and firmware >= first
 
     def match(self, reply: str) -> re.Match[str] | None:
-        """The match of `success`, whose groups are what the reply says; None if it was not carried out."""
+        """Match a reply with `success`. The groups are the values in the reply; None if it was not executed."""
         return re.match(self.success, reply, re.IGNORECASE | re.ASCII)
 
     def is_refusal(self, reply: str) -> bool:
-        """Whether the reply is one that is known to say no."""
+        """Return whether the reply is a known refusal."""
         return reply.casefold().startswith((*map(str.casefold, self.refusals), COULD_NOT_UNDERSTAND))
 
 
@@ -184,7 +185,7 @@ _TABLE = (
     DashboardCommand("power off", (3, 0), (5, 0), "Powering off", needs_remote_control=True),
     DashboardCommand("brake release", (3, 0), (5, 0), "Brake releasing", needs_remote_control=True),
     DashboardCommand("safetymode", (3, 0), (5, 0), r"Safety ?mode: *([A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
-    # One list has it from 3.11 on, which is not verified.
+    # One list has this command in firmware 3.11 and later, which is not verified.
     DashboardCommand("safetystatus", None, (5, 4), r"Safety ?status: *([A-Z]+(?:_[A-Z]+)*)$", only_asks=True),
     DashboardCommand(
         "unlock protective stop",
@@ -224,5 +225,5 @@ _TABLE = (
     DashboardCommand("saveLog", (3, 13), (5, 8), "Log saved to disk", slow=30.0),
 )
 
-#: name -> command
+#: Name -> command.
 COMMANDS: Mapping[str, DashboardCommand] = MappingProxyType({command.name: command for command in _TABLE})

@@ -1,7 +1,7 @@
-"""The dashboard server (29999), sans-IO: lines of text in and out, and the meaning of the replies.
+"""Protocol of the dashboard server (port 29999), sans-IO: lines of text, and the values in the replies.
 
-A greeting, then one line of reply to each line of command. A reply does not say which command it answers: only the
-order decides. After a reply that did not come, the connection must not be used again.
+The server sends a greeting, and then one line of reply to each command line. A reply does not identify its command;
+only the order does. If a reply is missing, the connection must not be used again.
 Source: docs/protocols/dashboard.md, section Lines.
 """
 
@@ -16,22 +16,23 @@ from ..enums import ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import DASHBOARD_GREETING
 from .commands import COMMANDS, DashboardCommand, OperationalMode, UserRole
 
-#: Bytes of a line, its end not counted. The limit of a controller is not known; paths and messages are shorter.
+#: Maximum length of a line in bytes, without its end. The limit of a controller is unknown. Paths and messages are
+#: shorter.
 LONGEST_COMMAND = 1024
 LONGEST_REPLY = 4096
 
-# Controls (the line ends among them), separators of lines and paragraphs, halves of a character.
+# Unicode categories: control characters (including line ends), line and paragraph separators, surrogates.
 _NOT_IN_A_LINE = {"Cc", "Zl", "Zp", "Cs"}
 
 _Mode = TypeVar("_Mode", RobotMode, RobotModeCB2, SafetyMode)
 
 
 class ProgramStatus(NamedTuple):
-    """The reply to `programState`.
+    """Reply to `programState`.
 
     Attributes:
-        state: STOPPED, PLAYING or PAUSED.
-        name: of the program, `"<unnamed>"` for one that was never saved; None where the controller names none.
+        state: State of the program: STOPPED, PLAYING or PAUSED.
+        name: Name of the program, `"<unnamed>"` if it was never saved; None if the controller does not report a name.
     """
 
     state: ProgramState
@@ -39,11 +40,11 @@ class ProgramStatus(NamedTuple):
 
 
 class SavedProgram(NamedTuple):
-    """The reply to `isProgramSaved`.
+    """Reply to `isProgramSaved`.
 
     Attributes:
-        is_saved: the loaded program has no unsaved changes.
-        name: of the program; None where the controller names none.
+        is_saved: Whether the loaded program has no unsaved changes.
+        name: Name of the program; None if the controller does not report a name.
     """
 
     is_saved: bool
@@ -54,53 +55,53 @@ class SavedProgram(NamedTuple):
 
 
 def encode_line(text: str) -> bytes:
-    """A command as one line on the wire.
+    """Return a command as one line on the wire.
 
     Raises:
-        BadValue: the text is not one line, has no text in it, or is too long.
+        BadValue: If the text is not one line, is blank, or is too long.
     """
     if not isinstance(text, str) or not text.strip():
-        raise BadValue(f"a dashboard command is a line of text, not {text!r}")
+        raise BadValue(f"invalid dashboard command {text!r}; expected a line of text")
     for character in text:
         if unicodedata.category(character) in _NOT_IN_A_LINE:
             raise BadValue(
-                f"{character!r} in {text[:80]!r}: a dashboard command is one line without control characters"
+                f"{character!r} in {text[:80]!r}: a dashboard command must not contain control characters or line ends"
             )
     line = text.encode("utf-8")
     if len(line) > LONGEST_COMMAND:
-        raise BadValue(f"a dashboard command of {len(line)} bytes; at most {LONGEST_COMMAND} are sent")
+        raise BadValue(f"the dashboard command has {len(line)} bytes; expected at most {LONGEST_COMMAND}")
     return line + b"\n"
 
 
 def command_line(command: DashboardCommand, argument: str | None = None) -> str:
-    """The text that is sent for a command.
+    """Return the text to send for a command.
 
     Raises:
-        BadValue: the argument is missing, superfluous, not among the choices, or cannot be part of a line.
+        BadValue: If the argument is missing, superfluous, not among the choices, or not valid in a line.
 
     >>> command_line(COMMANDS["load"], "pick.urp")
     'load pick.urp'
     """
     if not command.argument:
         if argument is not None:
-            raise BadValue(f"the dashboard command {command.name!r} takes no argument, not {argument!r}")
+            raise BadValue(f"the dashboard command {command.name!r} has no argument; remove {argument!r}")
         return command.name
     if not isinstance(argument, str) or not argument.strip():
-        raise BadValue(f"the dashboard command {command.name!r} needs a {command.argument}, not {argument!r}")
+        raise BadValue(f"the dashboard command {command.name!r} needs a {command.argument}; got {argument!r}")
     if command.choices and argument not in command.choices:
         known = ", ".join(map(repr, command.choices))
-        raise BadValue(f"the {command.argument} of {command.name!r} is one of {known}, not {argument!r}")
+        raise BadValue(f"the {command.argument} of {command.name!r} is {argument!r}; expected one of {known}")
     text = f"{command.name} {argument}"
     encode_line(text)
     return text
 
 
 class DashboardProtocol:
-    """One connection: the greeting, then question and answer in turn; a new one for each connection.
+    """State of one connection. After the greeting, commands and replies alternate.
 
     Attributes:
-        is_greeted: the greeting was received, so that commands can be sent.
-        settling: None, since each reply ends with a newline; see `linkcore.net.dialogue`.
+        is_greeted: Whether the greeting was received, so that commands can be sent.
+        settling: Always None, because each reply ends with a newline; see `linkcore.net.dialogue`.
     """
 
     settling: float | None = None
@@ -112,29 +113,29 @@ class DashboardProtocol:
 
     @property
     def is_in_step(self) -> bool:
-        """Greeted, every question answered, and nothing sent that was not asked for."""
+        """Whether the greeting and all replies have arrived, and no unexpected bytes."""
         return self.is_greeted and not self._is_asked and not self._rest
 
     def ask(self, text: str) -> bytes:
-        """The bytes that ask, whose answer the next `feed` will bring.
+        """Return the bytes of a command to send. The next `feed` returns its reply.
 
         Raises:
-            BadValue: the text is not one line of bounded length.
-            LocalError: this connection is not in step, so the next line to come might not be the answer to this.
+            BadValue: If the text is not one line of bounded length.
+            LocalError: If this connection is out of step, so that the next line might not be the reply to this command.
         """
         line = encode_line(text)
         if not self.is_in_step:
-            raise LocalError(f"{text!r} cannot be asked on a connection that is out of step")
+            raise LocalError(f"{text!r} cannot be sent on a connection that is out of step")
         self._is_asked = True
         return line
 
     def feed(self, data: bytes) -> str | None:
-        """The reply to what was asked, once it is whole; without the line's end and blanks around it.
+        """Process received bytes, and return the reply when it is complete, without line end and surrounding blanks.
 
-        What comes after it, or with nothing asked, stays here: the connection is then out of step.
+        Bytes after the reply, or without a command, are kept. The connection is out of step then.
 
         Raises:
-            WrongPeer: it does not begin with the greeting, or a line has no end.
+            WrongPeer: If the data does not begin with the greeting, or a line has no end.
         """
         self._rest += data
         if not self.is_greeted:
@@ -148,13 +149,13 @@ class DashboardProtocol:
             return None
         self._rest = rest
         self._is_asked = False
-        # It should be ASCII; what is not text is kept as escapes, so that a person can see it.
+        # Replies should be ASCII. Bytes that are not text become escapes, so that a person can read them.
         return line.decode("utf-8", "backslashreplace").strip()
 
     def _greet(self) -> None:
         wanted = len(DASHBOARD_GREETING)
         if not DASHBOARD_GREETING.startswith(self._rest[:wanted]):
-            raise WrongPeer(f"expected a dashboard server, but this begins with {self._rest[:32]!r}")
+            raise WrongPeer(f"expected the greeting of a dashboard server, but received {self._rest[:32]!r}")
         line, end, rest = self._rest.partition(b"\n")
         if end:
             self._bound(line)
@@ -163,7 +164,7 @@ class DashboardProtocol:
 
     def _bound(self, line: bytes) -> None:
         if len(line) > LONGEST_REPLY:
-            raise WrongPeer(f"a dashboard server says short lines, but here is one that begins with {line[:32]!r}")
+            raise WrongPeer(f"the line that starts with {line[:32]!r} is too long for a reply of a dashboard server")
 
 
 # -- replies -------------------------------------------------------------------------------------------
@@ -177,11 +178,11 @@ def _groups(name: str, reply: str) -> tuple[str | None, ...]:
 
 
 def _unreadable(name: str, reply: str) -> PacketError:
-    return PacketError(f"{reply[:200]!r} is no answer that is known", packet=f"reply to {name!r}")
+    return PacketError(f"{reply[:200]!r} is not a known reply", packet=f"reply to {name!r}")
 
 
 def _named(name: str, reply: str, modes: type[_Mode]) -> _Mode:
-    """The mode whose name, or number, is in the reply."""
+    """Return the mode whose name or number is in the reply."""
     said = (_groups(name, reply)[0] or "").upper()
     try:
         return modes(int(said))
@@ -193,10 +194,10 @@ def _named(name: str, reply: str, modes: type[_Mode]) -> _Mode:
 
 
 def parse_truth(name: str, reply: str) -> bool:
-    """The true or false in the reply to `running` or `is in remote control`.
+    """Parse the true or false in the reply to `running` or `is in remote control`.
 
     Raises:
-        PacketError: it says neither.
+        PacketError: If the reply contains neither.
 
     >>> parse_truth("running", "Program running: false")
     False
@@ -205,10 +206,10 @@ def parse_truth(name: str, reply: str) -> bool:
 
 
 def parse_robot_mode(reply: str, is_cb2: bool = False) -> RobotMode | RobotModeCB2:
-    """The mode in the reply to `robotmode`, by its name or, as CB2 controllers say it, its number.
+    """Parse the mode in the reply to `robotmode`. It is a name, or a number on CB2 controllers.
 
     Raises:
-        PacketError: no mode that is known.
+        PacketError: If the mode is not known.
 
     >>> parse_robot_mode("Robotmode: IDLE"), parse_robot_mode("0", is_cb2=True)
     (<RobotMode.IDLE: 5>, <RobotModeCB2.RUNNING: 0>)
@@ -217,19 +218,19 @@ def parse_robot_mode(reply: str, is_cb2: bool = False) -> RobotMode | RobotModeC
 
 
 def parse_safety_mode(name: str, reply: str) -> SafetyMode:
-    """The mode in the reply to `safetymode` or `safetystatus`.
+    """Parse the mode in the reply to `safetymode` or `safetystatus`.
 
     Raises:
-        PacketError: no mode that is known.
+        PacketError: If the mode is not known.
     """
     return _named(name, reply, SafetyMode)
 
 
 def parse_program_state(reply: str) -> ProgramStatus:
-    """What the reply to `programState` says.
+    """Parse the reply to `programState`.
 
     Raises:
-        PacketError: it says something else.
+        PacketError: If the reply has another form.
 
     >>> parse_program_state("STOPPED <unnamed>")
     ProgramStatus(state=<ProgramState.STOPPED: 1>, name='<unnamed>')
@@ -239,47 +240,47 @@ def parse_program_state(reply: str) -> ProgramStatus:
 
 
 def parse_is_program_saved(reply: str) -> SavedProgram:
-    """What the reply to `isProgramSaved` says.
+    """Parse the reply to `isProgramSaved`.
 
     Raises:
-        PacketError: it says something else.
+        PacketError: If the reply has another form.
     """
     truth, name = _groups("isProgramSaved", reply)
     return SavedProgram((truth or "").casefold() == "true", name)
 
 
 def parse_loaded_program(reply: str) -> str | None:
-    """The path in the reply to `get loaded program`, or None if there is none.
+    """Parse the path in the reply to `get loaded program`; None if no program is loaded.
 
     Raises:
-        PacketError: it says something else.
+        PacketError: If the reply has another form.
     """
     return _groups("get loaded program", reply)[0]
 
 
 def parse_operational_mode(reply: str) -> OperationalMode:
-    """The mode in the reply to `get operational mode`.
+    """Parse the mode in the reply to `get operational mode`.
 
     Raises:
-        PacketError: it says something else.
+        PacketError: If the reply has another form.
     """
     return cast(OperationalMode, parse_text("get operational mode", reply).casefold())
 
 
 def parse_user_role(reply: str) -> UserRole:
-    """The role in the reply to `getUserRole`.
+    """Parse the role in the reply to `getUserRole`.
 
     Raises:
-        PacketError: it says something else.
+        PacketError: If the reply has another form.
     """
     return cast(UserRole, parse_text("getUserRole", reply).casefold())
 
 
 def parse_text(name: str, reply: str) -> str:
-    """What a reply says beside the words that are the same in each: a version, a serial number, the name of a file.
+    """Return the variable part of a reply, for example a version, a serial number or a file name.
 
     Raises:
-        PacketError: it says something else.
+        PacketError: If the reply has another form.
 
     >>> parse_text("PolyscopeVersion", "URSoftware 5.4.0.76837 (Jul 30 2019)")
     '5.4.0.76837 (Jul 30 2019)'

@@ -1,15 +1,15 @@
-"""The Robot API of PolyScope X: the one table of its requests, and their client.
+"""The Robot API of PolyScope X: the table of its requests, and the client that sends them.
 
-PolyScope X has no dashboard server. From 10.11 on it takes HTTP requests with bodies in JSON instead. The table has
-them by the names of the dashboard's commands, and the answers are translated into replies of the dashboard server, so
-that `Dashboard` reads both alike. Source: the vendor's own client library (docs/protocols/dashboard.md, Robot API), for
-the requests of 10.14 its state of 2026-08. What is not in it:
+PolyScope X has no dashboard server. Instead, version 10.11 and later accept HTTP requests with JSON bodies. The table
+lists the requests by the names of the dashboard commands. The answers are converted to replies of the dashboard server,
+so that `Dashboard` parses both in the same way. Source: the vendor's own client library (docs/protocols/dashboard.md,
+Robot API); for the requests of 10.14, its state of 2026-08. The library does not define the following:
 
-- which of the emergency stops is meant by EMERGENCY_STOP: taken as the robot's own;
-- that `play` does not go on with a paused program: `resume` is sent where it is paused;
-- the answer where no program is loaded: an empty body, an empty name and null are all taken as none;
-- the body that sets the operational mode, for which 10.14 has a path: it is not sent;
-- what the answer to a flight report holds: it is not read.
+- EMERGENCY_STOP does not show which emergency stop it is; it is assumed to be the stop of the robot itself.
+- `play` is assumed not to resume a paused program, so `resume` is sent if the program is paused.
+- The answer if no program is loaded is unknown. An empty body, an empty name and null are all accepted.
+- 10.14 has a path to set the operational mode, but its body is unknown. The request is not sent.
+- The content of the answer to a flight report is unknown. It is not read.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from ..firmware import Firmware
 from .commands import DashboardRefused
 from .stored_programs import PROGRAMS, StoredProgram, encode_form, parse_programs, parse_uploaded
 
-#: Where it lies on the controller.
+#: Path of the Robot API on the controller.
 BASE = "/universal-robots/robot-api"
-#: The first firmware that has it, and the first whose programs it lists and takes.
+#: First firmware that has the Robot API, and first firmware whose Robot API lists and stores programs.
 ROBOT_API: Version = (10, 11)
 STORED_PROGRAMS: Version = (10, 12)
 
@@ -41,18 +41,18 @@ _STATE, _PROGRAM, _LOADED = "/robotstate/v1/state", "/program/v1/state", "/progr
 
 @dataclass(frozen=True)
 class ApiRequest:
-    """One request.
+    """One request of the Robot API.
 
     Attributes:
-        method: GET, PUT, POST or DELETE.
-        path: below `BASE`.
-        body: JSON object; an empty value is the command's argument, None any text, which is sent empty. No object:
-            nothing is sent.
-        reply: name of the member of the answer that is returned; empty for none.
-        words: the answer in the dashboard server's words, with the member in it.
-        names: values of the member -> what the dashboard server calls them.
-        since: the first firmware that has it; it holds until the next one for the same command.
-        slow: seconds that the answer may take, where that is longer than a moment.
+        method: HTTP method: GET, PUT, POST or DELETE.
+        path: Path below `BASE`.
+        body: JSON object. An empty value is replaced by the argument of the command. None stands for any text, and is
+            sent as an empty text. If the object is empty, no body is sent.
+        reply: Name of the member of the answer that is returned; empty for none.
+        words: Reply of the dashboard server with the same meaning, with a placeholder for the member.
+        names: Values of the member -> their names on the dashboard server.
+        since: First firmware that has the request. It is valid until the next request for the same command.
+        slow: Maximum time for the answer in seconds, if it is longer than that of other requests.
     """
 
     method: str
@@ -83,10 +83,10 @@ def _mode(path: str, words: str = "{}", names: Mapping[str, str] = MappingProxyT
     return (ApiRequest("GET", path, reply="mode", words=words, names=names, since=(10, 12)),)
 
 
-#: name of the dashboard's command -> the requests for it, the oldest first. "resume" is not a command there.
+#: Name of the dashboard command -> its requests, oldest first. The dashboard has no command "resume".
 REQUESTS: Mapping[str, tuple[ApiRequest, ...]] = MappingProxyType(
     {
-        # Powering on may take more than 10 s.
+        # Powering on can take more than 10 s.
         "power on": _change("POWER_ON", 60.0),
         "power off": _change("POWER_OFF", 15.0),
         "brake release": _change("BRAKE_RELEASE", 60.0),
@@ -118,29 +118,29 @@ REQUESTS: Mapping[str, tuple[ApiRequest, ...]] = MappingProxyType(
     }
 )
 
-#: What else answers a question that the Robot API does not.
+#: Alternatives for queries and commands that the Robot API does not have.
 _INSTEAD = {
-    "running": "program_state() tells whether a program plays",
-    "safetystatus": "safety_mode() is there",
-    "popup": "robot.popup() shows one by a program",
-    "set operational mode": "what 10.14 wants for it is not known here",
-    "clear operational mode": "what 10.14 wants for it is not known here",
-    "get robot model": "robot.model has it",
-    "version": "robot.firmware has it",
-    "PolyscopeVersion": "robot.firmware has it",
+    "running": "use program_state(), which returns whether a program is playing",
+    "safetystatus": "use safety_mode()",
+    "popup": "use robot.popup(), which shows a popup with a program",
+    "set operational mode": "the request of 10.14 is not known",
+    "clear operational mode": "the request of 10.14 is not known",
+    "get robot model": "use robot.model",
+    "version": "use robot.firmware",
+    "PolyscopeVersion": "use robot.firmware",
 }
-#: Characters of an answer that an error quotes.
+#: Maximum number of characters of an answer that an error quotes.
 _QUOTED = 200
-#: Seconds that a program may take to be sent, and to be stored. A guess.
+#: Maximum time to send and store a program, in seconds (assumed).
 _TRANSFER = 60.0
 
 
 class RobotApi:
-    """Has commands of the dashboard carried out over the Robot API.
+    """Client that executes dashboard commands over the Robot API.
 
     Args:
-        client: of its server.
-        timeout: seconds for a request that is not slow.
+        client: HTTP client, connected to the Robot API.
+        timeout: Maximum time for a request that is not slow, in seconds.
     """
 
     def __init__(self, client: HttpClient, timeout: float) -> None:
@@ -150,18 +150,20 @@ class RobotApi:
     def do(
         self, name: str, argument: str | None, firmware: Firmware, given_up: Callable[[], object] | None = None
     ) -> str:
-        """Have one command carried out; returns the answer in the dashboard server's words.
+        """Execute one command, and return the answer as a reply of the dashboard server.
 
         Args:
-            name, argument: of the command.
-            firmware: of the controller.
-            given_up: called where it was sent, and no answer came; None for a question.
+            name: Name of the command.
+            argument: Argument of the command, or None.
+            firmware: Firmware of the controller.
+            given_up: Function that is called if the request was sent and no answer arrived; None for a query.
 
         Raises:
-            LocalError: this firmware has no request for it; BadValue: it needs an argument. Nothing was sent.
-            DashboardRefused: the controller answered with a status that is none of success.
-            PacketError: what it answered says something else.
-            RemoteError: what `HttpClient.ask` raises.
+            LocalError: If this firmware has no request for the command. Nothing is sent.
+            BadValue: If the command needs an argument. Nothing is sent.
+            DashboardRefused: If the status of the answer does not report success.
+            PacketError: If the answer has another form.
+            RemoteError: If `HttpClient.ask` raises it.
         """
         if name == "is in remote control":
             return "true" if self._value(name, None, firmware) == "REMOTE" else "false"
@@ -177,17 +179,17 @@ class RobotApi:
     # -- the programs on the controller ----------------------------------------------------------------
 
     def programs(self, firmware: Firmware) -> tuple[StoredProgram, ...]:
-        """All of them; raises as `do`."""
+        """Return all programs. Raises the same errors as `do`."""
         return parse_programs(_text(self._programs("GET", "", firmware)))
 
     def download(self, name: str, firmware: Firmware) -> bytes:
-        """One of them, as the controller sends it; raises as `do`."""
+        """Return the content of one program, as it is sent. Raises the same errors as `do`."""
         return self._programs("GET", quote(_argument("download_program", name), safe=""), firmware).body
 
     def upload(
         self, file_name: str, content: bytes, replaces: bool, firmware: Firmware, given_up: Callable[[], object] | None
     ) -> str | None:
-        """Store another one, or replace one; the name that the controller says it has. Raises as `do`."""
+        """Store or replace a program, and return the reported name. Raises the same errors as `do`."""
         form = encode_form(file_name, content)
         method = "PUT" if replaces else "POST"
         return parse_uploaded(_text(self._programs(method, "", firmware, *form, given_up=given_up)))
@@ -203,7 +205,7 @@ class RobotApi:
     ) -> HttpResponse:
         if firmware < STORED_PROGRAMS:
             which = version_text(STORED_PROGRAMS)
-            raise LocalError(f"firmware {firmware}: the first whose Robot API has the programs on it is {which}")
+            raise LocalError(f"firmware {firmware} has no programs in its Robot API; {which} or later is required")
         headers = {"Accept": "application/json"} | ({"Content-Type": content_type} if content_type else {})
         path = PROGRAMS + name
         asked = HttpRequest(method, BASE + path, headers, body)
@@ -223,7 +225,9 @@ class RobotApi:
             return ""
         value = answer.get(request.reply)
         if value is not None and not isinstance(value, str):
-            raise PacketError(f"{request.reply!r} is {value!r}", packet=f"answer to GET {request.path}")
+            raise PacketError(
+                f"{request.reply!r} is {value!r}; expected a string", packet=f"answer to GET {request.path}"
+            )
         return request.words.format(request.names.get(value, value)) if value else ""
 
     def _ask(
@@ -241,13 +245,13 @@ class RobotApi:
         except (ValueError, RecursionError):
             answer = None
         if not isinstance(answer, dict):
-            raise PacketError(f"{text[:_QUOTED]!r} is no object", packet=f"answer to GET {request.path}")
+            raise PacketError(f"{text[:_QUOTED]!r} is not a JSON object", packet=f"answer to GET {request.path}")
         return answer
 
     def _exchange(
         self, request: HttpRequest, command: str, slow: float, given_up: Callable[[], object] | None
     ) -> HttpResponse:
-        """The answer, where it says that it was done."""
+        """Return the answer if it reports success."""
         response = self._client.ask(request, max(self._timeout, slow), given_up)
         if not 200 <= response.status < 300:
             text = _text(response)
@@ -261,14 +265,14 @@ def _text(response: HttpResponse) -> str:
 
 
 def find(name: str, firmware: Firmware) -> ApiRequest | None:
-    """The request for a command of the dashboard, or None where this firmware has none."""
+    """Return the request for a dashboard command, or None if this firmware has none."""
     return next((each for each in reversed(REQUESTS.get(name, ())) if each.since <= firmware), None)
 
 
 def _argument(name: str, argument: str | None) -> str:
     if not isinstance(argument, str) or not argument.strip():
         wanted = "a text" if name in ("popup", "addToLog") else "the name of a program"
-        raise BadValue(f"{name!r} needs {wanted}, not {argument!r}")
+        raise BadValue(f"{name!r} needs {wanted}; got {argument!r}")
     return argument
 
 
@@ -276,5 +280,5 @@ def _lacking(name: str, firmware: Firmware) -> str:
     begin = f"firmware {firmware} is PolyScope X, which has no dashboard server"
     instead = f"; {_INSTEAD[name]}" if name in _INSTEAD else ""
     if name not in REQUESTS:
-        return f"{begin}, and its Robot API has nothing for {name!r}{instead}"
-    return f"{begin}; the first whose Robot API has {name!r} is {version_text(REQUESTS[name][0].since)}{instead}"
+        return f"{begin}, and its Robot API has no {name!r}{instead}"
+    return f"{begin}; the Robot API has {name!r} in {version_text(REQUESTS[name][0].since)} or later{instead}"

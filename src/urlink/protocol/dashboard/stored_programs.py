@@ -1,7 +1,7 @@
-"""The programs that a PolyScope X holds, as its Robot API lists and takes them (`/programs/v1/`, from 10.12 on).
+"""Programs on a PolyScope X controller, as its Robot API lists and stores them (`/programs/v1/`, 10.12 or later).
 
-Source: the vendor's own client library. A file goes as the one part "file" of a form (RFC 7578). A file of a program
-(.urpx) is JSON that holds the program's name; what else it holds is not known here, and it goes as it is.
+Source: the vendor's own client library. A file is sent as the only part, "file", of a form (RFC 7578). A program file
+(.urpx) is JSON and contains the name of the program. Its other content is unknown and is not changed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from linkcore.errors import BadValue, PacketError
 
-#: Below `urlink.protocol.dashboard.robot_api.BASE`.
+#: Path below `urlink.protocol.dashboard.robot_api.BASE`.
 PROGRAMS = "/programs/v1/"
 
 _PACKET = "answer about programs"
@@ -22,13 +22,15 @@ _PART = re.compile(rb'(?i)content-disposition: *form-data; *name="file"; *filena
 
 
 class StoredProgram(NamedTuple):
-    """A program on the controller.
+    """Program on the controller.
 
     Attributes:
-        name: by which it is loaded.
-        description: of who wrote it, or empty; None where the controller sends null, as for all that follow.
-        created, last_modified, last_saved: as the controller says it, a whole number; of which unit is not known here.
-        state: as the controller says it.
+        name: Name of the program, used to load it.
+        description: Description by the author, or empty; None if the controller sends null, as for all later fields.
+        created: Time of creation, as the controller reports it: a whole number of unknown unit.
+        last_modified: Time of the last change, in the same unit.
+        last_saved: Time when it was last saved, in the same unit.
+        state: State of the program, as the controller reports it.
     """
 
     name: str
@@ -40,38 +42,38 @@ class StoredProgram(NamedTuple):
 
 
 def parse_programs(text: str) -> tuple[StoredProgram, ...]:
-    """What the list of programs says.
+    """Parse the list of programs.
 
     Raises:
-        PacketError: it is not such a list.
+        PacketError: If the text is not such a list.
     """
     listed = _object(text).get("programs")
     if not isinstance(listed, list):
-        raise PacketError(f"'programs' is no list, but {str(listed)[:80]!r}", packet=_PACKET)
+        raise PacketError(f"'programs' is {str(listed)[:80]!r}; expected a list", packet=_PACKET)
     return tuple(map(_program, listed))
 
 
 def parse_uploaded(text: str) -> str | None:
-    """The name that a program was given; None where the answer does not say it.
+    """Parse the name that the controller gave a program; None if the answer does not contain it.
 
     Raises:
-        PacketError: it is not such an answer.
+        PacketError: If the text is not such an answer.
     """
     name = _object(text).get("programName") if text else None
     return name if isinstance(name, str) else None
 
 
 def program_name(content: bytes) -> str:
-    """The name of a program, which stands in its file: `program.programInformation.name`.
+    """Return the name of a program from its file: `program.programInformation.name`.
 
     Raises:
-        PacketError: the file is not JSON with a name there.
+        PacketError: If the file is not JSON with a name at this position.
     """
     said: Any = _object(content.decode("utf-8", "backslashreplace"))
     for key in ("program", "programInformation", "name"):
         said = said.get(key) if isinstance(said, dict) else None
     if not isinstance(said, str) or not said:
-        raise PacketError("no text at program.programInformation.name", packet="file of a program")
+        raise PacketError("program.programInformation.name is missing or not a text", packet="file of a program")
     return said
 
 
@@ -81,13 +83,13 @@ def _object(text: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         said = None
     if not isinstance(said, dict):
-        raise PacketError(f"{text[:80]!r} is no object", packet=_PACKET)
+        raise PacketError(f"{text[:80]!r} is not a JSON object", packet=_PACKET)
     return said
 
 
 def _program(entry: Any) -> StoredProgram:
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
-        raise PacketError(f"{str(entry)[:80]!r} is no program with a name", packet=_PACKET)
+        raise PacketError(f"{str(entry)[:80]!r} is not a program with a name", packet=_PACKET)
     return StoredProgram(
         entry["name"],
         _of(entry, "description", str),
@@ -101,18 +103,18 @@ def _program(entry: Any) -> StoredProgram:
 def _of(entry: dict[str, Any], key: str, kind: type) -> Any:
     value = entry.get(key)
     if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
-        raise PacketError(f"{key!r} is {value!r}", packet=_PACKET)
+        raise PacketError(f"{key!r} is {value!r}; expected type {kind.__name__}", packet=_PACKET)
     return value
 
 
 def encode_form(file_name: str, content: bytes) -> tuple[str, bytes]:
-    """The type and the body of a form with one file.
+    """Return the content type and the body of a form with one file.
 
     Raises:
-        BadValue: the name cannot stand there.
+        BadValue: If the name is not allowed in a form.
     """
     if not _FILE_NAME.fullmatch(file_name):
-        raise BadValue(f"{file_name!r} is no name of a file that can be sent")
+        raise BadValue(f"invalid file name {file_name!r}; expected up to 200 characters without quotes or slashes")
     boundary = "urlink"
     while boundary.encode() in content:
         boundary += "-"
@@ -124,18 +126,18 @@ def encode_form(file_name: str, content: bytes) -> tuple[str, bytes]:
 
 
 def parse_form(content_type: str, body: bytes) -> tuple[str, bytes]:
-    """The name and the content of the one file of a form.
+    """Return the name and the content of the only file of a form.
 
     Raises:
-        PacketError: it is not such a form.
+        PacketError: If the body is not such a form.
     """
     found = _BOUNDARY.fullmatch(content_type)
     if found is None:
-        raise PacketError(f"{content_type[:80]!r} is no form with a boundary", packet="form")
+        raise PacketError(f"{content_type[:80]!r} is not a form with a boundary", packet="form")
     border = b"\r\n--" + found[1].encode()
     parts = (b"\r\n" + body).split(border)
     head, blank, content = parts[1].partition(b"\r\n\r\n") if len(parts) == 3 else (b"", b"", b"")
     name = _PART.search(head)
     if not blank or name is None or not parts[-1].startswith(b"--"):
-        raise PacketError("it holds other than one part 'file'", packet="form")
+        raise PacketError("the form does not consist of one part 'file'", packet="form")
     return name[1].decode("utf-8", "backslashreplace"), content

@@ -1,4 +1,4 @@
-"""`robot.gripper`: a Robotiq gripper over the port of its URCap (63352)."""
+"""Client behind `robot.gripper`: a Robotiq gripper, over the port of its URCap (63352)."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from linkcore.wire.fields import OpenInt
 from ..ports import service_of
 from .protocol import GripperProtocol, get_line, set_line, value_of
 
-#: Seconds between two looks at a gripper that moves.
+#: Interval for polling a moving gripper, in seconds.
 _POLL = 0.02
-#: m; how far the fingers of the 2F-85 open.
+#: Stroke of the fingers of the 2F-85, in m.
 _STROKE = 0.085
 
-#: The codes of `FLT`. From memory of the maker's manual, not verified.
+#: Codes of `FLT` (from memory of the maker's manual, not verified).
 FAULTS = {
-    5: "the action is delayed: the activation has to be completed first",
-    7: "the gripper has to be activated first",
-    8: "too hot",
+    5: "the action is delayed; the activation must be completed first",
+    7: "the gripper must be activated first",
+    8: "the gripper is too hot",
     9: "no communication for a second",
-    10: "supply voltage too low",
-    11: "automatic release in progress",
+    10: "the supply voltage is too low",
+    11: "an automatic release is in progress",
     12: "internal fault",
-    13: "activation failed: something is in the way of the fingers",
+    13: "the activation failed; something is in the way of the fingers",
     14: "overcurrent",
-    15: "automatic release completed",
+    15: "an automatic release is completed",
 }
 
 
 class GripperFault(RemoteError):
-    """The gripper is not there, not activated, or has a fault, and did not carry out a command.
+    """Error if the gripper is not connected, is not activated or has a fault, and did not execute a command.
 
     Attributes:
-        fault: number of the fault; 0 where it is not the gripper's own.
+        fault: Number of the fault; 0 if the gripper itself reports none.
     """
 
-    __module__ = "urlink"  # where users import it from, and what a traceback shows
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
     def __init__(self, text: str, fault: int = 0) -> None:
         super().__init__(text, fault)
@@ -56,7 +56,7 @@ class GripperFault(RemoteError):
 
 
 class ObjectStatus(OpenInt):
-    """What stopped the fingers, if anything did."""
+    """State of the fingers: moving, at the requested position, or stopped by an object."""
 
     MOVING = 0
     STOPPED_OPENING = 1
@@ -65,14 +65,14 @@ class ObjectStatus(OpenInt):
 
 
 class GripperStatus(NamedTuple):
-    """The state of a gripper.
+    """State of a gripper.
 
     Attributes:
-        is_active: it has been activated.
-        position: of the fingers, 0 (open) to 255 (closed).
-        requested: the position that it goes to, or went to.
-        object: what stopped the fingers, if anything did.
-        fault: number of the fault, see `FAULTS`; 0 for none.
+        is_active: Whether the gripper is activated.
+        position: Position of the fingers, 0 (open) to 255 (closed).
+        requested: Position of the current or last request.
+        object: State of the fingers, including whether an object stopped them.
+        fault: Number of the fault, see `FAULTS`; 0 for none.
     """
 
     is_active: bool
@@ -83,47 +83,50 @@ class GripperStatus(NamedTuple):
 
     @property
     def is_moving(self) -> bool:
-        """The fingers are on their way."""
+        """Whether the fingers are moving."""
         return self.object == ObjectStatus.MOVING
 
     @property
     def object_detected(self) -> bool:
-        """Something stopped the fingers before they were where they should be."""
+        """Whether something stopped the fingers before they reached the requested position."""
         return self.object in (ObjectStatus.STOPPED_OPENING, ObjectStatus.STOPPED_CLOSING)
 
     def opening(self, stroke: float = _STROKE) -> float:
-        """How far the fingers are apart, m, if `position` is linear from `stroke` at 0 to nothing at 255.
+        """Return the distance between the fingers in m, assuming that it is linear from `stroke` at 0 to zero at 255.
 
         Args:
-            stroke: m between the open fingers; 0.085 for a 2F-85, 0.14 for a 2F-140. Real ones end some counts before 0
-                and 255.
+            stroke: Distance between the open fingers in m: 0.085 for a 2F-85, 0.14 for a 2F-140. Real fingers reach
+                their ends some counts before 0 and 255.
         """
         return stroke * (1.0 - self.position / 255.0)
 
 
 class Gripper(StrictAttributes):
-    """A Robotiq gripper (2F, Hand-E) whose URCap runs on the controller. Connects when it is first used.
+    """Robotiq gripper (2F, Hand-E) whose URCap runs on the controller. It connects when it is first used.
 
-    Threads may share it; they take turns. Nothing of it is interlocked: it moves fingers, not the arm, also in a stop.
+    Threads may share it; they take turns. The gripper is not interlocked: it moves fingers rather than the arm, even
+    during a stop.
 
-    **A command whose answer does not come may still be carried out**, when a controller that hung goes on; the error
-    says so. Fingers that it moves are stopped at the first contact, and before another command is sent, for the life of
-    the process: also by the next `Gripper` or robot of `connect` there.
+    **If no reply arrives, the gripper might still execute the command**, for example when a hung controller resumes.
+    The error says so. If the command moves the fingers, they are stopped at the first contact, and before any other
+    command is sent. The stop remains pending for the life of the process, and is also sent by the next `Gripper` or
+    robot of `connect` at this controller.
 
     All methods that talk to the gripper raise
 
-    - `BadValue` for an unusable argument; nothing has been sent then;
-    - `GripperFault` where it has a fault, is not activated, or is not connected to the controller;
-    - `ConnectFailed` where no URCap serves it, `ConnectionLost`, `LinkTimeout`, `WrongPeer` and `PacketError` where
-      the peer does not answer, or not as a gripper does;
+    - `BadValue` if an argument is invalid; nothing is sent then;
+    - `GripperFault` if the gripper has a fault, is not activated, or is not connected to the controller;
+    - `ConnectFailed` if no URCap serves the gripper, and `ConnectionLost`, `LinkTimeout`, `WrongPeer` or `PacketError`
+      if the peer does not reply, or does not reply like a gripper;
     - `Closed` after the robot was closed.
 
     Args:
-        host: of the controller.
-        port: 63352 on a real one.
-        timeout: seconds to connect, and for each reply.
-        refused: returns a hint for the error where the connection is refused.
-        undos: of the commands to this controller; None to share that of everything in this process that commands it.
+        host: Host name or address of the controller.
+        port: Port number, 63352 on a real controller.
+        timeout: Maximum time to connect, and for each reply, in seconds.
+        refused: Function that returns a hint for the error if the connection is refused.
+        undos: Pending undos of the commands to this controller. If None, share those of all objects in this process
+            that command the controller.
     """
 
     def __init__(
@@ -151,14 +154,16 @@ class Gripper(StrictAttributes):
     # -- activation ------------------------------------------------------------------------------------
 
     def activate(self, *, again: bool = False, timeout: float = 15.0) -> GripperStatus:
-        """Activate it, and wait until it is. **The fingers close and open.** An active gripper is left alone.
+        """Activate the gripper, and wait until it is active. **The fingers close and open.**
+
+        A gripper that is active and has no fault is not activated again, unless `again` is true.
 
         Args:
-            again: activate also one that is active, such as after a fault.
-            timeout: seconds for all of it.
+            again: Whether to activate a gripper that is already active.
+            timeout: Maximum time for the whole activation, in seconds.
 
         Raises:
-            LinkTimeout: it was not done in time.
+            LinkTimeout: If the gripper is not active in time.
         """
         until = clock.now() + check_seconds(timeout, "timeout", positive=True, finite=True)
         status = self.status()
@@ -171,7 +176,7 @@ class Gripper(StrictAttributes):
         return self._checked(self.status())
 
     def deactivate(self) -> None:
-        """Reset it: it does nothing until it is activated again."""
+        """Reset the gripper. It does not move until it is activated again."""
         self.set(ACT=0, ATR=0)
 
     # -- motion ----------------------------------------------------------------------------------------
@@ -180,45 +185,46 @@ class Gripper(StrictAttributes):
         """Move the fingers.
 
         Args:
-            position: 0 (open) to 255 (closed); `position_of` has it of an opening in metres.
-            speed: 0 to 255, of the range of speeds that the gripper has (20 to 150 mm/s for a 2F-85).
-            force: 0 to 255, of the range of forces that it has (20 to 235 N for a 2F-85), at which fingers stop at an
-                object.
-            wait: until they rest: True for up to 60 s, a number for so many seconds; False returns at once.
+            position: Requested position, 0 (open) to 255 (closed). `position_of` converts an opening in metres.
+            speed: Speed, 0 to 255, over the speed range of the gripper (20 to 150 mm/s for a 2F-85).
+            force: Force at which the fingers stop at an object, 0 to 255, over the force range of the gripper (20 to
+                235 N for a 2F-85).
+            wait: Whether to wait until the fingers are at rest: True for up to 60 s, a number for that many seconds.
+                With False, return immediately.
 
         Returns:
-            what it shows then; with `wait`, `object_detected` says whether something is between the fingers.
+            Status after the wait. With `wait`, its `object_detected` shows whether an object is between the fingers.
 
         Raises:
-            LinkTimeout: they did not rest in time; they may still move.
+            LinkTimeout: If the fingers are not at rest in time. They might still move.
         """
         seconds = check_wait(wait)
         line = set_line({"POS": position, "SPE": speed, "FOR": force, "GTO": 1})
         if self.get("STA") != 3:
-            raise GripperFault("the gripper is not activated, so it was not told to move; call activate() first", 7)
+            raise GripperFault("the gripper is not activated, so no motion was sent; call activate() first", 7)
         self._set(line, moves=True)
-        # The gripper takes the request over some milliseconds later; until then it shows how the last one ended.
+        # The gripper accepts the request some milliseconds later. Until then, it shows the result of the last one.
         until = clock.now() + self._timeout
-        self._await(lambda: self.get("PRE") == position, until, self._timeout, "it does not take the request over")
+        self._await(lambda: self.get("PRE") == position, until, self._timeout, "the request was not accepted")
         return self.wait(seconds) if seconds else self.status()
 
     def open(self, *, speed: int = 255, force: int = 128, wait: bool | float = True) -> GripperStatus:
-        """`move` to 0."""
+        """Open the fingers: `move` to 0."""
         return self.move(0, speed=speed, force=force, wait=wait)
 
     def close(self, *, speed: int = 255, force: int = 128, wait: bool | float = True) -> GripperStatus:
-        """`move` to 255."""
+        """Close the fingers: `move` to 255."""
         return self.move(255, speed=speed, force=force, wait=wait)
 
     def stop(self) -> None:
-        """Let the fingers stop where they are."""
+        """Stop the fingers at their current position."""
         self.set(GTO=0)
 
     def wait(self, timeout: float = 60.0) -> GripperStatus:
-        """Wait until the fingers rest: where they should, or at an object.
+        """Wait until the fingers are at rest, at the requested position or at an object.
 
         Raises:
-            LinkTimeout: they do not in time; they may still move.
+            LinkTimeout: If the fingers are not at rest in time. They might still move.
         """
         until = clock.now() + check_seconds(timeout, "timeout", finite=True)
         found: list[GripperStatus] = []
@@ -227,15 +233,15 @@ class Gripper(StrictAttributes):
             found[:] = [self._checked(self.status())]
             return not found[0].is_moving
 
-        self._await(rests, until, timeout, "the fingers do not rest")
+        self._await(rests, until, timeout, "the fingers did not come to rest")
         return found[0]
 
     @staticmethod
     def position_of(opening: float, stroke: float = _STROKE) -> int:
-        """The position at which the fingers are so far apart, see `GripperStatus.opening`.
+        """Return the position for an opening in m; see `GripperStatus.opening`.
 
         Raises:
-            BadValue: the opening is not from 0 to the stroke.
+            BadValue: If the opening is not between 0 and the stroke.
 
         >>> Gripper.position_of(0.085), Gripper.position_of(0.0), Gripper.position_of(0.07, stroke=0.14)
         (0, 255, 128)
@@ -244,34 +250,34 @@ class Gripper(StrictAttributes):
             raise BadValue(f"opening={opening!r} m; expected 0 to the stroke of {stroke:g} m")
         return round(255 * (1.0 - opening / stroke))
 
-    # -- what it shows ---------------------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------------------
 
     def status(self) -> GripperStatus:
-        """What it shows now."""
-        # Each is a request of its own, and the fingers move on meanwhile. In this order a status at rest is that of the
-        # request that it names, and has the position of that rest.
+        """Return the current state."""
+        # Each variable is a separate request, and the fingers may move in between. With this order, a status at rest
+        # belongs to the reported request, and the position is the position at rest.
         state, requested, stopped, position, fault = map(self.get, ("STA", "PRE", "OBJ", "POS", "FLT"))
         return GripperStatus(state == 3, position, requested, ObjectStatus(stopped), fault)
 
     def position(self) -> int:
-        """Where the fingers are, 0 (open) to 255 (closed)."""
+        """Return the position of the fingers, 0 (open) to 255 (closed)."""
         return self.get("POS")
 
     def object_detected(self) -> bool:
-        """Something stopped the fingers before they were where they should be."""
+        """Return whether something stopped the fingers before they reached the requested position."""
         return ObjectStatus(self.get("OBJ")) in (ObjectStatus.STOPPED_OPENING, ObjectStatus.STOPPED_CLOSING)
 
-    # -- its variables ---------------------------------------------------------------------------------
+    # -- variables -------------------------------------------------------------------------------------
 
     def get(self, name: str) -> int:
-        """One of its variables by name, such as "COU", the motor current; for what has no method here."""
+        """Return a variable of the gripper by its name, such as "COU" (motor current), if no method reads it."""
         value = value_of(name, self._dialogue.ask(get_line(name), self._timeout))
         if value is None:
-            raise GripperFault(f"the controller serves a gripper at {self._name}, but none is connected to it")
+            raise GripperFault(f"the controller serves a gripper at {self._name}, but no gripper is connected to it")
         return value
 
     def set(self, /, **values: int) -> None:
-        """Set its variables by name, such as ``set(ATR=1, ADR=0)``, all at once; for what has no method here."""
+        """Set variables of the gripper at once, such as ``set(ATR=1, ADR=0)``, if no method sets them."""
         self._set(set_line(values), moves="POS" in values or values.get("GTO") == 1)
 
     def _set(self, line: str, moves: bool) -> None:
@@ -283,7 +289,7 @@ class Gripper(StrictAttributes):
 
     def _checked(self, status: GripperStatus) -> GripperStatus:
         if status.fault:
-            what = FAULTS.get(status.fault, "a fault that is not known")
+            what = FAULTS.get(status.fault, "unknown fault")
             raise GripperFault(f"the gripper has fault {status.fault}: {what}", status.fault)
         return status
 
@@ -295,7 +301,7 @@ class Gripper(StrictAttributes):
             clock.sleep(min(_POLL, left))
 
     def _disconnect(self) -> None:
-        """Disconnect for good."""
+        """Disconnect permanently."""
         if self._shares_undos:
             self._undos.close(self)
         self._dialogue.close()
@@ -305,7 +311,7 @@ class Gripper(StrictAttributes):
 
 
 def _stop_fingers(timeout: float, dialogue: Dialogue, is_wanted: Callable[[], bool]) -> None:
-    """Take a movement back."""
-    for line in (get_line("STA"), set_line({"GTO": 0})):  # the first is the contact
+    """Undo a motion of the fingers."""
+    for line in (get_line("STA"), set_line({"GTO": 0})):  # the first line only makes contact
         if is_wanted():
             dialogue.ask(line, timeout)

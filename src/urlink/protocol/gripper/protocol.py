@@ -1,9 +1,9 @@
-"""Robotiq grippers over the port of their URCap (63352), sans-IO: lines of ASCII in and out.
+"""Protocol of Robotiq grippers over the port of their URCap (63352), sans-IO: lines of ASCII.
 
-`SET NAME VALUE [NAME VALUE ...]` is answered by `ack`, `GET NAME` by `NAME VALUE`. Source: public clients
-(docs/protocols/gripper.md, Lines). Some versions end their replies with a newline and some do not, and `ack` comes
-without one: a value is whole at its newline, or once nothing more has come for `SETTLING`. What is not known: what is
-answered to an unknown name; public clients meet `?` where the gripper is not connected to the controller.
+The reply to `SET NAME VALUE [NAME VALUE ...]` is `ack`, and the reply to `GET NAME` is `NAME VALUE`. Source: public
+clients (docs/protocols/gripper.md, Lines). Some versions end their replies with a newline, others do not, and `ack` has
+no newline. Therefore a value is complete at its newline, or after `SETTLING` seconds without more bytes. The reply to
+an unknown name is not known. Public clients receive `?` if the gripper is not connected to the controller.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from collections.abc import Mapping
 
 from linkcore.errors import BadValue, LocalError, PacketError, WrongPeer
 
-#: Variables that can be set: name -> largest value.
+#: Variables that can be set: name -> maximum value.
 WRITABLE: Mapping[str, int] = {
     "ACT": 1,  # activate, or reset
-    "GTO": 1,  # go to the request
+    "GTO": 1,  # move to the requested position
     "ATR": 1,  # automatic release
-    "ADR": 1,  # its direction
+    "ADR": 1,  # direction of the automatic release
     "FOR": 255,  # force
     "SPE": 255,  # speed
     "POS": 255,  # requested position: 0 open, 255 closed
 }
 #: Variables that can be read; newer URCaps have more.
 READABLE = (*WRITABLE, "STA", "PRE", "OBJ", "FLT", "COU")
-#: Seconds without another byte after which a value without a newline counts as whole: the bytes of one reply leave the
-#: URCap together.
+#: Time in seconds without another byte after which a value without a newline is complete. The URCap sends the bytes of
+#: one reply together.
 SETTLING = 0.02
-#: Bytes of a reply.
+#: Maximum length of a reply, in bytes.
 LONGEST = 256
 
 _ACK = b"ack"
@@ -36,40 +36,40 @@ _VALUE = re.compile(r"([A-Z]{3}) (-?[0-9]{1,6})")
 
 
 def set_line(values: Mapping[str, int]) -> str:
-    """The line that sets these.
+    """Return the line that sets these variables.
 
     Raises:
-        BadValue: no such name, or a value out of range; nothing to set.
+        BadValue: If a name is unknown, a value is out of range, or no value is given.
 
     >>> set_line({"POS": 255, "GTO": 1})
     'SET POS 255 GTO 1'
     """
     if not values:
-        raise BadValue("nothing to set on the gripper")
+        raise BadValue("no variable to set on the gripper; pass at least one NAME=VALUE")
     for name, value in values.items():
         if name not in WRITABLE:
-            raise BadValue(f"a gripper has no {name!r} to be set; there are {', '.join(WRITABLE)}")
+            raise BadValue(f"{name!r} cannot be set on a gripper; expected one of {', '.join(WRITABLE)}")
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= WRITABLE[name]:
             raise BadValue(f"{name} is {value!r}; expected a whole number from 0 to {WRITABLE[name]}")
     return "SET " + " ".join(f"{name} {value}" for name, value in values.items())
 
 
 def get_line(name: str) -> str:
-    """The line that asks for a value.
+    """Return the line that queries a value.
 
     Raises:
-        BadValue: that cannot be a name.
+        BadValue: If `name` cannot be a name.
     """
     if not isinstance(name, str) or not re.fullmatch(r"[A-Z]{3}", name):
-        raise BadValue(f"{name!r} is no name of a gripper's value; expected three capital letters, such as 'POS'")
+        raise BadValue(f"{name!r} is not a gripper variable; expected three capital letters, such as 'POS'")
     return f"GET {name}"
 
 
 def value_of(name: str, reply: str) -> int | None:
-    """The value in the reply to ``GET name``; None where the gripper is not connected.
+    """Parse the value in the reply to ``GET name``; None if the gripper is not connected.
 
     Raises:
-        PacketError: it says something else.
+        PacketError: If the reply has another form.
 
     >>> value_of("POS", "POS 255"), value_of("POS", "?")
     (255, None)
@@ -78,15 +78,15 @@ def value_of(name: str, reply: str) -> int | None:
         return None
     found = _VALUE.fullmatch(reply)
     if found is None or found[1] != name:
-        raise PacketError(f"{reply[:80]!r} is no value of {name}", packet=f"reply to 'GET {name}'")
+        raise PacketError(f"{reply[:80]!r} is not a value of {name}", packet=f"reply to 'GET {name}'")
     return int(found[2])
 
 
 class GripperProtocol:
-    """One connection: question and answer in turn. It has no greeting.
+    """State of one connection. Lines and replies alternate, without a greeting.
 
     Attributes:
-        is_greeted: always.
+        is_greeted: Always True.
     """
 
     is_greeted = True
@@ -97,36 +97,38 @@ class GripperProtocol:
 
     @property
     def is_in_step(self) -> bool:
-        """Nothing was asked that was not answered, and nothing came that was not asked for."""
+        """Whether every line was answered, and no unexpected bytes have arrived."""
         return self._is_set is None and not self._rest.strip()
 
     @property
     def settling(self) -> float | None:
-        """Seconds without more after which what has come is the reply; None while nothing that could be has come."""
+        """Time in seconds without more bytes after which the reply is complete; None if no reply has begun."""
         return None if self._is_set is None or not self._rest.strip() else SETTLING
 
     def ask(self, text: str) -> bytes:
-        """The bytes of a line.
+        """Return the bytes of a line to send.
 
         Raises:
-            LocalError: the reply to the line before this one has not come.
+            LocalError: If the reply to the previous line has not arrived.
         """
         if not self.is_in_step:
-            raise LocalError(f"{text!r} cannot be asked on a connection that is out of step")
+            raise LocalError(f"{text!r} cannot be sent on a connection that is out of step")
         self._is_set = text.startswith("SET ")
-        # A newline that came after the reply before this one.
+        # Drop a newline that arrived after the previous reply.
         self._rest = b""
         return text.encode("ascii") + b"\n"
 
     def feed(self, data: bytes) -> str | None:
-        """The reply, once it is whole; no bytes say that nothing more has come for `settling`.
+        """Process received bytes, and return the reply when it is complete.
+
+        No bytes mean that nothing has arrived for `settling` seconds.
 
         Raises:
-            WrongPeer: this is not a gripper.
+            WrongPeer: If the peer is not a gripper.
         """
         self._rest = (self._rest + data).lstrip()
         if len(self._rest) > LONGEST:
-            raise WrongPeer(f"a gripper says short lines, but here is one that begins with {self._rest[:32]!r}")
+            raise WrongPeer(f"the line that starts with {self._rest[:32]!r} is too long for a reply of a gripper")
         if self._is_set is None:
             return None
         line, end, rest = self._rest.partition(b"\n")

@@ -1,7 +1,7 @@
-"""Whole packages of the primary and secondary interface to typed states.
+"""Decoder of whole packages of the primary and secondary interface to typed states.
 
-The layouts of sub-packages and messages follow from the firmware, where it is known, and from sizes. Sizes grew from
-release to release, and the first builds of a release may still send the size of the one before
+The layouts of sub-packages and messages depend on the firmware, if it is known, and on the sizes. Sizes grew from
+release to release, and the first builds of a release might still send the size of the previous release
 (docs/protocols/primary.md, sections Robot state and Robot messages).
 """
 
@@ -26,22 +26,22 @@ _HEAD = struct.Struct(">iB")
 #: Type bytes of packages.
 KNOWN_TYPES = frozenset(kind & 0xFF for kind in map(int, PackageType))
 
-# Of sizes and texts that come off the wire, no more are kept than can be useful.
+# Maximum numbers of kept plans and notices. Both depend on bytes from the wire, so they must be bounded.
 _MOST_PLANS = 64
 _MOST_NOTICES = 64
 
 
 class _Plan(NamedTuple):
-    """How to cut a robot state: those of one size have, as a rule, the same sub-packages.
+    """Plan to cut a robot state into sub-packages. States of one size usually have the same sub-packages.
 
     Attributes:
-        heads: unpacks the headers of the sub-packages.
-        expected: what they have to be.
-        parts: unpacks the sub-packages, each as its bytes.
-        decoders: of the sub-packages.
-        unknown: how many of them no layout is known for.
-        tails: how many of those that have one layout only end in bytes which it does not explain.
-        ambiguous: numbers of those whose content has to choose among layouts.
+        heads: Struct that unpacks the headers of the sub-packages.
+        expected: Expected headers.
+        parts: Struct that unpacks the bytes of each sub-package.
+        decoders: Decoder of each sub-package.
+        unknown: Number of sub-packages without a known layout.
+        tails: Number of sub-packages with a fixed layout that end in bytes which the layout does not explain.
+        ambiguous: Indices of the sub-packages whose content selects the layout.
     """
 
     heads: struct.Struct
@@ -54,15 +54,16 @@ class _Plan(NamedTuple):
 
 
 class PackageDecoder:
-    """Whole packages to typed states.
+    """Decoder of whole packages to typed states.
 
     Args:
-        version: the firmware whose layouts are the least that will do; None goes by sizes alone.
-        notice: called once for each kind of unknown package or part of one.
+        version: Firmware of the controller. Layouts smaller than those of this firmware are not used. If None, only the
+            sizes decide.
+        notice: Function that is called once for each kind of unknown package or part of a package.
 
     Attributes:
-        unknown: packages, messages and sub-packages of a type that no layout is known for, so far.
-        tails: those that end in bytes which no known layout explains, so far.
+        unknown: Number of packages, messages and sub-packages so far whose type has no known layout.
+        tails: Number of those so far that end in bytes which no known layout explains.
     """
 
     def __init__(self, version: Version | None = None, notice: Callable[[str], object] = str) -> None:
@@ -74,15 +75,15 @@ class PackageDecoder:
         self.tails = 0
 
     def use(self, version: Version) -> None:
-        """From now on, the layouts of this firmware are the least that will do."""
+        """Use the layouts of this firmware, or larger ones, for all later packages."""
         self._version = version
-        self._plans = {}  # they were made for another
+        self._plans = {}  # the plans were made for another version
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
-        """The typed state of one whole package.
+        """Return the typed state of one whole package.
 
         Raises:
-            PacketError: a layout that the package, or one of its sub-packages, cannot hold.
+            PacketError: If the package, or one of its sub-packages, is too short for its layout.
         """
         kind = frame[4]
         if kind == ROBOT_STATE:
@@ -106,7 +107,7 @@ class PackageDecoder:
             )
         kind = frame[MESSAGE_HEAD - 1]
         cls: Any = MESSAGES.get(kind, UnknownMessage)
-        # The version message itself carries the version, so only its own bytes can decide its layout.
+        # Only the size can decide the layout of the version message, because the version is not known before it.
         version = None if cls is VersionMessage else self._version_for(cls)
         state = self._package(cls, frame, version, stamp)
         if cls is UnknownMessage:
@@ -131,7 +132,7 @@ class PackageDecoder:
         return RobotState.of(frame, packages, stamp)
 
     def _make_plan(self, frame: bytes) -> _Plan:
-        """Find the sub-packages of a robot state."""
+        """Find the sub-packages of a robot state, and return the plan for states of this kind."""
         at, end = _HEAD.size, len(frame)
         sizes: list[int] = []
         expected: list[bytes] = []
@@ -148,7 +149,7 @@ class PackageDecoder:
             try:
                 decode = cls.LAYOUTS.decoder(size, version)
             except PacketError:
-                decode = None  # it will say so with the bytes at hand
+                decode = None  # the decoder raises the error again, with the bytes
             if decode is None:
                 ambiguous.append(len(decoders))
                 decode = _by_content(cls, version)
@@ -166,7 +167,7 @@ class PackageDecoder:
         return plan
 
     def _sub_package(self, frame: bytes, at: int) -> tuple[int, int]:
-        """Size and type of the sub-package that begins at `at`."""
+        """Return the size and the type of the sub-package that begins at `at`."""
         left = len(frame) - at
         wrong = partial(PacketError, packet="RobotState", offset=at)
         if left < _HEAD.size:
@@ -179,7 +180,7 @@ class PackageDecoder:
         return size, kind
 
     def _located(self, decoders: Sequence[Callable[..., SubPackage]], parts: Sequence[bytes]) -> PacketError:
-        """The error of the first sub-package that cannot be decoded, with its offset in the robot state."""
+        """Return the error of the first sub-package that cannot be decoded, with its offset in the robot state."""
         at = _HEAD.size
         for decode, part in zip(decoders, parts, strict=True):
             try:
@@ -187,10 +188,10 @@ class PackageDecoder:
             except PacketError as error:
                 return altered(error, reason=f"in a robot state, {error.reason}", offset=at)
             at += len(part)
-        raise AssertionError("one of them raised before")
+        raise AssertionError("one of the sub-packages raised an error before")
 
     def _version_for(self, cls: type[State]) -> Version | None:
-        """The version, unless that one is not known to send this class: then the size decides."""
+        """Return the version; None if it is not known to send this class, so that the size decides."""
         if self._version is None:
             return None
         try:
@@ -199,7 +200,7 @@ class PackageDecoder:
             return None
         return self._version
 
-    # -- what is not known ---------------------------------------------------------------------
+    # -- unknown bytes -------------------------------------------------------------------------
 
     def _count_unknown(self, kind: str) -> None:
         self.unknown += 1
@@ -215,18 +216,18 @@ class PackageDecoder:
         return bool(tail)
 
     def _tell(self, text: str) -> None:
-        if text not in self._noticed and len(self._noticed) < _MOST_NOTICES:  # once
+        if text not in self._noticed and len(self._noticed) < _MOST_NOTICES:  # report each text once
             self._noticed.add(text)
             self._notice(text)
 
 
 def _class_of(kind: int, size: int) -> type[SubPackage]:
-    """The class of a sub-package; where a number has two meanings, the first that its size allows."""
+    """Return the class of a sub-package. If a number has two meanings, use the first class that the size allows."""
     classes = SUB_PACKAGES.get(kind, ())
     for cls in classes:
         if size >= min(layout.size for layout in cls.LAYOUTS.all):
             return cls
-    # A 9-byte kinematics package is reported when nothing has changed; its content is not known.
+    # A 9-byte kinematics package was reported if nothing has changed. Its content is unknown.
     return classes[0] if classes and (kind, size) != (5, 9) else UnknownSubPackage
 
 

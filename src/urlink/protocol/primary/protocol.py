@@ -1,11 +1,12 @@
-"""The primary and secondary interface (30001, 30002, 30011, 30012), sans-IO.
+"""Protocol of the primary and secondary interface (ports 30001, 30002, 30011, 30012), sans-IO.
 
-Bytes to robot states, robot messages and the other packages. The version message that a controller sends on connecting
-determines the layouts of what follows; until then the sizes do (docs/protocols/primary.md, section Version message).
+It converts bytes to robot states, robot messages and other packages. A controller sends a version message when a client
+connects. The version determines the layouts of the later packages; before it, the sizes decide
+(docs/protocols/primary.md, section Version message).
 
-A package begins with its size and its type (docs/protocols/primary.md, section Framing). In step the size is believed,
-after a look at what a lie would break. Out of step only what proves itself is believed: a robot state whose
-sub-packages add up to its size, or a robot message of a known type that is followed by another package.
+A package begins with its size and its type (docs/protocols/primary.md, section Framing). In step, the size is accepted
+after a check of the bytes that a wrong size would break. Out of step, only two kinds of package are accepted: a robot
+state whose sub-packages add up to its size, or a robot message of a known type with another package after it.
 """
 
 from __future__ import annotations
@@ -27,33 +28,33 @@ from .robot_state import RobotModeData
 
 _log = logging.getLogger(__name__)
 
-#: Seconds between two robot states.
+#: Period of robot states, in seconds.
 STATE_PERIODS = (0.1,)
 
 _HEAD = struct.Struct(">iB")
 _HEAD_AND_TIME = struct.Struct(">iBQ")
-#: Type of the sub-package that has the time, and its size on CB2.
+#: Type of the sub-package that contains the time, and its size on CB2.
 _MODES, _CB2_SIZE = 0, RobotModeData.LAYOUTS.all[0].size
 
 _SIZE = struct.Struct(">i")
-_HEAD_AND_FIRST = struct.Struct(">iBi")  # of a robot state, with the size of its first sub-package
+_HEAD_AND_FIRST = struct.Struct(">iBi")  # header of a robot state, with the size of its first sub-package
 
-# Out of step, and for unknown types, larger sizes are not believed. The largest one seen has 1471 bytes.
+# Largest accepted size out of step and for unknown types. The largest observed package has 1471 bytes.
 _LARGEST_BELIEVED = 8192
 
-# The sub-packages of a robot state that are added up. 14 types are known, and no state seen holds one twice. What has
-# more is judged by the package that follows, so that the work for each place in the stream is bounded.
+# Maximum number of sub-packages to add up. 14 types are known, and no observed state contains one twice. A state with
+# more is judged by the package after it, so that the work for each position in the stream is bounded.
 _MOST_PARTS = 16
 
-# The beginning of a robot state or a robot message of a believable size. It looks ahead, since candidates may overlap.
+# Beginning of a robot state or robot message of an accepted size. It uses lookahead, because candidates may overlap.
 _CANDIDATE = re.compile(rb"(?=\x00\x00[\x00-\x20].[\x10\x14])", re.DOTALL)
 _CANDIDATE_BYTES = 5
 
 
 class PackageBoundary:
-    """Frame boundaries of the package stream.
+    """Frame boundaries of the stream of packages.
 
-    Packages of unknown types are taken once a known one has come, where another package follows them.
+    Packages of unknown types are accepted after the first known package, if another package follows them.
     """
 
     largest = PACKAGE_SIZES.stop - 1 + _HEAD.size
@@ -68,11 +69,11 @@ class PackageBoundary:
         return PACKAGE_INTERFACE
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        """None: a size alone does not prove a package."""
+        """Return an empty list, because a size alone does not prove a package."""
         return []
 
     def declared(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
-        """As `check`, by the header alone, which is believed whatever follows it."""
+        """Check the header as `check` does, without the bytes after it."""
         there = len(buffer) - at
         if there < _HEAD.size:
             return 0, _HEAD.size
@@ -85,7 +86,7 @@ class PackageBoundary:
                 return 0, _HEAD.size + _SIZE.size
             (first,) = _SIZE.unpack_from(buffer, at + _HEAD.size)
             if not _HEAD.size <= first <= size - _HEAD.size:
-                return 0, 0  # not even its first sub-package is inside it
+                return 0, 0  # even the first sub-package does not fit into the state
         self._is_begun = True
         return size, size
 
@@ -97,15 +98,15 @@ class PackageBoundary:
             return size, need
         kind = buffer[at + 4]
         if kind not in KNOWN_TYPES:
-            # What follows may be of a type that nobody knows too, but its size is a small number, which what stands
-            # elsewhere in a stream seldom is.
+            # The next package may also have an unknown type, but its size is a small number. Other bytes of a stream
+            # seldom form such a small number.
             if there < size + _HEAD.size:
                 return size, size + _HEAD.size
             (next_size,) = _SIZE.unpack_from(buffer, at + size)
             if not _HEAD.size <= next_size <= _LARGEST_BELIEVED:
                 return 0, 0
         elif kind == ROBOT_STATE and not _add_up(buffer, at, size)[0]:
-            # If a package follows where this one should end, its size is right and its inside is damaged.
+            # If a package follows at the end of this one, the size is correct and the content is damaged.
             if there < size + _HEAD.size:
                 return size, size + _HEAD.size
             if not _is_header(buffer, at + size):
@@ -140,7 +141,7 @@ class PackageBoundary:
             if is_whole or (need and _is_header(buffer, at + size)):
                 self._is_begun = True
                 return at, size, need
-        # A candidate may begin with the last bytes.
+        # The last bytes may be the beginning of a candidate.
         return max(start, end - _CANDIDATE_BYTES + 1), 0, _CANDIDATE_BYTES
 
     def peer(self, buffer: bytes | bytearray) -> str | None:
@@ -155,12 +156,12 @@ def _is_header(buffer: bytes | bytearray, at: int) -> bool:
 
 
 def _add_up(buffer: bytes | bytearray, at: int, size: int) -> tuple[bool, int]:
-    """Whether the sub-packages of a robot state add up to its size.
+    """Check whether the sub-packages of a robot state add up to its size.
 
     Returns:
-        ``(is_sum, need)``: if `need` bytes from `at` on are in the buffer, it holds; with fewer it is undecided. Where
-        there are too many of them to decide, the need reaches beyond the state: the header behind it decides. They do
-        not add up if the need is 0.
+        ``(is_sum, need)``. The result is final if the buffer has `need` bytes from `at`; with fewer bytes it is
+        undecided. If there are too many sub-packages to decide, `need` reaches beyond the state, so that the next
+        header decides. If `need` is 0, the sub-packages do not add up.
     """
     part, stop = at + _HEAD.size, at + size
     last = len(buffer) - _SIZE.size
@@ -179,10 +180,10 @@ def _add_up(buffer: bytes | bytearray, at: int, size: int) -> tuple[bool, int]:
 
 
 class PrimaryProtocol:
-    """Bytes in, typed states out; a new one for each connection.
+    """Decoder of the bytes of one connection to typed states. Each connection needs a new object.
 
     Attributes:
-        firmware: from the version message of this connection; None before it.
+        firmware: Firmware from the version message of this connection; None before the message.
     """
 
     def __init__(self) -> None:
@@ -193,19 +194,19 @@ class PrimaryProtocol:
 
     @property
     def unknown(self) -> int:
-        """Packages, messages and sub-packages of a type that no layout is known for, so far."""
+        """Number of packages, messages and sub-packages so far whose type has no known layout."""
         return self._decoder.unknown
 
     @property
     def tails(self) -> int:
-        """Those that end in bytes which no known layout explains, so far."""
+        """Number of those so far that end in bytes which no known layout explains."""
         return self._decoder.tails
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
-        """The typed state of one whole package.
+        """Return the typed state of one whole package.
 
         Raises:
-            PacketError: a layout that the package, or one of its sub-packages, cannot hold.
+            PacketError: If the package, or one of its sub-packages, is too short for its layout.
         """
         state = self._decoder.decode(frame, stamp)
         if isinstance(state, VersionMessage):
@@ -215,7 +216,7 @@ class PrimaryProtocol:
 
 
 def _moment(frame: bytes) -> float | None:
-    """The time of a robot state; None of other packages, and on CB2, which counts something unknown there."""
+    """Return the time of a robot state; None for other packages, and on CB2, whose number has an unknown meaning."""
     at = _HEAD.size if frame[4] == ROBOT_STATE else len(frame)
     while at + _HEAD_AND_TIME.size <= len(frame):
         size, kind, time = _HEAD_AND_TIME.unpack_from(frame, at)

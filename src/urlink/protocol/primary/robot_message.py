@@ -1,7 +1,7 @@
 """Robot messages (package type 20) and the other packages of the primary interface.
 
-Older layouts are recognised by what fits: where the new layout leaves too few bytes for its text, the old one is meant.
-Sources: docs/protocols/primary.md, sections Robot messages and Other packages, where each fact has its evidence.
+Older layouts are recognised by their size: if the new layout leaves too few bytes for its text, the old layout is used.
+Sources: docs/protocols/primary.md, sections Robot messages and Other packages, with the evidence for each fact.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from ..headers import PACKAGE
 
 _Bool = Coded(Int8ub, bool)
 
-#: Bytes of the common header of robot messages: size, type, timestamp, source, message type.
+#: Size of the common header of robot messages in bytes: size, type, timestamp, source, message type.
 MESSAGE_HEAD = 15
 
-#: Timestamp of a message that has none, as all those sent on connecting.
+#: Timestamp of messages without a time, for example of all messages that are sent on connecting.
 NO_TIMESTAMP = 0xFFFFFFFFFFFFFFFF
 
 
 @packet(header=PACKAGE, type=20)
 class RobotMessage(State):
-    """The common part of all robot messages; subscribe to it to get them all."""
+    """Common part of all robot messages. Subscribe to it to receive all of them."""
 
     IS_EVENT = True
 
-    timestamp: int = wire(Int64ub, "us", "time since start; all ones where there is none")
-    source: MessageSource = wire(Coded(Int8sb, MessageSource), "", "who speaks")
+    timestamp: int = wire(Int64ub, "us", "time since start; all ones if there is none")
+    source: MessageSource = wire(Coded(Int8sb, MessageSource), "", "sender of the message")
     message_type: MessageType = wire(Coded(Int8ub, MessageType), "", "sub-type")
 
 
@@ -43,7 +43,7 @@ class TextMessage(RobotMessage):
 
 @packet(header=PACKAGE, type=20, message_type=1)
 class ProgramLabelMessage(RobotMessage):
-    """A label that the program has reached."""
+    """Label that the program has reached."""
 
     id: int = wire(Int32sb, "", "number of the label")
     text: str = wire(Text(), "", "label")
@@ -51,13 +51,13 @@ class ProgramLabelMessage(RobotMessage):
 
 @packet(header=PACKAGE, type=20, message_type=2)
 class PopupMessage(RobotMessage):
-    """A popup on the teach pendant."""
+    """Popup on the teach pendant."""
 
-    # That CB2 sends the short form is read off python-urx; the release that changed is not known.
+    # The short form of CB2 is taken from python-urx. The release of the change is not known.
     request_id: int | None = wire(Int32ub, "", "number of the request", since="3.0")
-    requested_type: RequestedType | None = wire(Coded(Int32ub, RequestedType), "", "value asked for", since="3.0")
-    is_warning: bool = wire(_Bool, "", "it warns")
-    is_error: bool = wire(_Bool, "", "it tells of an error")
+    requested_type: RequestedType | None = wire(Coded(Int32ub, RequestedType), "", "requested value", since="3.0")
+    is_warning: bool = wire(_Bool, "", "it is a warning")
+    is_error: bool = wire(_Bool, "", "it is an error")
     is_blocking: bool | None = wire(_Bool, "", "the program waits for the operator", since="3.0")
     title: str = wire(Text(Int8ub), "", "title")
     text: str = wire(Text(), "", "text")
@@ -65,7 +65,7 @@ class PopupMessage(RobotMessage):
 
 @packet(header=PACKAGE, type=20, message_type=3)
 class VersionMessage(RobotMessage):
-    """The controller's software, sent on connecting."""
+    """Software version of the controller, sent on connecting."""
 
     project_name: str = wire(Text(Int8ub), "", "name of the software, URControl")
     major: int = wire(Int8ub, "", "major version")
@@ -73,37 +73,37 @@ class VersionMessage(RobotMessage):
     svn_revision: int | None = wire(Int32sb, "", "revision, in place of bugfix and build", until="3.3")
     bugfix: int | None = wire(Int32sb, "", "bugfix version", since="3.3")
     build: int | None = wire(Int32sb, "", "build number", since="3.3")
-    # 20 or 21 characters in every capture: with less the older layout is meant.
-    build_date: str = wire(Text(least=20), "", "when it was built", before=("3.3", Text()))
+    # The text has 20 or 21 characters in every capture. With fewer characters, the older layout is used.
+    build_date: str = wire(Text(least=20), "", "date of the build", before=("3.3", Text()))
 
 
 @packet(header=PACKAGE, type=20, message_type=5)
 class SafetyModeMessage(RobotMessage):
-    """The safety mode has changed."""
+    """Report that the safety mode has changed."""
 
     code: int = wire(Int32sb, "", "number of the report")
     argument: int = wire(Int32sb, "", "argument of the report")
     safety_mode: SafetyMode = wire(Coded(Int8ub, SafetyMode), "", "new safety mode")
-    data_type: ReportDataType = wire(Coded(Int32ub, ReportDataType), "", "coding of the data")
+    data_type: ReportDataType = wire(Coded(Int32ub, ReportDataType), "", "encoding of the data")
     data: int = wire(Int32ub, "", "data, as its 32 bits")
 
 
 @packet(header=PACKAGE, type=20, message_type=6)
 class RobotCommMessage(RobotMessage):
-    """A report with an error code, as in the vendor's list C<code>A<argument>."""
+    """Report with an error code, as in the vendor's list C<code>A<argument>."""
 
     code: int = wire(Int32sb, "", "number of the report")
     argument: int = wire(Int32sb, "", "argument of the report")
-    # That CB2 sends the short form is read off python-urx; the release that changed is not known.
-    report_level: ReportLevel | None = wire(Coded(Int32sb, ReportLevel), "", "how grave it is", since="3.0")
-    data_type: ReportDataType | None = wire(Coded(Int32ub, ReportDataType), "", "coding of the data", since="3.0")
+    # The short form of CB2 is taken from python-urx. The release of the change is not known.
+    report_level: ReportLevel | None = wire(Coded(Int32sb, ReportLevel), "", "severity of the report", since="3.0")
+    data_type: ReportDataType | None = wire(Coded(Int32ub, ReportDataType), "", "encoding of the data", since="3.0")
     data: int | None = wire(Int32ub, "", "data, as its 32 bits", since="3.0")
     text: str = wire(Text(), "", "text")
 
 
 @packet(header=PACKAGE, type=20, message_type=7)
 class KeyMessage(RobotMessage):
-    """Something by name, such as PROGRAM_XXX_STARTED with the program's name as text."""
+    """Report with a name, such as PROGRAM_XXX_STARTED with the name of the program as text."""
 
     code: int = wire(Int32sb, "", "number of the report")
     argument: int = wire(Int32sb, "", "argument of the report")
@@ -113,25 +113,25 @@ class KeyMessage(RobotMessage):
 
 @packet(header=PACKAGE, type=20, message_type=9)
 class RequestValueMessage(RobotMessage):
-    """The program asks the operator for a value."""
+    """Request of the program for a value from the operator."""
 
     request_id: int = wire(Int32ub, "", "number of the request")
-    requested_type: RequestedType = wire(Coded(Int32ub, RequestedType), "", "value asked for")
+    requested_type: RequestedType = wire(Coded(Int32ub, RequestedType), "", "requested value")
     text: str = wire(Text(), "", "question")
 
 
 @packet(header=PACKAGE, type=20, message_type=10)
 class RuntimeExceptionMessage(RobotMessage):
-    """A program that does not compile, or failed while running."""
+    """Report that a program does not compile, or failed while it was running."""
 
     line: int = wire(Int32sb, "", "line in the script")
     column: int = wire(Int32sb, "", "column in the line")
-    text: str = wire(Text(), "", "what is wrong")
+    text: str = wire(Text(), "", "description of the error")
 
 
 @packet(header=PACKAGE, type=20, message_type=12)
 class UnnamedMessage12(RobotMessage):
-    """Follows the version message on every capture since 3.3; its meaning is not documented."""
+    """Message that follows the version message in every capture since 3.3; its meaning is not documented."""
 
     first: int = wire(Int32sb, "", "489 on 3.3, 510 on 3.10, 0 on simulators")
     second: int = wire(Int32sb, "", "239 on 3.3, 259 on 3.10, 0 on simulators")
@@ -140,9 +140,9 @@ class UnnamedMessage12(RobotMessage):
 
 @packet(header=PACKAGE, type=20)
 class UnknownMessage(RobotMessage):
-    """A robot message that this library has no layout for, kept as it came."""
+    """Robot message without a layout in this library. Its bytes are kept unchanged."""
 
-    payload: bytes = wire(Raw(), "", "what follows the common fields")
+    payload: bytes = wire(Raw(), "", "bytes after the common fields")
 
 
 @packet(header=PACKAGE, type=24)
@@ -154,7 +154,7 @@ class SafetyComplianceTolerances(State):
 
 @packet(header=PACKAGE, type=25)
 class ProgramStateMessage(State):
-    """Package 25: names or values of the global variables. Their coding differs and is opaque."""
+    """Package 25: names or values of the global variables. Their encoding differs and is opaque."""
 
     IS_EVENT = True
 
@@ -166,18 +166,18 @@ class ProgramStateMessage(State):
 
 @packet(header=PACKAGE)
 class OtherPackage(State):
-    """A package that this library has no layout for (5, 22, 23, ...), kept as it came."""
+    """Package without a layout in this library (5, 22, 23, ...). Its bytes are kept unchanged."""
 
-    payload: bytes = wire(Raw(), "", "what follows the header")
+    payload: bytes = wire(Raw(), "", "bytes after the header")
 
     @property
     def type(self) -> PackageType:
-        """The type byte."""
+        """Type byte of the package."""
         code = self._data[4]
         return PackageType(code if code < 255 else -1)
 
     def to_dict(self) -> dict[str, Any]:
-        """The type and the payload."""
+        """Return the type and the payload."""
         return {"type": self.type.name, **State.to_dict(self)}
 
     def __str__(self) -> str:
@@ -186,7 +186,7 @@ class OtherPackage(State):
     __repr__ = __str__
 
 
-#: sub-type byte of a robot message -> class
+#: Sub-type byte of a robot message -> class.
 MESSAGES: dict[int, type[RobotMessage]] = {
     0: TextMessage,
     1: ProgramLabelMessage,
@@ -200,5 +200,5 @@ MESSAGES: dict[int, type[RobotMessage]] = {
     12: UnnamedMessage12,
 }
 
-#: type byte -> class, of the packages that are neither robot state nor robot message
+#: Type byte -> class, for packages other than robot states and robot messages.
 PACKAGES: dict[int, type[State]] = {24: SafetyComplianceTolerances, 25: ProgramStateMessage}

@@ -1,8 +1,8 @@
 """The robot state (package type 16) of the primary and secondary interface, and its sub-packages.
 
-Sub-packages are recognised by type, their layout by size, since sizes grew from release to release. No order of them
-can be relied on.
-Source: docs/protocols/primary.md, section Robot state, which has the evidence for each size and field.
+Sub-packages are recognised by type, and their layouts by size, because sizes grew from release to release. Their order
+is not guaranteed.
+Source: docs/protocols/primary.md, section Robot state, with the evidence for each size and field.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ _Domain = Coded(Int8ub, AnalogDomain)
 
 
 class SubPackage(State):
-    """A part of a robot state; subscribe to one by its class."""
+    """Part of a robot state. Subscribe to one by its class."""
 
     __slots__ = ()
 
 
 @packet(header=PACKAGE, type=0)
 class RobotModeData(SubPackage):
-    """Modes of robot and program, and how fast it is allowed to go."""
+    """Modes of the robot and the program, and the allowed speed."""
 
     timestamp: int = wire(Int64ub, "us", "time since start; CB2 counts something else, likely ms")
     is_robot_connected: bool = wire(_Bool, "", "a real robot is connected")
@@ -73,14 +73,14 @@ class RobotModeData(SubPackage):
     )
     control_mode: ControlMode | None = wire(Coded(Int8ub, ControlMode), "", "control mode", since="3.0")
     target_speed_fraction: float = wire(Float64b, "1", "speed slider (CB2: speed fraction)")
-    speed_scaling: float | None = wire(Float64b, "1", "speed that is left after all limits", since="3.0")
+    speed_scaling: float | None = wire(Float64b, "1", "speed that remains after all limits", since="3.0")
     target_speed_fraction_limit: float | None = wire(Float64b, "1", "upper limit of the slider", since="3.2")
     reserved: int | None = wire(Int8ub, "", "internal to the vendor", since="3.5")
 
 
 @packet(header=PACKAGE, type=1)
 class JointData(SubPackage):
-    """The six joints; on the wire joint by joint."""
+    """Positions, velocities, currents, voltages and temperatures of the six joints; on the wire joint by joint."""
 
     q_actual: Vector = wire(Float64b[6], "rad", "actual joint positions", interleave="joint")
     q_target: Vector = wire(Float64b[6], "rad", "target joint positions", interleave="joint")
@@ -94,14 +94,14 @@ class JointData(SubPackage):
 
 @packet(header=PACKAGE, type=2)
 class ToolData(SubPackage):
-    """The tool connector."""
+    """Inputs, supply and mode of the tool connector."""
 
-    analog_input_range_2: AnalogDomain = wire(_Domain, "", "what analogue input 2 measures")
-    analog_input_range_3: AnalogDomain = wire(_Domain, "", "what analogue input 3 measures")
+    analog_input_range_2: AnalogDomain = wire(_Domain, "", "quantity of analogue input 2")
+    analog_input_range_3: AnalogDomain = wire(_Domain, "", "quantity of analogue input 3")
     analog_input_2: float = wire(Float64b, "A or V", "analogue input 2")
     analog_input_3: float = wire(Float64b, "A or V", "analogue input 3")
     tool_voltage_48V: float = wire(Float32b, "V", "48 V rail at the tool")
-    tool_output_voltage: int = wire(Int8ub, "V", "voltage given to the tool: 0, 12 or 24")
+    tool_output_voltage: int = wire(Int8ub, "V", "voltage supplied to the tool: 0, 12 or 24")
     tool_current: float = wire(Float32b, "A", "current into the tool")
     tool_temperature: float = wire(Float32b, "degC", "temperature of the tool board")
     tool_mode: ToolMode = wire(Coded(Int8ub, ToolMode), "", "tool mode")
@@ -109,16 +109,16 @@ class ToolData(SubPackage):
 
 @packet(header=PACKAGE, type=3)
 class MasterboardData(SubPackage):
-    """Inputs, outputs, supply and safety of the control box; Euromap 67 where it is installed."""
+    """Inputs, outputs, supply and safety of the control box, and Euromap 67 if it is installed."""
 
     digital_input_bits: int = wire(Int32ub, "bits", "digital inputs, see DigitalBits", before=("3.0", Int16ub))
     digital_output_bits: int = wire(Int32ub, "bits", "digital outputs, see DigitalBits", before=("3.0", Int16ub))
-    analog_input_range_0: AnalogDomain = wire(_Domain, "", "what analogue input 0 measures")
-    analog_input_range_1: AnalogDomain = wire(_Domain, "", "what analogue input 1 measures")
+    analog_input_range_0: AnalogDomain = wire(_Domain, "", "quantity of analogue input 0")
+    analog_input_range_1: AnalogDomain = wire(_Domain, "", "quantity of analogue input 1")
     analog_input_0: float = wire(Float64b, "A or V", "analogue input 0")
     analog_input_1: float = wire(Float64b, "A or V", "analogue input 1")
-    analog_output_domain_0: AnalogDomain = wire(_Domain, "", "what analogue output 0 drives")
-    analog_output_domain_1: AnalogDomain = wire(_Domain, "", "what analogue output 1 drives")
+    analog_output_domain_0: AnalogDomain = wire(_Domain, "", "quantity of analogue output 0")
+    analog_output_domain_1: AnalogDomain = wire(_Domain, "", "quantity of analogue output 1")
     analog_output_0: float = wire(Float64b, "A or V", "analogue output 0")
     analog_output_1: float = wire(Float64b, "A or V", "analogue output 1")
     masterboard_temperature: float = wire(Float32b, "degC", "temperature of the masterboard")
@@ -154,7 +154,7 @@ class MasterboardData(SubPackage):
 
 @packet(header=PACKAGE, type=4)
 class CartesianInfo(SubPackage):
-    """Pose of the tool in the base frame, and where the tool sits on the flange."""
+    """Pose of the tool in the base frame, and offset of the tool from the flange."""
 
     X: float = wire(Float64b, "m", "position")
     Y: float = wire(Float64b, "m", "position")
@@ -162,7 +162,7 @@ class CartesianInfo(SubPackage):
     Rx: float = wire(Float64b, "rad", "rotation vector")
     Ry: float = wire(Float64b, "rad", "rotation vector")
     Rz: float = wire(Float64b, "rad", "rotation vector")
-    # 3.1 by one source, 3.2 by another: as the least that 3.1 sends, the short one accepts both.
+    # Sources disagree whether 3.1 or 3.2 is the first. With 3.2 here, both sizes are accepted from a 3.1 controller.
     tcp_offset_X: float | None = wire(Float64b, "m", "offset of the tool from the flange", since="3.2")
     tcp_offset_Y: float | None = wire(Float64b, "m", "offset of the tool from the flange", since="3.2")
     tcp_offset_Z: float | None = wire(Float64b, "m", "offset of the tool from the flange", since="3.2")
@@ -172,7 +172,7 @@ class CartesianInfo(SubPackage):
 
 
 def tool_offset(info: CartesianInfo) -> list[float] | None:
-    """The pose of the tool in the frame of the flange, m and rad; None where it is not sent."""
+    """Return the pose of the tool in the flange frame, in m and rad; None if it is not sent."""
     if info.tcp_offset_X is None:
         return None
     return [getattr(info, f"tcp_offset_{axis}") for axis in ("X", "Y", "Z", "Rx", "Ry", "Rz")]
@@ -180,7 +180,7 @@ def tool_offset(info: CartesianInfo) -> list[float] | None:
 
 @packet(header=PACKAGE, type=5)
 class KinematicsInfo(SubPackage):
-    """Denavit-Hartenberg parameters of this very arm; only in the first state of a connection."""
+    """Denavit-Hartenberg parameters of this individual arm; only in the first state of a connection."""
 
     checksum: IntVector = wire(Int32ub[6], "", "checksums of the calibration", since="1.8")
     dh_theta: Vector = wire(Float64b[6], "rad", "DH theta", since="1.8")
@@ -192,7 +192,7 @@ class KinematicsInfo(SubPackage):
 
 @packet(header=PACKAGE, type=5)
 class LaserPointer(SubPackage):
-    """What the oldest CB2 controllers sent as type 5, recognised by its size."""
+    """Obsolete type 5 of the oldest CB2 controllers, recognised by its size."""
 
     pointer: Vector = wire(Float64b[3], "", "obsolete laser pointer; 1000, 1000, 1000 in the capture", until="1.6")
 
@@ -234,7 +234,7 @@ class ForceModeData(SubPackage):
     Frx: float = wire(Float64b, "Nm", "torque", since="1.7")
     Fry: float = wire(Float64b, "Nm", "torque", since="1.7")
     Frz: float = wire(Float64b, "Nm", "torque", since="1.7")
-    robot_dexterity: float = wire(Float64b, "", "how far the arm is from a singular posture", since="1.7")
+    robot_dexterity: float = wire(Float64b, "", "distance of the arm from a singular posture", since="1.7")
 
 
 @packet(header=PACKAGE, type=8)
@@ -245,7 +245,7 @@ class AdditionalInfo(SubPackage):
     teach_button: int | None = wire(Int8ub, "", "teach button of early CB2", since="1.7", until="1.8")
     freedrive_button_pressed: bool | None = wire(_Bool, "", "teach (freedrive) button is pressed", since="1.8")
     freedrive_button_enabled: bool | None = wire(_Bool, "", "teach (freedrive) button is enabled", since="1.8")
-    # Nothing is known of 3.2 itself; size 8 is inferred from 3.3 on.
+    # Size 8 is verified for 3.3 and later. Nothing is known about 3.2 itself, so its size is inferred.
     io_enabled_freedrive: bool | None = wire(_Bool, "", "an input enables freedrive", since="3.3")
     reserved: int | None = wire(Int8ub, "", "internal to the vendor", since="3.10/5.4")
 
@@ -264,7 +264,7 @@ class CalibrationData(SubPackage):
 
 @packet(header=PACKAGE, type=10)
 class SafetyData(SubPackage):
-    """Internal to the vendor. The meaning is read off three captures and is not documented."""
+    """Internal to the vendor. The meaning is inferred from three captures and is not documented."""
 
     checksum: int = wire(Int32ub, "", "checksum of the safety configuration", since="3.5")
     reserved: IntVector = wire(Int8ub[2], "", "unknown", since="3.5")
@@ -286,7 +286,7 @@ class ToolCommunicationInfo(SubPackage):
 
 @packet(header=PACKAGE, type=12)
 class ToolModeInfo(SubPackage):
-    """How the outputs of the tool connector are used."""
+    """Use of the outputs of the tool connector."""
 
     output_mode: ToolOutputMode = wire(Coded(Int8ub, ToolOutputMode), "", "tool output mode", since="5.2")
     digital_output_0_mode: int = wire(Int8ub, "", "0 single, 1 sinking, 2 sourcing, 3 push-pull", since="5.2")
@@ -295,7 +295,7 @@ class ToolModeInfo(SubPackage):
 
 @packet(header=PACKAGE, type=13)
 class SingularityInfo(SubPackage):
-    """Internal to the vendor. Which release sends it first is not known."""
+    """Internal to the vendor. The first release that sends it is not known."""
 
     severity: int = wire(Int8ub, "", "severity")
     singularity_type: int = wire(Int8ub, "", "type")
@@ -303,17 +303,17 @@ class SingularityInfo(SubPackage):
 
 @packet(header=PACKAGE)
 class UnknownSubPackage(SubPackage):
-    """A sub-package that this library has no layout for, kept as it came."""
+    """Sub-package without a layout in this library. Its bytes are kept unchanged."""
 
-    payload: bytes = wire(Raw(), "", "what follows the header")
+    payload: bytes = wire(Raw(), "", "bytes after the header")
 
     @property
     def type(self) -> int:
-        """The type byte."""
+        """Type byte of the sub-package."""
         return self._data[4]
 
     def to_dict(self) -> dict[str, Any]:
-        """The type byte and the payload."""
+        """Return the type byte and the payload."""
         return {"type": self.type, **SubPackage.to_dict(self)}
 
     def __str__(self) -> str:
@@ -322,7 +322,7 @@ class UnknownSubPackage(SubPackage):
     __repr__ = __str__
 
 
-#: type byte -> class; where a number had two meanings, the size decides.
+#: Type byte -> class. If a number had two meanings, the size decides.
 SUB_PACKAGES: dict[int, tuple[type[SubPackage], ...]] = {
     0: (RobotModeData,),
     1: (JointData,),
@@ -344,7 +344,7 @@ _Part = TypeVar("_Part", bound=SubPackage)
 
 
 class _Slot(Generic[_Part]):
-    """The sub-package of one class in a robot state, as an attribute; None where it was not sent."""
+    """Attribute for the sub-package of one class in a robot state; None if it was not sent."""
 
     def __init__(self, kind: type[_Part]) -> None:
         self.kind = kind
@@ -359,13 +359,13 @@ class _Slot(Generic[_Part]):
 
 
 class RobotState(State):
-    """A robot state: the sub-packages that came together in one package.
+    """Robot state: the sub-packages of one package.
 
-    Each is an attribute, None where the package did not hold it; `packages` has them all in the
-    order in which they were sent, unknown ones too. Kinematics and configuration come only in the
-    first state of a connection.
+    Each sub-package is an attribute, or None if the package does not contain it. `packages` contains
+    all of them in the order of sending, including unknown ones. Only the first state of a connection
+    contains kinematics and configuration.
 
-    ``RobotState(RobotModeData("5.4", ...), ...)`` builds one.
+    ``RobotState(RobotModeData("5.4", ...), ...)`` builds a robot state.
     """
 
     __slots__ = ()
@@ -394,7 +394,7 @@ class RobotState(State):
 
     @classmethod
     def of(cls, data: bytes, packages: tuple[SubPackage, ...], stamp: Stamp | None) -> RobotState:
-        """The state of a package as it came; `packages` are its parts."""
+        """Return the state of a received package; `packages` are its parts."""
         state = object.__new__(cls)
         state._data = data
         state._stamp = stamp
@@ -403,17 +403,17 @@ class RobotState(State):
 
     @property
     def packages(self) -> tuple[SubPackage, ...]:
-        """The sub-packages in the order in which they were sent."""
+        """Sub-packages in the order of sending."""
         packages: tuple[SubPackage, ...] = self._values
         return packages
 
     @property
     def sizes(self) -> dict[int, int]:
-        """Type byte of each sub-package -> its bytes, header included."""
+        """Type byte of each sub-package -> its size in bytes, including the header."""
         return {bytes(package)[4]: len(bytes(package)) for package in self.packages}
 
     def get(self, kind: type[_Part]) -> _Part | None:
-        """The sub-package of class `kind`, or None where the package did not hold it."""
+        """Return the sub-package of class `kind`, or None if the package does not contain it."""
         for package in self._values:
             if type(package) is kind:
                 return package
@@ -424,12 +424,12 @@ class RobotState(State):
 
     @property
     def tail(self) -> bytes:
-        """Nothing: tails are kept by the sub-packages."""
+        """Always empty, because the sub-packages keep their own tails."""
         return b""
 
     def dissect(self) -> Iterator[Row]:
-        """Every stretch of the package's bytes; the fields carry the names of their sub-packages."""
-        from linkcore.wire.schema import header_rows  # which imports construct
+        """Yield every part of the bytes. The fields have the names of their sub-packages as prefix."""
+        from linkcore.wire.schema import header_rows  # imported here, because it imports construct
 
         yield from header_rows(PACKAGE, self._data)
         at = PACKAGE.width
@@ -443,15 +443,15 @@ class RobotState(State):
 
     @classmethod
     def dtype(cls, version: object = None) -> NoReturn:
-        """There is none: which sub-packages there are varies.
+        """Raise an error, because the sub-packages vary.
 
         Raises:
-            BadValue: always.
+            BadValue: If it is called.
         """
         raise BadValue("the sub-packages of RobotState vary, so it has no numpy dtype; each of them has its own")
 
     def to_dict(self) -> dict[str, Any]:
-        """Name of each sub-package -> its `to_dict()`; an unknown one has its type in its name."""
+        """Return the name of each sub-package -> its `to_dict()`. The name of an unknown one contains its type."""
         return {_key(package): package.to_dict() for package in self.packages}
 
     def __str__(self) -> str:
@@ -473,5 +473,5 @@ def _key(package: SubPackage) -> str:
 
 
 def snake_case(name: str) -> str:
-    """``RobotModeData`` -> ``robot_mode_data``."""
+    """Convert a class name: ``RobotModeData`` -> ``robot_mode_data``."""
     return "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in name).lstrip("_")

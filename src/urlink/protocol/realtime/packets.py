@@ -1,6 +1,6 @@
-"""The packet of the real-time interface (TCP 30003, read-only 30013): every field, every length.
+"""Packet of the real-time interface (port 30003, read-only 30013): all fields and sizes.
 
-Only the 812-byte packet (CB2 1.8) is confirmed by complete real bytes; the others rest on public decoders that agree.
+Complete real bytes confirm only the 812-byte packet (CB2 1.8). The other sizes are based on public decoders that agree.
 Sources: docs/protocols/realtime.md, sections Length by firmware, Two orders of fields, What the doubles hold.
 """
 
@@ -13,8 +13,8 @@ from ...foreign_names import hint_other_interfaces
 from ..enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import REALTIME
 
-# CB2 and later controllers share the offsets up to 396 and from 684 on, and order what is between differently. No byte
-# shows which order it is, only the length: up to 812 bytes it is this one.
+# CB2 and later controllers share the offsets below 396 and from 684 upwards, and order the fields in between
+# differently. No byte shows the order, only the size: packets of up to 812 bytes have this order.
 _CB2_ORDER = [
     "time",
     "q_target",
@@ -41,10 +41,10 @@ _CB2_ORDER = [
 
 @packet(header=REALTIME, reorder=("3.0", _CB2_ORDER))
 class RealtimeState(State):
-    """Everything the controller knows each 8 ms (CB2, CB3) or 2 ms (e-Series).
+    """State of the arm, every 8 ms (CB2, CB3) or 2 ms (e-Series).
 
-    Vectors are read-only float64 arrays of the length in the declaration. A field that the
-    firmware does not send is None.
+    Vectors are read-only float64 arrays of the declared length. A field that the firmware does not
+    send is None.
     """
 
     time: float = wire(Float64b, "s", "time since the controller started", since="1.5")
@@ -77,7 +77,7 @@ class RealtimeState(State):
     safety_mode: SafetyMode | None = wire(Coded(Float64b, SafetyMode), "", "safety mode", since="3.0")
     reserved_a: Vector | None = wire(Float64b[6], "", "internal to the vendor", since="3.0")
     tool_accelerometer: Vector = wire(
-        Float64b[3], "m/s^2", "acceleration at the tool; meaningful from 1.7", since="1.5"
+        Float64b[3], "m/s^2", "acceleration at the tool; meaningful since 1.7", since="1.5"
     )
     unused: Vector | None = wire(Float64b[15], "", "unused cells of CB2", since="1.5", until="3.0")
     reserved_b: Vector | None = wire(Float64b[6], "", "internal to the vendor", since="3.0")
@@ -104,10 +104,10 @@ class RealtimeState(State):
 
     @property
     def digital_coding(self) -> str | None:
-        """How this controller codes `digital_input_bits`: "integer", "double", or None.
+        """Encoding of `digital_input_bits` by this controller: "integer", "double", or None.
 
-        Public decoders disagree and the only real packets have every input off, which looks the
-        same in both, so None: they cannot be distinguished.
+        Public decoders disagree. In the only real packets, all inputs are off, which looks the same in
+        both encodings. If all inputs are off, the result is None.
         """
         at = self._layout.places["digital_input_bits"].offset
         raw = int.from_bytes(self._data[at : at + 8], "big")

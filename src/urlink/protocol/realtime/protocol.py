@@ -1,8 +1,8 @@
-"""The real-time interface (30003, 30013), sans-IO: its frame boundaries, and bytes to `RealtimeState`.
+"""Protocol of the real-time interface (ports 30003, 30013), sans-IO: frame boundaries, and bytes to `RealtimeState`.
 
-Nothing but the size announces a packet: 4 + 8k bytes, the same for a whole connection. That is enough to find a lost
-boundary again, and to skip the secondary-interface packages (560 and 9 bytes) that the CB2 simulator leaks into the
-stream (docs/protocols/realtime.md, sections Framing and Peculiarities).
+Only its size identifies a packet. The size is 4 + 8k bytes, and constant during a connection. This is enough to find a
+lost boundary again, and to skip packages of the secondary interface (560 and 9 bytes) that the CB2 simulator leaks into
+the stream (docs/protocols/realtime.md, sections Framing and Peculiarities).
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ _SIZE = re.compile(
 )
 _SIZE_BYTES = 4
 _HEAD = struct.Struct(">id")  # size and time
-_TIME = struct.Struct(">4xd")  # the time, without the size before it
+_TIME = struct.Struct(">4xd")  # the time, which follows the size
 
-# Seconds that the controller's clock may have gone on while the boundary was lost, and between two packets.
+# Maximum progress of the controller's clock, in seconds, while the boundary was lost and between two packets.
 _LONGEST_LOSS = 1.0
 
 
 class RealtimeBoundary:
-    """Frame boundaries of the real-time stream. Learns the size of the connection's packets.
+    """Frame boundaries of the real-time stream. It learns the size of the packets of the connection.
 
     Args:
-        learnt: called with the size, each time it is another.
+        learnt: Function that is called with the size when it is new or changes.
 
-    The size alone is not a proof when looking for a lost boundary: integer-coded digital bits can spell it, in every
-    packet anew. A place is believed if it has the connection's size and goes on in time, or if it is followed by a
-    packet of the same size and of a later time.
+    When a lost boundary is searched, the size alone does not prove a packet, because the digital bits in integer coding
+    can have the same bytes, in every packet again. A position is accepted in two cases: it has the size of the
+    connection and a time that continues the last one, or a packet of the same size and with a later time follows it.
     """
 
     largest = REALTIME_SIZES.stop - 1 + _HEAD.size
@@ -55,16 +55,16 @@ class RealtimeBoundary:
         self._learnt = learnt
         self.size = 0
         self.head = b""
-        # Unpacked when a lost boundary has to be found.
+        # Unpacked only when a lost boundary is searched.
         self.last: bytes | bytearray = b""
-        #: bytes from the place of the last search on in which no header goes on in time
+        #: Number of bytes from the position of the last search without a header that continues the time.
         self._judged = 0
 
     def __str__(self) -> str:
         return REALTIME_INTERFACE
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        """In step, packets of one size follow each other: it is enough that each has its header."""
+        """Check only the header of each packet, because all packets have one size in step."""
         size = self.size
         if not self.last:
             return []
@@ -79,8 +79,8 @@ class RealtimeBoundary:
         return frames
 
     def declared(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
-        """As `check`, by the size alone, which is believed whatever follows it."""
-        if len(buffer) - at <= _SIZE_BYTES:  # one byte more than the size: by it another interface is recognised
+        """Check the size as `check` does, without the bytes after it."""
+        if len(buffer) - at <= _SIZE_BYTES:  # one byte more than the size is needed to recognise another interface
             return 0, _SIZE_BYTES + 1
         size = int.from_bytes(buffer[at : at + _SIZE_BYTES], "big")
         is_believed = size == self.size if self.size else size in REALTIME_SIZES and size % 8 == 4
@@ -91,7 +91,7 @@ class RealtimeBoundary:
         size, need = self.declared(buffer, at)
         there = len(buffer) - at
         if size and not self.last and buffer[at + 4] == ROBOT_STATE:
-            # 716 bytes of robot state have a legal size. As a real-time packet its time would be 1e-230 s.
+            # A robot state of 716 bytes has a valid size, but as a real-time packet its time would be 1e-230 s.
             if there < _HEAD.size:
                 return 0, _HEAD.size
             if int.from_bytes(buffer[at + 5 : at + 9], "big") <= size - 5:
@@ -101,7 +101,7 @@ class RealtimeBoundary:
         return size, need
 
     def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
-        """See `FrameBoundary.search`. What goes on in time is preferred to what is merely followed and holds it."""
+        """See `FrameBoundary.search`. A packet that continues the time is preferred to a candidate that contains it."""
         end = len(buffer)
         timely = self._find_timely(buffer, start + self._judged)
         self._judged = 0
@@ -115,7 +115,7 @@ class RealtimeBoundary:
                 continue
             need = size + _HEAD.size
             if end - at < need:
-                # Until then a packet that goes on in time may come whole, from the first place that is not judged on.
+                # Before then, a packet that continues the time may arrive from the first unchecked position.
                 self._judged = end - _HEAD.size + 1 - at
                 return at, 0, min(need, self._judged + self.size) if self.last else need
             next_size, later = _HEAD.unpack_from(buffer, at + size)
@@ -123,18 +123,18 @@ class RealtimeBoundary:
                 self._take(buffer, at, size)
                 return at, size, need
         if timely is None:
-            # A header may begin with the last bytes.
+            # The last bytes may be the beginning of a header.
             return max(start, end - _SIZE_BYTES + 1), 0, _SIZE_BYTES
         if end - timely >= self.size:
             self._take(buffer, timely, self.size)
         return timely, self.size, self.size
 
     def _find_timely(self, buffer: bytes | bytearray, start: int) -> int | None:
-        """The first packet of the connection's size whose time follows that of the last one."""
+        """Return the position of the first packet that has the size of the connection and continues the time."""
         if not self.last:
             return None
         (latest,) = _TIME.unpack_from(self.last)
-        until = max(len(buffer) - _TIME.size + _SIZE_BYTES, 0)  # of the size, which the time follows
+        until = max(len(buffer) - _TIME.size + _SIZE_BYTES, 0)  # end of the size, which the time follows
         at = buffer.find(self.head, start, until)
         while at >= 0:
             (time,) = _TIME.unpack_from(buffer, at)
@@ -157,13 +157,13 @@ class RealtimeBoundary:
 
 
 class RealtimeProtocol:
-    """Bytes in, typed states out; a new one for each connection."""
+    """Decoder of the bytes of one connection to typed states. Each connection needs a new object."""
 
-    #: ``decode(frame, stamp=None) -> RealtimeState``; raises `PacketError` if shorter than every layout
+    #: ``decode(frame, stamp=None) -> RealtimeState``; raises `PacketError` if the packet is shorter than every layout
     decode: Callable[..., RealtimeState]
 
     def __init__(self) -> None:
-        this = weakref.ref(self)  # which holds the boundary
+        this = weakref.ref(self)  # weak, because the protocol holds the boundary
 
         def learn(size: int) -> None:
             protocol = this()
@@ -171,50 +171,53 @@ class RealtimeProtocol:
                 protocol._learn(size)
 
         self.framer = Framer(RealtimeBoundary(learn))
-        self.cycles: MissedCycles | None = None  # known with the size
+        self.cycles: MissedCycles | None = None  # known after the size
         self.unknown = 0
         self._any = _AnyLayout()
         self.decode = self._any.decode
 
     @property
     def tails(self) -> int:
-        """Packets that end in bytes which no known layout explains."""
+        """Number of packets that end in bytes which no known layout explains."""
         return self._any.tails
 
     def _learn(self, size: int) -> None:
-        """The frame boundary has learnt the size of this connection's packets, and the size determines the layout."""
+        """Choose the layout for the packet size of this connection."""
         is_first = self.cycles is None
         if is_first:
             self.cycles = MissedCycles(_moment, periods_of(size), time=_TIME.unpack_from, size=size)
         decode = None
         if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):
-            _log.warning("real-time packets of %d bytes: no such firmware is known; decoded as far as one is", size)
+            _log.warning(
+                "real-time packets of %d bytes: no known firmware sends this size; decoding the known fields", size
+            )
         elif is_first:
             decode = RealtimeState.LAYOUTS.decoder(size)
-        # An unknown size, or another than before: packets of both may wait to be decoded.
+        # The size is unknown or has changed. In the second case, packets of both sizes may still have to be decoded.
         self.decode = decode or self._any.decode
 
 
 class _AnyLayout:
-    """Packets that go by their own length, and may have a tail. Not a method of the protocol, which would be in a
-    reference cycle with it for as long as no packet has come.
+    """Decoder for packets of any size, which may have a tail.
+
+    It is not a method of the protocol, because this would create a reference cycle until the first packet arrives.
 
     Attributes:
-        tails: packets that have one.
+        tails: Number of packets with a tail.
     """
 
     def __init__(self) -> None:
         self.tails = 0
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> RealtimeState:
-        """The state in a packet."""
+        """Return the state in a packet."""
         state: RealtimeState = RealtimeState.LAYOUTS.decode(frame, None, stamp)
         self.tails += bool(state.tail)
         return state
 
 
 def periods_of(size: int) -> tuple[float, ...]:
-    """Seconds between two packets of this size; several, since some sizes are those of CB3 and of e-Series."""
+    """Return the periods of packets of this size in seconds. Several, because CB3 and e-Series share some sizes."""
     rates = {release.since.rate for release in RELEASES if release.realtime == size}
     return tuple(1.0 / rate for rate in rates or {RELEASES[-1].since.rate})
 

@@ -1,10 +1,10 @@
-"""The packages of RTDE (TCP 30004): one class for each, in its layouts under protocol 1 and 2, and where they end.
+"""Packages of RTDE (port 30004): one class for each, its layouts under protocol 1 and 2, and the frame boundaries.
 
-A request and its reply have the same type byte, so what a package is depends on who sent it: `decode_request` reads
-what a client sends, `decode_reply` what a controller sends. The *version* of these layouts is that of the protocol,
-``"1.0"`` or ``"2.0"``. The values of a data package are laid out by a recipe (`urlink.protocol.rtde.recipes`).
+A request and its reply have the same type byte, so the meaning of a package depends on its sender: `decode_request`
+decodes packages of a client, and `decode_reply` those of a controller. The *version* of these layouts is the version of
+the protocol, ``"1.0"`` or ``"2.0"``. A recipe defines the layout of a data package (`urlink.protocol.rtde.recipes`).
 
-A package begins with its size in two bytes and its type in one.
+A package begins with its size in two bytes and its type in one byte.
 
 Sources: docs/protocols/rtde.md, section Packages: the vendor's article, public drivers, recorded connections.
 """
@@ -24,22 +24,22 @@ from linkcore.wire.packet import State, packet, wire
 from ..headers import interface_of
 from .variables import IN_USE, NOT_FOUND
 
-#: The versions of the protocol. 1 holds until 2 has been asked for and accepted.
+#: Versions of the protocol. Version 1 is used until the client has requested version 2 and the controller accepts it.
 Protocol = Literal[1, 2]
 
-#: The header of every package. The size counts these three bytes too.
+#: Header of every package. The size includes these three bytes.
 HEADER = Header(size=Int16ub, type=Int8ub)
 
-#: Bytes of names in one request (vendor's guide).
+#: Maximum length of the names in one request, in bytes (vendor's guide).
 LONGEST_NAMES = 2048
 
 _BOOL = Coded(Int8ub, bool)
-_NAMES_DOC = "names of the variables, with commas between them"
-_TYPES_DOC = f"a type for each name, or {NOT_FOUND} or {IN_USE}, with commas between them"
+_NAMES_DOC = "names of the variables, separated by commas"
+_TYPES_DOC = f"a type for each name, or {NOT_FOUND} or {IN_USE}, separated by commas"
 
 
 class MessageLevel(OpenInt):
-    """How grave a text message is."""
+    """Severity of a text message."""
 
     EXCEPTION = 0
     ERROR = 1
@@ -48,14 +48,14 @@ class MessageLevel(OpenInt):
 
 
 def join_names(names: Sequence[str]) -> str:
-    """A list of names, or of types, as it lies on the wire."""
+    """Join a list of names or types as on the wire."""
     return ",".join(names)
 
 
 def split_names(text: str) -> tuple[str, ...]:
-    """The names, or types, in such a list.
+    """Split such a list into its names or types.
 
-    Real clients put blanks around names, and end the list with a comma: what follows it is not a name.
+    Real clients put blanks around names, and end the list with a comma. The empty name after it is dropped.
 
     >>> split_names("timestamp, actual_q,")
     ('timestamp', 'actual_q')
@@ -69,39 +69,39 @@ def split_names(text: str) -> tuple[str, ...]:
 
 @packet(header=HEADER, type=ord("V"))
 class ProtocolRequest(State):
-    """Asks for a version of the protocol."""
+    """Request for a version of the protocol."""
 
-    wanted: int = wire(Int16ub, "", "version of the protocol, 1 or 2")
+    wanted: int = wire(Int16ub, "", "requested version of the protocol, 1 or 2")
 
 
 @packet(header=HEADER, type=ord("v"))
 class ControllerVersionRequest(State):
-    """Asks for the version of the controller's software."""
+    """Request for the software version of the controller."""
 
 
 @packet(header=HEADER, type=ord("O"))
 class OutputsRequest(State):
-    """Asks for variables. There is one such recipe; it replaces the one before."""
+    """Request for output variables. There is one such recipe; each request replaces the previous one."""
 
-    frequency: float | None = wire(Float64b, "Hz", "how often they are to be sent; protocol 1: 125 Hz", since="2.0")
+    frequency: float | None = wire(Float64b, "Hz", "requested rate; protocol 1: 125 Hz", since="2.0")
     names: str = wire(Text(), "", _NAMES_DOC, since="1.0")
 
 
 @packet(header=HEADER, type=ord("I"))
 class InputsRequest(State):
-    """Claims variables in order to write them. There may be 255 such recipes."""
+    """Claim of input variables, in order to write them. A client can have up to 255 such recipes."""
 
     names: str = wire(Text(), "", _NAMES_DOC)
 
 
 @packet(header=HEADER, type=ord("S"))
 class StartRequest(State):
-    """Asks for data packages."""
+    """Request to start sending data packages."""
 
 
 @packet(header=HEADER, type=ord("P"))
 class PauseRequest(State):
-    """Asks for no more data packages."""
+    """Request to stop sending data packages."""
 
 
 # -- from a controller ---------------------------------------------------------------------------
@@ -109,14 +109,14 @@ class PauseRequest(State):
 
 @packet(header=HEADER, type=ord("V"))
 class ProtocolReply(State):
-    """Whether the version of the protocol holds from now on."""
+    """Reply to a request for a version of the protocol."""
 
-    accepted: bool = wire(_BOOL, "", "whether the version holds from now on")
+    accepted: bool = wire(_BOOL, "", "whether the requested version is used from now on")
 
 
 @packet(header=HEADER, type=ord("v"))
 class ControllerVersionReply(State):
-    """The version of the controller's software."""
+    """Software version of the controller."""
 
     major: int = wire(Int32ub, "", "major version")
     minor: int = wire(Int32ub, "", "minor version")
@@ -126,7 +126,7 @@ class ControllerVersionReply(State):
 
 @packet(header=HEADER, type=ord("O"))
 class OutputsReply(State):
-    """The types of the outputs that were asked for. Under protocol 1 a refusal shows in the types alone."""
+    """Types of the requested outputs. Under protocol 1, only the types show a refusal."""
 
     recipe: int | None = wire(Int8ub, "", "number of the recipe; 0: refused", since="2.0")
     types: str = wire(Text(), "", _TYPES_DOC, since="1.0")
@@ -134,7 +134,7 @@ class OutputsReply(State):
 
 @packet(header=HEADER, type=ord("I"))
 class InputsReply(State):
-    """The types of the inputs that were claimed."""
+    """Types of the claimed inputs."""
 
     recipe: int = wire(Int8ub, "", "number of the recipe; 0: refused")
     types: str = wire(Text(), "", _TYPES_DOC)
@@ -142,16 +142,16 @@ class InputsReply(State):
 
 @packet(header=HEADER, type=ord("S"))
 class StartReply(State):
-    """Whether data packages will come."""
+    """Reply to a request to start."""
 
-    accepted: bool = wire(_BOOL, "", "whether data packages will come")
+    accepted: bool = wire(_BOOL, "", "whether data packages will follow")
 
 
 @packet(header=HEADER, type=ord("P"))
 class PauseReply(State):
-    """Whether the pause was accepted, after which no data packages come; by the vendor's guide it always is."""
+    """Reply to a request to stop. According to the vendor's guide, the controller always accepts it."""
 
-    accepted: bool = wire(_BOOL, "", "whether data packages will come no more")
+    accepted: bool = wire(_BOOL, "", "whether no more data packages will follow")
 
 
 # -- from both -----------------------------------------------------------------------------------
@@ -159,26 +159,26 @@ class PauseReply(State):
 
 @packet(header=HEADER, type=ord("M"), reorder=("2.0", ["level", "message", "source"]))
 class RtdeMessage(State):
-    """A text, which may come at any time; it is not answered. Clients always send it in the form of protocol 2."""
+    """Text message, which can arrive at any time and has no reply. Clients always send it in the form of protocol 2."""
 
     IS_EVENT = True
 
-    message: str = wire(Text(Int8ub), "", "the text, under protocol 2 of at most 255 bytes", before=("2.0", Text()))
-    source: str | None = wire(Text(Int8ub), "", "who says it", since="2.0")
-    level: MessageLevel = wire(Coded(Int8ub, MessageLevel), "", "how grave it is")
+    message: str = wire(Text(Int8ub), "", "text, under protocol 2 of at most 255 bytes", before=("2.0", Text()))
+    source: str | None = wire(Text(Int8ub), "", "sender of the message", since="2.0")
+    level: MessageLevel = wire(Coded(Int8ub, MessageLevel), "", "severity of the message")
 
 
 @packet(header=HEADER, type=ord("U"))
 class DataPackage(State):
-    """The values of a recipe, not looked into. Those of a controller under protocol 1 do not say the recipe."""
+    """Encoded values of a recipe. Packages from a controller under protocol 1 do not contain the recipe number."""
 
     recipe: int | None = wire(Int8ub, "", "number of the recipe", since="2.0")
-    payload: bytes = wire(Raw(), "", "the values", since="1.0")
+    payload: bytes = wire(Raw(), "", "encoded values", since="1.0")
 
 
 # -- by type byte --------------------------------------------------------------------------------
 
-#: Type byte -> the class of a client's package.
+#: Type byte -> class of the package from a client.
 REQUESTS: Mapping[int, type[State]] = MappingProxyType(
     {
         ord("V"): ProtocolRequest,
@@ -192,7 +192,7 @@ REQUESTS: Mapping[int, type[State]] = MappingProxyType(
     }
 )
 
-#: Type byte -> the class of a controller's package.
+#: Type byte -> class of the package from a controller.
 REPLIES: Mapping[int, type[State]] = MappingProxyType(
     {
         ord("V"): ProtocolReply,
@@ -206,24 +206,24 @@ REPLIES: Mapping[int, type[State]] = MappingProxyType(
     }
 )
 
-# Of these a client's package has one form in both versions of the protocol.
+# Types of client packages that have the same form in both versions of the protocol.
 _ALWAYS_V2 = frozenset(b"MU")
 
 
 def decode_request(frame: bytes, protocol: Protocol) -> State:
-    """What a client sent in one whole package, while `protocol` holds.
+    """Decode one whole package from a client, under the given version of the protocol.
 
     Raises:
-        PacketError: of a type that nobody knows, or too short for it.
+        PacketError: If the type is unknown, or the package is too short for it.
     """
     return _decode(frame, REQUESTS, 2 if _ALWAYS_V2.issuperset(frame[2:3]) else protocol, None)
 
 
 def decode_reply(frame: bytes, protocol: Protocol, stamp: Stamp | None = None) -> State:
-    """What a controller sent in one whole package, while `protocol` holds.
+    """Decode one whole package from a controller, under the given version of the protocol.
 
     Raises:
-        PacketError: of a type that nobody knows, or too short for it.
+        PacketError: If the type is unknown, or the package is too short for it.
     """
     return _decode(frame, REPLIES, protocol, stamp)
 
@@ -233,43 +233,43 @@ def _decode(frame: bytes, kinds: Mapping[int, type[State]], protocol: Protocol, 
         raise PacketError("too short", packet="RTDE package", expected=HEADER.width, actual=len(frame))
     kind = kinds.get(frame[2])
     if kind is None:
-        raise PacketError(f"of the unknown type {frame[2]}", packet="RTDE package", offset=2)
+        raise PacketError(f"unknown type {frame[2]}", packet="RTDE package", offset=2)
     try:
         return kind.LAYOUTS.of((protocol, 0)).decode(frame, stamp)  # type: ignore[no-any-return]
-    except PacketError as error:  # without the version, which is that of the protocol and not of a firmware
+    except PacketError as error:  # drop the version: it is a version of the protocol rather than of a firmware
         raise altered(error, version=None) from None
 
 
 # -- frame boundaries ------------------------------------------------------------------------------
 
-# Larger packages are not believed. All 406 variables have 2.9 kB, and their names some 10 kB, in several requests;
-# 1024 unknown names of one letter would be answered by 10 kB of NOT_FOUND.
+# Larger packages are not accepted. All 406 variables have 2.9 kB, and their names about 10 kB, in several requests. The
+# reply to 1024 unknown names of one letter would be 10 kB of NOT_FOUND.
 _LARGEST = 1 << 14
 
 _HEAD = struct.Struct(">HB")
 
-# Bytes by which another interface is recognised.
+# Number of bytes that are needed to recognise another interface.
 _PEER = 5
 
 
 def _sizes(kind: type[State]) -> range:
-    """The sizes that a package can have, header included."""
+    """Return the possible sizes of a package, including the header."""
     least = min(layout.size for layout in kind.LAYOUTS.all)
     return range(least, _LARGEST if kind.LAYOUTS.all[0].has_text else least + 1)
 
 
-#: Type byte -> possible sizes of a controller's packages, header included.
+#: Type byte -> possible sizes of packages from a controller, including the header.
 REPLY_SIZES: Mapping[int, range] = MappingProxyType({type: _sizes(kind) for type, kind in REPLIES.items()})
 
 
 class RtdeBoundary:
-    """Frame boundaries of what a controller sends.
+    """Frame boundaries of the packages from a controller.
 
-    In step, the size is believed where the type can have it. Out of step, a package is believed if another one stands
-    where it ends. Packages of unknown types are taken once a known one has come, where another package follows them.
+    In step, a size is accepted if the type can have it. Out of step, a package is accepted if another package follows
+    it. Packages of unknown types are accepted after the first known package, if another package follows them.
 
     Attributes:
-        sizes: type byte -> sizes that a package of it can have.
+        sizes: Type byte -> possible sizes of a package of this type.
     """
 
     sizes: Mapping[int, range] = REPLY_SIZES
@@ -286,7 +286,7 @@ class RtdeBoundary:
         return "RTDE (port 30004)"
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        """One package that fills the buffer: the common case."""
+        """Return the package if exactly one fills the buffer, which is the common case."""
         there = len(buffer)
         if there < _HEAD.size:
             return []
@@ -308,7 +308,7 @@ class RtdeBoundary:
             return size, size
         if sizes is None and self._is_begun and _HEAD.size <= size < _LARGEST:
             return self._followed(buffer, at, size)
-        # At the beginning the peer may be another service, which takes some bytes more to recognise.
+        # At the beginning, the peer may be another service. A few more bytes are needed to recognise it.
         return 0, 0 if self._is_begun else _PEER
 
     def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:
@@ -332,7 +332,7 @@ class RtdeBoundary:
         return interface_of(buffer) if len(buffer) >= _PEER else None
 
     def _followed(self, buffer: bytes | bytearray, at: int, size: int) -> tuple[int, int]:
-        """As `check`: a package is believed if one of a known type and of its size stands where it ends."""
+        """Check as `check` does: a package is accepted if one of a known type and a valid size follows it."""
         need = size + _HEAD.size
         if len(buffer) - at < need:
             return size, need

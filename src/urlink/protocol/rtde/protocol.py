@@ -1,10 +1,12 @@
-"""The client's side of an RTDE connection, sans-IO: requests, their replies, and data packages.
+"""Protocol of an RTDE connection, client side, sans-IO: requests, their replies, and data packages.
 
-    V -> v -> O (again without what the controller lacks) -> I for each claim -> S -> data packages
+    V -> v -> O (repeated without the variables that the controller lacks) -> I for each claim -> S -> data packages
 
-The same object serves a live connection, on which the packages of `requests` are sent, and a recorded one, on which
-nothing is sent: the requests follow from the plan, so the replies alone suffice. Text may come at any time, and a data
-package in place of a reply; neither is taken for one (docs/protocols/rtde.md, section What clients really send).
+The same object serves live connections and recordings. On a live connection, the packages of `requests` are sent. With
+a
+recording, nothing is sent: the requests follow from the plan, so the replies alone are sufficient. A text message or a
+data package can arrive at any time. Neither is taken for a reply (docs/protocols/rtde.md, section What clients really
+send).
 """
 
 from __future__ import annotations
@@ -50,9 +52,9 @@ from .variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, TYPES
 
 _log = logging.getLogger(__name__)
 
-#: The output that is the controller's clock, s.
+#: Output variable with the controller's clock, in s.
 CLOCK = "timestamp"
-#: Cycles between two data packages that are distinguished: a frequency may be as low as the user likes.
+#: Maximum number of cycles between two data packages that is distinguished, because a frequency can be arbitrarily low.
 _SLOWEST = 1e9
 
 _LEVELS = {
@@ -63,13 +65,13 @@ _LEVELS = {
 
 
 class RtdeRefused(RemoteError):
-    """The controller refuses a request of RTDE.
+    """Error if the controller refuses an RTDE request.
 
     Attributes:
-        names: the variables that it refuses; empty where it does not say.
+        names: Refused variables; empty if the controller does not name them.
     """
 
-    __module__ = "urlink"  # where users import it from, and what a traceback shows
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
     def __init__(self, text: str, names: tuple[str, ...] = ()) -> None:
         super().__init__(text, names)
@@ -80,51 +82,51 @@ class RtdeRefused(RemoteError):
 
 
 class NoSuchVariable(RtdeRefused):
-    """The controller does not have a variable: it answered NOT_FOUND, or an unknown type."""
+    """Error if the controller does not have a variable: it replied NOT_FOUND, or an unknown type."""
 
-    __module__ = "urlink"  # where users import it from, and what a traceback shows
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
 
 class InputInUse(RtdeRefused):
-    """Another client, or a fieldbus, holds an input: the controller answered IN_USE."""
+    """Error if another client or a fieldbus holds an input: the controller replied IN_USE."""
 
-    __module__ = "urlink"  # where users import it from, and what a traceback shows
+    __module__ = "urlink"  # users import it from this module, and tracebacks show it
 
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:
-    """The names of one recipe, as they can be asked for.
+    """Check the names of one recipe, and return them as a tuple.
 
     Raises:
-        BadValue: none, one twice, one that cannot be a name, or more than 2048 bytes of them.
+        BadValue: If there is no name, a name occurs twice or is invalid, or the names have more than 2048 bytes.
     """
     if isinstance(names, str) or not names:
         raise BadValue(f"names={names!r}; expected the names of one variable or more, such as 'actual_q'")
     for name in names:
         is_name = isinstance(name, str) and name.isascii() and name.isidentifier()
         if not is_name or hasattr(Outputs, name):
-            raise BadValue(f"{name!r} cannot be the name of a variable")
+            raise BadValue(f"{name!r} is not a valid name of a variable; expected a name such as 'actual_q'")
     twice = sorted({name for name in names if list(names).count(name) > 1})
     if twice:
-        raise BadValue(f"asked for more than once: {', '.join(twice)}")
+        raise BadValue(f"names given more than once: {', '.join(twice)}; pass each name once")
     size = len(join_names(names))
     if size > LONGEST_NAMES:
         raise BadValue(
-            f"{len(names)} names have {size} bytes, and one recipe may have {LONGEST_NAMES}; use several connections"
+            f"{len(names)} names have {size} bytes; at most {LONGEST_NAMES} fit in one recipe; use several connections"
         )
     return tuple(names)
 
 
 @dataclass
 class Requests:
-    """What is asked for on each connection anew.
+    """Plan of the requests that are sent again on each connection.
 
     Attributes:
-        outputs: names of the variables to get; none: nothing is started.
-        frequency: packages a second; None for the most that the controller sends.
-        optional: outputs that are left out where the controller lacks them.
-        inputs: names of the variables to claim, recipe by recipe. May grow while a connection is up.
-        kind: class from which the states are derived.
-        recorded: the recipe that held when a recording began.
+        outputs: Names of the output variables. If empty, no data packages are started.
+        frequency: Rate of the data packages in Hz; None for the maximum rate of the controller.
+        optional: Outputs that are skipped if the controller does not have them.
+        inputs: Names of the input variables to claim, recipe by recipe. May grow during a connection.
+        kind: Base class of the states.
+        recorded: Recipe that was in use when a recording began.
     """
 
     outputs: tuple[str, ...] = ()
@@ -136,31 +138,31 @@ class Requests:
 
 
 class RtdeProtocol:
-    """Bytes in, typed states out; a new one for each connection.
+    """Decoder of the bytes of one connection to typed states. Each connection needs a new object.
 
     Args:
-        plan: what is asked for.
+        plan: Variables to request.
 
     Attributes:
-        protocol: the version that holds.
-        controller: what the controller reported of itself, or None so far.
-        recipe: of the data packages, or None so far.
-        claims: the recipes of the inputs, in the order of the plan.
-        is_ready: everything was asked and answered.
+        protocol: Version of the protocol that is in use.
+        controller: Firmware that the controller reported; None before its report.
+        recipe: Recipe of the data packages; None before the reply.
+        claims: Recipes of the inputs, in the order of the plan.
+        is_ready: Whether all requests have been answered.
     """
 
     def __init__(self, plan: Requests) -> None:
         self.framer = Framer(RtdeBoundary())
         self.unknown = 0
         self.tails = 0
-        self.cycles: MissedCycles | None = None  # known with the recipe
+        self.cycles: MissedCycles | None = None  # known after the recipe
         self.protocol: Protocol = 1
         self.controller: Firmware | None = None
         self.recipe: Recipe | None = None
         self.claims: list[Recipe] = []
         self.is_ready = False
         self._plan = plan
-        self._outputs = plan.outputs  # those that are still asked for
+        self._outputs = plan.outputs  # without the variables that the controller does not have
         self._requests: list[State] = []
         self._awaited: type[State] | None = None
         self._decode: Callable[..., Any] | None = None
@@ -170,16 +172,16 @@ class RtdeProtocol:
             self.protocol = 1 if plan.recorded.number is None else 2
         self._ask(ProtocolRequest(wanted=2), ProtocolReply)
 
-    # -- asking -----------------------------------------------------------------------------------
+    # -- requests ---------------------------------------------------------------------------------
 
     def requests(self) -> bytes:
-        """What is to be sent now; each request is handed out once."""
+        """Return the bytes to send now. Each request is returned once."""
         requests, self._requests = self._requests, []
         return b"".join(map(bytes, requests))
 
     @property
     def awaits(self) -> str:
-        """What the controller still has to say, for messages."""
+        """Name of the awaited package, used in messages."""
         return "data packages" if self._awaited is None else self._awaited.__name__
 
     def _ask(self, request: State, reply: type[State]) -> None:
@@ -187,9 +189,9 @@ class RtdeProtocol:
         self._awaited = reply
 
     def _ask_next(self) -> None:
-        """The next request of the plan that has no answer yet."""
+        """Prepare the next request of the plan that has no reply yet."""
         if self._outputs and self.recipe is None:
-            assert self.controller is not None, "it was asked for before"
+            assert self.controller is not None, "the version was requested before"
             frequency = float(self.controller.rate) if self._plan.frequency is None else self._plan.frequency
             names = join_names(self._outputs)
             self._ask(OutputsRequest(f"{self.protocol}.0", frequency=frequency, names=names), OutputsReply)
@@ -204,14 +206,14 @@ class RtdeProtocol:
         self._awaited = None
         self.is_ready = True
 
-    # -- answers ----------------------------------------------------------------------------------
+    # -- replies ----------------------------------------------------------------------------------
 
     def take(self, frame: bytes, stamp: Stamp | None = None) -> Any:
-        """One whole package; what it means is in the attributes afterwards.
+        """Process one whole package, and update the attributes.
 
         Raises:
-            RtdeRefused: the controller does not do what the plan asks for.
-            PacketError: of a type that nobody knows, or too short for it.
+            RtdeRefused: If the controller refuses a request of the plan.
+            PacketError: If the type is unknown, or the package is too short for it.
         """
         state = self._reply(frame, stamp)
         if type(state) is self._awaited:
@@ -222,7 +224,7 @@ class RtdeProtocol:
         try:
             return decode_reply(frame, self.protocol, stamp)
         except PacketError:
-            # Text from just before protocol 2 was accepted has the form of protocol 1.
+            # A text that was sent just before protocol 2 was accepted has the form of protocol 1.
             if self.protocol == 2 and frame[2:3] == b"M":
                 return decode_reply(frame, 1, stamp)
             raise
@@ -231,11 +233,11 @@ class RtdeProtocol:
         if isinstance(reply, ProtocolReply):
             self.protocol = 2 if reply.accepted else 1
             if not reply.accepted and self._plan.frequency not in (None, 125):
-                _log.warning("RTDE protocol 2 was refused: data comes at 125 Hz, not %g Hz", self._plan.frequency)
+                _log.warning("RTDE protocol 2 was refused: data arrives at 125 Hz, not %g Hz", self._plan.frequency)
             self._ask(ControllerVersionRequest(), ControllerVersionReply)
         elif isinstance(reply, ControllerVersionReply):
             self.controller = Firmware(reply.major, reply.minor, reply.bugfix, reply.build)
-            # What was known of a recording: this one begins with a dialogue of its own.
+            # The recording begins with its own dialogue, so the recipe that was given for it is not needed.
             self.recipe = self._decode = None
             self._ask_next()
         elif isinstance(reply, OutputsReply):
@@ -255,7 +257,7 @@ class RtdeProtocol:
         missing = _check(names, types, self._plan.optional)
         if missing:
             self._outputs = tuple(name for name in names if name not in missing)
-            _log.info("RTDE: this controller does not have %s", ", ".join(missing))
+            _log.info("RTDE: the controller does not have %s", ", ".join(missing))
             if not self._outputs:
                 lacking = self._plan.outputs
                 raise NoSuchVariable(f"this controller has none of {', '.join(lacking)}", lacking)
@@ -279,16 +281,16 @@ class RtdeProtocol:
     # -- packages of a stream ---------------------------------------------------------------------
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> Any:
-        """The state in a data package, or the reply or the text in another package.
+        """Return the state in a data package, or the reply or text in another package.
 
         Raises:
-            PacketError: a data package that does not fit the recipe, or a package that nobody knows.
-            RtdeRefused: as `take`.
+            PacketError: If a data package does not fit the recipe, or the package is unknown.
+            RtdeRefused: See `take`.
         """
         if frame[2] == DATA_TYPE:
             recipe = self.recipe
             if self._decode is None or recipe is None:
-                raise PacketError("came before its recipe", packet="data package")
+                raise PacketError("arrived before its recipe", packet="data package")
             if len(frame) != self._size or (recipe.number is not None and frame[3] != recipe.number):
                 recipe.check(frame)
             return self._decode(frame, stamp)
@@ -299,19 +301,20 @@ class RtdeProtocol:
             raise
         if isinstance(packet, RtdeMessage):
             level = _LEVELS.get(packet.level, logging.INFO)
-            _log.log(level, "the controller says: %r (%s)", packet.message, packet.source or "no source")
+            _log.log(level, "message from the controller: %r (%s)", packet.message, packet.source or "no source")
         return packet
 
 
 def package_periods(frequency: float | None, controller: Firmware | None, number: int | None) -> tuple[float, ...]:
-    """Seconds between two data packages: each possibility, where the controller is not known.
+    """Return the possible periods of data packages in seconds. Several if the controller is not known.
 
-    With protocol 2 it sends in every floor(rate / frequency)-th cycle (docs/protocols/rtde.md, section Rules).
+    With protocol 2, the controller sends in every floor(rate / frequency)-th cycle (docs/protocols/rtde.md, section
+    Rules).
 
     Args:
-        frequency: that was asked for; None for the most.
-        controller: its firmware; None where it is not known, as in a recording that began later.
-        number: of the recipe; None under protocol 1, which sends at 125 Hz.
+        frequency: Requested rate in Hz; None for the maximum.
+        controller: Firmware of the controller; None if unknown, as in a recording that began later.
+        number: Number of the recipe; None under protocol 1, which sends at 125 Hz.
     """
     if number is None:
         return (1 / 125,)
@@ -320,7 +323,7 @@ def package_periods(frequency: float | None, controller: Firmware | None, number
 
 
 def _moment_of(time: Callable[[bytes], Sequence[Any]], size: int) -> Callable[[bytes], float | None]:
-    """What reads the time out of data packages, and out of nothing else."""
+    """Return a function that reads the time of data packages, and returns None for all other packages."""
 
     def moment(frame: bytes) -> float | None:
         return time(frame)[0] if frame[2] == DATA_TYPE and len(frame) == size else None
@@ -329,10 +332,12 @@ def _moment_of(time: Callable[[bytes], Sequence[Any]], size: int) -> Callable[[b
 
 
 def claim_of(names: Sequence[str], reply: InputsReply) -> Recipe:
-    """The recipe of inputs that were claimed.
+    """Return the recipe of claimed inputs.
 
     Raises:
-        InputInUse, NoSuchVariable, RtdeRefused: they cannot be had.
+        InputInUse: If another client or a fieldbus holds an input.
+        NoSuchVariable: If the controller does not have an input.
+        RtdeRefused: If the controller refuses the inputs for another reason.
     """
     types = _types(names, reply.types)
     _check(names, types, frozenset())
@@ -342,15 +347,15 @@ def claim_of(names: Sequence[str], reply: InputsReply) -> Recipe:
 
 
 def _types(names: Sequence[str], text: str) -> tuple[str, ...]:
-    """The types that the controller answered, one for each name."""
+    """Return the types in the reply of the controller, one for each name."""
     types = split_names(text)
     if len(types) != len(names):
-        raise RtdeRefused(f"the controller answered {len(types)} types ({text!r}) for {len(names)} names")
+        raise RtdeRefused(f"the controller replied with {len(types)} types ({text!r}) for {len(names)} names")
     return types
 
 
 def _check(names: Sequence[str], types: Sequence[str], optional: frozenset[str]) -> tuple[str, ...]:
-    """The optional names that the controller lacks; an error for every other one that it does not give."""
+    """Return the optional names that the controller lacks. Raise an error for all other unavailable names."""
     there = list(zip(names, types, strict=True))
     held = tuple(name for name, type in there if type == IN_USE)
     missing = tuple(name for name, type in there if type != IN_USE and type not in TYPES)
@@ -360,15 +365,16 @@ def _check(names: Sequence[str], types: Sequence[str], optional: frozenset[str])
         raise NoSuchVariable(f"this controller does not have {', '.join(hints)}", lacking)
     if held:
         raise InputInUse(
-            f"in use by another client or a fieldbus: {', '.join(held)}; it is released when that one disconnects", held
+            f"in use by another client or a fieldbus: {', '.join(held)}; it releases them when it disconnects",
+            held,
         )
     return missing
 
 
 def _hint(name: str, type: str) -> str:
-    """A name, and what may be wrong with it."""
+    """Return a name, with a hint about what may be wrong with it."""
     if type != NOT_FOUND:
-        return f"{name} (of the type {type}, which is unknown)"
+        return f"{name} (unknown type {type})"
     if name in OUTPUTS or name in INPUTS:
         return name
     close = difflib.get_close_matches(name, [*OUTPUTS, *INPUTS], n=1)

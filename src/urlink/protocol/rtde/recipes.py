@@ -1,7 +1,7 @@
-"""Recipes: names and types that are known only at run time, lowered to a layout of data packages.
+"""Recipes: names and types that are known only at run time, converted to the layout of data packages.
 
-A recipe is made of what a client asked for and a controller answered. Both sides use it: `Recipe.encode` and
-`Recipe.decode` for values by name, `Recipe.state_class` for typed states as fast as those of the other interfaces.
+A recipe combines the request of a client and the reply of a controller. Both sides use it. `Recipe.encode` and
+`Recipe.decode` convert values by name. `Recipe.state_class` creates typed states, as fast as those of other interfaces.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from .variables import OUTPUTS, TYPES, Variable, shape_of
 if TYPE_CHECKING:
     from linkcore.clock import Stamp
 
-#: Input recipes of one client; number 0 says that a request was refused.
+#: Maximum number of input recipes of one client. Number 0 means that a request was refused.
 MOST_RECIPES = 255
 
 DATA_TYPE = ord("U")
 
-#: What a data package begins with, but for those of a controller under protocol 1, which have no number of a recipe.
+#: Header of data packages. Packages from a controller under protocol 1 have no recipe number, and use `HEADER`.
 DATA_HEADER = Header(**HEADER.parts, recipe=Int8ub)
 
 
 class Outputs(State):
-    """The values of one data package, by the names of the variables.
+    """Values of one data package, by the names of the variables.
 
-    The classes of what comes are made at run time, one for each recipe; what all of them have in common is this one.
+    A class is created at run time for each recipe. This is the common base class.
     """
 
     __slots__ = ()
 
-    #: of the data package; None of a class that is not of one recipe
+    #: Recipe of the data package; None if the class does not belong to one recipe.
     RECIPE: ClassVar[Recipe | None] = None
-    #: variables that were asked for and that the controller does not have; they read as None
+    #: Requested variables that the controller does not have; their values are None.
     LEFT_OUT: ClassVar[tuple[str, ...]] = ()
 
     def __reduce__(self) -> tuple[object, ...]:
-        # The class was made at run time, so it is made again.
+        # The class was created at run time, so unpickling has to create it again.
         recipe, base = self.RECIPE, type(self).__mro__[1]
-        assert recipe is not None, "there are no packets of a class without a recipe"
+        assert recipe is not None, "a class without a recipe has no packets"
         made = (recipe.names, recipe.types, recipe.number)
         return (_restored, (made, base, self.LEFT_OUT, self._data, self._stamp))
 
@@ -66,21 +66,22 @@ class Recipe(StrictAttributes):
     """Names and types of one recipe, in wire order.
 
     Args:
-        names: of the variables; one may come twice.
-        types: of each, as the controller answers them.
-        number: that data packages begin with; None for those of a controller under protocol 1, which have none.
-        table: what is known of the variables, `OUTPUTS` or `INPUTS`.
+        names: Names of the variables; a name may occur twice.
+        types: Type of each variable, as the controller reports it.
+        number: Recipe number at the beginning of data packages; None for a controller under protocol 1, which sends
+            none.
+        table: Known variables, `OUTPUTS` or `INPUTS`.
 
     Raises:
-        BadValue: not as many types as names, an unknown type (`NOT_FOUND` and `IN_USE` among them), or a number
-            that is not 1 to 255.
+        BadValue: If the numbers of types and names differ, a type is unknown (including `NOT_FOUND` and `IN_USE`), or
+            `number` is not 1 to 255.
 
     Attributes:
-        size: bytes of a data package, header included.
-        fields: of the data packages, by name. Where a name comes again its field is called `name#2`.
-        header: of the data packages.
-        constants: values of the header's parts, its size aside.
-        layout: of the data packages.
+        size: Size of a data package in bytes, including the header.
+        fields: Fields of the data packages, by name. The field of a repeated name is called `name#2`.
+        header: Header of the data packages.
+        constants: Values of the parts of the header, except its size.
+        layout: Layout of the data packages.
     """
 
     def __init__(
@@ -91,14 +92,14 @@ class Recipe(StrictAttributes):
         table: Mapping[str, Variable] = OUTPUTS,
     ) -> None:
         if len(names) != len(types):
-            raise BadValue(f"{len(types)} types for {len(names)} names: {', '.join(types)} for {', '.join(names)}")
+            raise BadValue(f"{len(types)} types for {len(names)} names; got {', '.join(types)} for {', '.join(names)}")
         if number is not None and not 1 <= number <= MOST_RECIPES:
             raise BadValue(f"recipe number {number}; expected 1 to {MOST_RECIPES}")
         self.names, self.types, self.number = tuple(names), tuple(types), number
         fields: dict[str, Field] = {}
         for name, type in zip(names, types, strict=True):
             if type not in TYPES:
-                raise BadValue(f"{name} is of the type {type}; expected one of {', '.join(TYPES)}")
+                raise BadValue(f"{name} has the type {type}; expected one of {', '.join(TYPES)}")
             variable = table.get(name)
             key = name if name not in fields else f"{name}#{names[: len(fields) + 1].count(name)}"
             unit, doc = ("", "") if variable is None else (variable.unit, variable.doc)
@@ -116,10 +117,10 @@ class Recipe(StrictAttributes):
         return f"<Recipe {self.number}: {', '.join(self.names)}>"
 
     def encode(self, values: Mapping[str, Any]) -> bytes:
-        """The data package of these values, header included; what is not given is zero.
+        """Return the data package of these values, including the header. Values that are not given are zero.
 
         Raises:
-            BadValue: no such name in the recipe, or a value that its type cannot hold.
+            BadValue: If a name is not in the recipe, or a value does not fit its type.
         """
         if not self._is_plain:
             given = {key: values[name] for key, name in zip(self.fields, self.names, strict=True) if name in values}
@@ -127,10 +128,10 @@ class Recipe(StrictAttributes):
         return self.layout.encode(values)
 
     def decode(self, data: bytes) -> dict[str, Any]:
-        """name -> value in one whole data package: numbers, tuples of numbers, and what they stand for.
+        """Decode one whole data package to name -> value: numbers, tuples of numbers, or their enums.
 
         Raises:
-            PacketError: it has another size than the recipe, or is of another recipe.
+            PacketError: If the size differs from that of the recipe, or the package belongs to another recipe.
         """
         self.check(data)
         values = self.layout.unpack(data)
@@ -144,28 +145,29 @@ class Recipe(StrictAttributes):
         return found
 
     def check(self, data: bytes) -> None:
-        """That a data package is one of this recipe.
+        """Check that a data package belongs to this recipe.
 
         Raises:
-            PacketError: it has another size, or is of another recipe.
+            PacketError: If it has another size, or belongs to another recipe.
         """
         if len(data) != self.size:
             raise PacketError(
                 f"does not fit recipe {self.number}", packet="data package", expected=self.size, actual=len(data)
             )
         if self.number is not None and data[3] != self.number:
-            raise PacketError(f"of recipe {data[3]}, not {self.number}", packet="data package", offset=3)
+            raise PacketError(f"belongs to recipe {data[3]}, not {self.number}", packet="data package", offset=3)
 
     def state_class(self, base: type[Outputs] = Outputs, left_out: tuple[str, ...] = ()) -> type[Outputs]:
-        """The class of typed states with a property for each variable, derived from `base`; `left_out` read as None.
+        """Return the class of typed states, derived from `base`, with a property for each variable.
 
-        The same recipe has the same class, so that states from before and after a reconnect are of one.
+        The variables in `left_out` read as None. The same recipe always has the same class, so states from before and
+        after a reconnect are of one class.
 
         Raises:
-            BadValue: a name that comes twice.
+            BadValue: If a name occurs twice.
         """
         if not self._is_plain:
-            raise BadValue(f"a name comes twice: {', '.join(self.names)}")
+            raise BadValue(f"a name occurs twice in {', '.join(self.names)}; pass each name once")
         return _state_class(self.names, self.types, self.number, base, left_out)  # type: ignore[arg-type]  # classes can be hashed
 
 

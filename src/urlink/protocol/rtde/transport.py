@@ -1,6 +1,7 @@
-"""An RTDE connection as a source of bytes: it is made by a dialogue, and gives the bytes of that first.
+"""RTDE connection as a source of bytes. It starts with a dialogue, whose bytes it returns first.
 
-So whoever reads the stream, or records it, gets every byte that the controller sent, the recipe in the first of them.
+Therefore a reader or a recorder of the stream receives every byte from the controller. The first bytes contain the
+recipe.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from .protocol import Requests, RtdeProtocol
 
 
 class RtdeDialogue:
-    """What is sent and received as a connection begins, until the first data package, sans-IO.
+    """Dialogue at the beginning of a connection, up to the first data package, sans-IO.
 
     Args:
-        plan: what is asked for.
+        plan: Variables to request.
 
     Attributes:
-        protocol: of this connection.
-        received: what has come.
+        protocol: Protocol of this connection.
+        received: Received bytes.
     """
 
     def __init__(self, plan: Requests) -> None:
@@ -34,15 +35,15 @@ class RtdeDialogue:
 
     @property
     def is_over(self) -> bool:
-        """Everything that was asked for is answered, and data has come."""
+        """Whether all requests are answered and data has arrived."""
         return self.protocol.is_ready and self._has_data
 
     def receive(self, data: bytes, stamp: Stamp) -> None:
-        """Bytes have come.
+        """Process received bytes.
 
         Raises:
-            WrongPeer: no controller sends such.
-            RtdeRefused: the controller does not do what the plan asks for.
+            WrongPeer: If the bytes are not from an RTDE server.
+            RtdeRefused: If the controller refuses a request of the plan.
         """
         protocol = self.protocol
         self.received.append((data, stamp))
@@ -50,23 +51,23 @@ class RtdeDialogue:
             try:
                 packet = protocol.take(frame, stamp)
             except PacketError:
-                continue  # the stream gets it too, and counts it
+                continue  # the stream decodes this frame again, and counts the error
             self._has_data = self._has_data or (protocol.is_ready and isinstance(packet, DataPackage))
 
     def unanswered(self, name: str, timeout: float) -> LinkTimeout:
-        """What to raise when time is up."""
-        return LinkTimeout(f"{name}: waited {timeout:g} s for {self.protocol.awaits} in vain")
+        """Return the error to raise after the timeout."""
+        return LinkTimeout(f"{name}: no {self.protocol.awaits} arrived within {timeout:g} s")
 
 
 class RtdeTransport:
-    """A transport that asks for what the plan says each time it connects.
+    """Transport that sends the requests of a plan each time it connects.
 
     Args:
-        transport: of the bytes.
-        plan: what is asked for.
+        transport: Transport of the bytes.
+        plan: Variables to request.
 
     Attributes:
-        dialogue: the protocol of the present connection as it was when everything was answered.
+        dialogue: Protocol of the current connection, in its state after all replies.
     """
 
     def __init__(self, transport: Transport, plan: Requests) -> None:
@@ -87,12 +88,14 @@ class RtdeTransport:
         return self._transport.round_trip
 
     def open(self, timeout: float) -> None:
-        """Connect, ask for what the plan says, and wait for the first data package, within `timeout` seconds.
+        """Connect, send the requests of the plan, and wait up to `timeout` seconds for the first data package.
 
         Raises:
-            ConnectFailed, ConnectionLost, WrongPeer: nobody, or somebody else, is there.
-            LinkTimeout: an answer did not come in time; says which.
-            RtdeRefused: the controller does not do what the plan asks for.
+            ConnectFailed: If the controller cannot be reached.
+            ConnectionLost: If the connection is lost.
+            WrongPeer: If another service answers.
+            LinkTimeout: If a reply does not arrive in time. The error names the reply.
+            RtdeRefused: If the controller refuses a request of the plan.
         """
         until = clock.now() + timeout
         self._transport.open(timeout)
@@ -113,7 +116,7 @@ class RtdeTransport:
             raise
 
     def _begin(self, dialogue: RtdeDialogue) -> None:
-        """All is answered: give what has come, and then what comes."""
+        """Begin to return the received bytes, and later bytes after them."""
         self._first = dialogue.received
         self.dialogue = dialogue.protocol
 

@@ -1,8 +1,8 @@
-"""Every RTDE variable: the one table that the client, the simulator and the documentation stand on, `variables.tsv`.
+"""Table of all RTDE variables (`variables.tsv`). The client, the simulator and the documentation use it.
 
 Sources: the vendor's RTDE article, the type list of the UR Client Library, the version table of TestCommUR, and
-reports; docs/protocols/rtde.md, section Releases, says where they disagree. A client must not trust the releases: it
-asks the controller, which answers NOT_FOUND for what it does not have.
+reports. docs/protocols/rtde.md, section Releases, describes where they disagree. A client must not rely on the
+releases: it has to ask the controller, which replies NOT_FOUND for variables that it does not have.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from linkcore.wire.fields import Coded, Float64b, Int8ub, Int32sb, Int32ub, Int6
 from .. import enums
 from ..firmware import Firmware
 
-#: What a controller answers in place of a type: it has no such variable, or another client holds the input.
+#: Replies of a controller instead of a type: it does not have the variable, or another client holds the input.
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
 
-#: The vendor's names of the types. STRING has a name too, but no variable and no known size.
+#: Types by the vendor's names. STRING also has a name, but no variable and no known size.
 TYPES: Mapping[str, Shape] = MappingProxyType(
     {
         "BOOL": Coded(Int8ub, bool),
@@ -36,21 +36,21 @@ TYPES: Mapping[str, Shape] = MappingProxyType(
     }
 )
 
-#: What backs the release of a variable: the vendor, public drivers, a guess from its neighbours, or nothing.
+#: Evidence for the release of a variable: the vendor, public drivers, inferred from its neighbours, or none.
 Evidence = Literal["vendor", "drivers", "inferred", "unverified"]
 
 
 class Variable(NamedTuple):
-    """One variable.
+    """RTDE variable.
 
     Attributes:
-        name: the vendor's.
-        type: the vendor's name of its type, a key of `TYPES`.
-        unit: SI unit, or what the number is.
-        doc: meaning.
-        since: first release of each generation that has it; None where nobody knows.
-        evidence: what backs `since`.
-        meaning: what its numbers stand for.
+        name: Name by the vendor.
+        type: Vendor's name of its type, a key of `TYPES`.
+        unit: SI unit, or the kind of number.
+        doc: Meaning of the variable.
+        since: First release of each generation that has it; None if unknown.
+        evidence: Evidence for `since`.
+        meaning: Enum of its numbers, or another function that converts them.
     """
 
     name: str
@@ -62,17 +62,17 @@ class Variable(NamedTuple):
     meaning: Callable[[int], Any] | None = None
 
     def is_in(self, firmware: Firmware) -> bool:
-        """Whether a controller of this firmware has it. Where the release is not known the answer is True, a guess."""
+        """Return whether a controller of this firmware has the variable. If unknown, 3.0 or later is assumed."""
         return firmware.major >= 3 if self.since is None else firmware in self.since
 
 
 def shape_of(variable: Variable | None, type: str) -> Shape:
-    """The shape of a variable that a controller answers this type for.
+    """Return the shape of a variable with this type, as the controller reports it.
 
-    Its numbers get their meaning where the type is the one of the table; None is a variable that nobody knows.
+    The numbers are converted to their meaning if the type is that of the table. If `variable` is None, it is unknown.
 
     Raises:
-        KeyError: no such type.
+        KeyError: If the type does not exist.
     """
     shape = TYPES[type]
     if variable is None or variable.meaning is None or type != variable.type:
@@ -84,16 +84,16 @@ def shape_of(variable: Variable | None, type: str) -> Shape:
 
 
 def _registers(direction: str, first: str, evidence: Evidence) -> Iterator[Variable]:
-    """The general-purpose registers of one direction: 128 bits, 48 integers and 48 doubles.
+    """Yield the general-purpose registers of one direction: 128 bits, 48 integers and 48 doubles.
 
-    The lower half is for fieldbuses and PLCs, the upper half, which came later, for RTDE clients.
+    The lower half is for fieldbuses and PLCs. The upper half, which was added later, is for RTDE clients.
     """
     whose = f"general-purpose {direction} register"
     for low, high in ((0, 31), (32, 63)):
         name = f"{direction}_bit_registers{low}_to_{high}"
         yield Variable(name, "UINT32", "bits", f"{whose}s, bits {low} to {high}", Since(first), evidence)
     for number in range(64, 128):
-        # TestCommUR has UINT32 here; the UR Client Library and the controllers it is tested on have BOOL.
+        # TestCommUR has UINT32 here. The UR Client Library, and the controllers of its tests, have BOOL.
         name = f"{direction}_bit_register_{number}"
         yield Variable(name, "BOOL", "", f"{whose}, bit {number}", Since("3.9/5.3"), "vendor")
     for kind, type in (("int", "INT32"), ("double", "DOUBLE")):
@@ -103,7 +103,7 @@ def _registers(direction: str, first: str, evidence: Evidence) -> Iterator[Varia
 
 
 def _read(direction: str) -> Iterator[Variable]:
-    """The variables of one direction in the table `variables.tsv`, in which what begins with # is a comment."""
+    """Yield the variables of one direction in the table `variables.tsv`. Lines that begin with # are comments."""
     for line in Path(__file__).with_name("variables.tsv").read_text(encoding="utf-8").splitlines():
         if line.startswith(direction):
             _, name, type, unit, since, evidence, meaning, doc = line.split("\t")
@@ -113,10 +113,10 @@ def _read(direction: str) -> Iterator[Variable]:
 
 _INPUT_REGISTERS = tuple(_registers("input", "3.4/5.0", "vendor"))
 
-#: name -> what a controller sends, the read-back of the input registers included.
+#: Name -> output variable of a controller, including the input registers, which can be read back.
 OUTPUTS: Mapping[str, Variable] = MappingProxyType(
     {each.name: each for each in (*_read("output"), *_registers("output", "3.3/5.0", "drivers"), *_INPUT_REGISTERS)}
 )
 
-#: name -> what a client can write.
+#: Name -> input variable that a client can write.
 INPUTS: Mapping[str, Variable] = MappingProxyType({each.name: each for each in (*_read("input"), *_INPUT_REGISTERS)})

@@ -206,7 +206,7 @@ def test_wrist_in_line_with_the_arm_stretched_or_folded(arm: Arm, q3: float) -> 
 
 
 OUT_OF_REACH = [
-    ([5.0, 0.0, 0.0, 0.0, 0.0, 0.0], "m far at most"),
+    ([5.0, 0.0, 0.0, 0.0, 0.0, 0.0], "it reaches at most"),
     ([0.0, 0.0, 0.5, 0.0, math.pi, 0.0], "from the axis of the base"),
 ]
 

@@ -81,7 +81,7 @@ def test_the_published_table_is_no_calibration(name: str) -> None:
 
 
 def test_a_table_of_another_arm_or_of_deviations_is_refused() -> None:
-    with pytest.raises(BadValue, match=r"DH table of a UR10e: .* of link 2 comes to -0.42"):
+    with pytest.raises(BadValue, match=r"DH table of a UR10e: .* of link 2 is -0.42"):
         Arm.calibrated("UR10e", calibration(model("UR5e"), 0))
     whole, nominal = calibration(model("UR5e"), 0), published(model("UR5e"))
     less = Table(

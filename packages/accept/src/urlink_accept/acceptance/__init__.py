@@ -1,7 +1,7 @@
-"""`urlink accept`: a test of this library and one controller together, which leaves evidence.
+"""Command `urlink accept`: a test of this library together with one controller, which stores the evidence.
 
     stages -> logbook -> bundle -> evidence -> verdicts -> report
 
-What the stages do and receive is written down, every byte of every connection among it. Verdicts are made of that
-and of nothing else, so that whoever has the bundle comes to the same.
+The logbook contains everything that the stages do and receive, including every byte of every connection. Verdicts
+depend only on the logbook, so everyone who has the bundle obtains the same verdicts.
 """

@@ -1,7 +1,8 @@
-"""Checks of one interface by another: the same quantities, in the same cycle of the controller.
+"""Checks that compare interfaces: they must report the same quantities in the same cycle of the controller.
 
-Which packets are of one cycle is recognised by noisy values that are the same to the last bit, since the clocks of two
-interfaces may begin at other times. That every controller sends the same bits on both is a guess, which the test tries.
+Packets of the same cycle are recognised by noisy values that are equal to the last bit, because the clocks of two
+interfaces may start at different times. It is assumed that every controller sends the same bits on both interfaces; the
+test checks this.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Column = NDArray[np.float64]
 
 
 class _Field(NamedTuple):
-    """One quantity: its name on the real-time interface, its name by RTDE, and where it is in a robot state."""
+    """One quantity: its names on the real-time interface and in RTDE, and its place in a robot state."""
 
     realtime: str
     rtde: str
@@ -78,23 +79,24 @@ _FIELDS = (
     _Field("program_state", "runtime_state"),
 )
 
-#: What is asked for by RTDE while a controller is listened to.
+#: RTDE variables that are requested while listening to a controller.
 RTDE_NAMES = ("timestamp", *(each.rtde for each in _FIELDS), "target_speed_fraction", "time_scale_source")
 
-#: By which packets of one cycle are known again: noisy values.
+#: Noisy values that identify packets of the same cycle.
 _KEYS = ("q_actual", "I_actual", "qd_actual", "tcp_force", "motor_temperatures", "tool_vector_actual")
-#: Pairs that make a match believed.
+#: Minimum number of pairs for a match to be accepted.
 _FEWEST = 8
-#: Relative differences that rounding explains, of 64 and of 32 bits; and the part of packets that may differ.
+#: Relative differences by rounding, for 64 and for 32 bits; and the fraction of packets that may differ.
 _ROUNDING, _ROUNDING_32, _SOME = 1e-6, 1e-5, 0.02
 
 
 class _Joined(NamedTuple):
-    """Packets of one cycle on the real-time interface and on another: their numbers, in pairs.
+    """Packets of the same cycle on the real-time interface and on another interface, as pairs of their indices.
 
     Attributes:
-        own, other: the numbers, (n,).
-        offset: s, by which the other's clock is ahead; None where it does not follow from values.
+        own: Indices on the real-time interface, shape (n,).
+        other: Indices on the other interface, shape (n,).
+        offset: Lead of the clock of the other interface, in s; None if no values show it.
     """
 
     own: NDArray[np.intp]
@@ -122,7 +124,7 @@ def _join(evidence: Evidence, which: str) -> _Joined:
 
 
 def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float | None:
-    """By which the other clock is ahead, by values that both have sent; s."""
+    """Return the lead of the other clock in s, from values that both interfaces have sent."""
     for each in _FIELDS:
         if each.realtime not in _KEYS:
             continue
@@ -144,7 +146,7 @@ def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float
 
 
 def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
-    """The same by the least delays, for values that do not change: to the next cycle."""
+    """Return the same lead from the smallest delays, if no values change, rounded to a cycle."""
     packets: Came = getattr(evidence, which)
     ahead = float((evidence.realtime.arrived - own).min() - (packets.arrived - other).min())
     assert evidence.firmware is not None
@@ -160,7 +162,7 @@ def _agree(evidence: Evidence) -> Measured:
         except NotTried:
             continue
         if len(joined.own) < _FEWEST:
-            wrong.setdefault("time", {})[which] = "no packets of one cycle are found"
+            wrong.setdefault("time", {})[which] = "no packets of the same cycle were found"
             continue
         tried.append(which)
         rows: dict[tuple[str, str], Column] = {}
@@ -182,7 +184,7 @@ def _agree(evidence: Evidence) -> Measured:
 
 
 def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
-    """Which interface is the odd one, where a third decides, and what is wrong."""
+    """Return which interface differs, if a third one decides, and how."""
     each = next((each for each in _FIELDS if each.realtime == name), None)
     odd, first = next(iter(said.items()))
     if each is None or each.primary is None or len(tried) < 2:
@@ -193,7 +195,7 @@ def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
 
 
 def _difference(field: str, own: Column, other: Column, rounding: float, rows: Mapping[tuple[str, str], Column]) -> str:
-    """What is wrong with a field, of which two interfaces have sent these rows; `rows`: of all fields."""
+    """Return how two interfaces differ in a field, or "". `rows` contains the rows of all fields."""
 
     def same(a: Column, b: Column) -> bool:
         far = np.abs(a - b) > rounding * np.maximum(1.0, np.abs(a))
@@ -206,15 +208,15 @@ def _difference(field: str, own: Column, other: Column, rounding: float, rows: M
         pair = (found, other) if side == "realtime" else (own, found)
         varies = found.shape == own.shape and np.ptp(found) > 0.0
         if name != field and varies and np.any(own != 0.0) and same(*pair):
-            return f"the values of {name} stand in its place"
-    return f"{likeness(own, other)}, at most {worst:.4g} apart"
+            return f"the values of {name} are in its place"
+    return f"{likeness(own, other)}, with a difference of up to {worst:.4g}"
 
 
 def likeness(right: Column, wrong: Column) -> str:
-    """In which way the one is not the other.
+    """Return how `wrong` differs from `right`.
 
     >>> likeness(np.array([[1.0, 2.0], [3.0, 5.0]]), np.array([[-1.0, 2.0], [-3.0, 5.0]]))
-    'the sign of 1 of 2 components is the other one'
+    'the sign of 1 of 2 components is inverted'
     """
     right, wrong = right.reshape(len(right), -1), wrong.reshape(len(wrong), -1)
     size = max(float(np.abs(right).max()), 1e-9)
@@ -226,7 +228,7 @@ def likeness(right: Column, wrong: Column) -> str:
     flipped = [near(right[:, k], -wrong[:, k]) and not near(right[:, k], wrong[:, k]) for k in range(width)]
     kept = [near(right[:, k], wrong[:, k]) for k in range(width)]
     if any(flipped) and all(a or b for a, b in zip(flipped, kept, strict=True)):
-        return f"the sign of {sum(flipped)} of {width} components is the other one"
+        return f"the sign of {sum(flipped)} of {width} components is inverted"
     if width > 1 and near(np.sort(right, axis=1), np.sort(wrong, axis=1)):
         return "the same components in another order"
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -252,7 +254,7 @@ def _fresh(which: str) -> Check:
         joined = _join(evidence, which)
         packets: Came = getattr(evidence, which)
         if joined.offset is None:
-            raise NotTried("no values change from cycle to cycle, so that it is not known which packets are of one")
+            raise NotTried("no values change from cycle to cycle, so packets of the same cycle cannot be recognised")
         later = packets.arrived[joined.other] - evidence.realtime.arrived[joined.own]
         value = float(np.quantile(later, 0.25))
         seen = f"{value * 1e3:+.1f} ms in {len(later)} cycles; its clock is {joined.offset:+.3f} s ahead"

@@ -1,4 +1,4 @@
-"""Checks of what came, whatever it means: connections, bytes, sizes, rates and clocks."""
+"""Checks of the received data without its meaning: connections, bytes, sizes, rates and clocks."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from urlink.tools import RELEASES, ControllerVersionReply, Identity, Release, ga
 from .evidence import Came, Evidence
 from .requirements import Check, Measured, NotTried, counted
 
-#: Type and bytes of the sub-package that grows with a Euromap interface.
+#: Type of the sub-package that grows with a Euromap interface, and its possible additional bytes.
 _MASTERBOARD, _EUROMAP = 3, (0, 12, 16)
-#: The last release of CB3, which has no row of its own.
+#: Last release of CB3, which has no row in the table.
 _LAST_CB3 = Firmware(3, 15)
-#: Packets below which their rate is not judged.
+#: Minimum number of packets to judge their rate.
 _FEWEST = 10
-#: s for which this computer may be held up before what comes late is its own doing.
+#: Delay of this computer in s above which late packets are attributed to the computer itself.
 _HELD_UP = 0.03
-#: Part by which a rate may differ without a look at what else kept this computer.
+#: Relative difference of a rate above which delays of this computer are considered.
 _SLOWER = 0.01
-#: s by which the stamp of a packet may be off, and the doubt about a drift beyond which it is not judged.
+#: Uncertainty of the stamp of a packet in s, and largest uncertainty of a drift that is judged.
 _STAMPED, _MOST_DOUBT = 4e-4, 2e-3
-#: s by which all packets of an eighth of the time are late where something was held up.
+#: Delay in s of all packets in an eighth of the time above which they count as delayed by an interruption.
 _STEP = 0.02
 
 
 def known_arm(evidence: Evidence) -> tuple[Identity, Model]:
-    """Who the controller is, and which arm it has.
+    """Return the identity of the controller, and the model of its arm.
 
     Raises:
-        NotTried: it has not said so, or its arm is not known.
+        NotTried: If the controller has not reported them, or the arm is unknown.
     """
     known = evidence.identity
     if known is None or known.arm is None:
-        raise NotTried("it is not known which arm this is")
+        raise NotTried("the arm of the controller is not known")
     return known, known.arm
 
 
@@ -52,25 +52,25 @@ def _ports(evidence: Evidence) -> Measured:
 def _identity(evidence: Evidence) -> Measured:
     known = evidence.identity
     if known is None:
-        return Measured(1.0, "the controller does not say who it is")
+        return Measured(1.0, "the controller does not report its identity")
     wrong = []
     if not (evidence.last("identity") or {}).get("said_so"):
         wrong.append("no version message: the firmware is inferred from sizes")
     newest = [row.since for row in RELEASES if row.since.major <= known.firmware.major][-1]
     if known.firmware[:2] > max(newest, _LAST_CB3)[:2]:
-        wrong.append(f"firmware {known.firmware} is newer than {newest}, the newest that is known")
+        wrong.append(f"firmware {known.firmware} is newer than {newest}, the newest known firmware")
     if known.firmware >= (1, 8):
         if known.arm is None:
-            wrong.append(f"an arm that is not known: {known.model}")
+            wrong.append(f"unknown arm: {known.model}")
         if known.dh_table is None:
-            wrong.append("no calibration came with the first state")
+            wrong.append("the first state contains no calibration")
     return counted(wrong, f"{known.model}, firmware {known.firmware}, with its calibration")
 
 
 def _versions(evidence: Evidence) -> Measured:
     first = evidence.firmware
     if first is None:
-        raise NotTried("the controller does not say its firmware")
+        raise NotTried("the controller does not report its firmware")
     said: dict[str, tuple[int, ...]] = {}
     for name in ("primary", "secondary", "rtde"):
         for _, packet in getattr(evidence, name).others:
@@ -91,7 +91,7 @@ def _bytes(name: str) -> Check:
             raise NotTried(f"there was no connection to {name}")
         if not packets.sizes:
             there = sum(len(wire.data) for wire in evidence.received(name))
-            return Measured(1.0, f"connected, and no packet was found in {there} B")
+            return Measured(1.0, f"connected, but no packet was found in {there} B")
         wrong = list(dict.fromkeys(packets.failures))
         count = len(packets.failures) + packets.skipped
         skipped = [f"{packets.skipped} bytes belong to no packet"] if packets.skipped else []
@@ -114,7 +114,7 @@ def _unknown(evidence: Evidence) -> Measured:
 
 def _release(evidence: Evidence) -> Release:
     if evidence.firmware is None:
-        raise NotTried("the controller does not say its firmware")
+        raise NotTried("the controller does not report its firmware")
     return release_of(evidence.firmware)
 
 
@@ -122,17 +122,17 @@ def _realtime_size(evidence: Evidence) -> Measured:
     release = _release(evidence)
     sizes = evidence.realtime.sizes
     if not sizes:
-        raise NotTried("no packet came")
+        raise NotTried("no packet arrived")
     worst = max(abs(size - release.realtime) for size in sizes)
     there = ", ".join(f"{count} of {size} B" for size, count in sorted(sizes.items()))
-    return Measured(float(worst), f"{there}; {release.realtime} B are known of {release.since} and later")
+    return Measured(float(worst), f"{there}; {release.realtime} B are known for {release.since} and later")
 
 
 def _state_size(evidence: Evidence) -> Measured:
     release = _release(evidence)
     known = release.state
     if not evidence.primary.states:
-        raise NotTried("no robot state came")
+        raise NotTried("no robot state arrived")
     worst, wrong = 0, []
     for name in ("primary", "secondary"):
         packets: Came = getattr(evidence, name)
@@ -141,23 +141,23 @@ def _state_size(evidence: Evidence) -> Measured:
             if size == known.get(kind) or (kind == _MASTERBOARD and size - known[kind] in _EUROMAP):
                 continue
             worst = max(worst, abs(size - known.get(kind, 0)))
-            wrong.append(f"{name}: sub-package {kind} of {size} B, where {known.get(kind, 'none')} is known")
+            wrong.append(f"{name}: sub-package {kind} of {size} B; known size: {known.get(kind, 'none')}")
         begins = set(packets.begins)
         later = {kind for n, state in enumerate(packets.states) if n not in begins for kind in state.sizes}
         for kind in sorted(known.keys() - release.first_state_only - later if later else ()):
             worst = max(worst, known[kind])
-            wrong.append(f"{name}: no sub-package {kind}, of which {known[kind]} B are known")
-    return Measured(float(worst), counted(wrong, f"as known of {release.since} and later").seen)
+            wrong.append(f"{name}: no sub-package {kind}; known size: {known[kind]} B")
+    return Measured(float(worst), counted(wrong, f"the sizes known for {release.since} and later").seen)
 
 
 def moments(name: str, packets: Came) -> NDArray[np.float64]:
-    """Time of each state of an interface by the controller's clock, s, (n,).
+    """Return the time of each state of an interface by the controller's clock, in s, shape (n,).
 
     Raises:
-        NotTried: they have none, or too few came.
+        NotTried: If the states have no time, or too few arrived.
     """
     if len(packets.states) < _FEWEST:
-        raise NotTried(f"{len(packets.states)} packets of {name} came; {_FEWEST} are needed")
+        raise NotTried(f"{len(packets.states)} packets of {name} arrived; {_FEWEST} are needed")
     times = packets.column(_TIMES[name])
     if times is None:
         raise NotTried(f"the packets of {name} have no time")
@@ -166,7 +166,7 @@ def moments(name: str, packets: Came) -> NDArray[np.float64]:
 
 def _state_time(state: Any) -> float | None:
     modes = state.robot_mode_data
-    # CB2 counts something else.
+    # On CB2, this number has another meaning.
     return None if modes is None or modes.speed_scaling is None else modes.timestamp / 1e6
 
 
@@ -179,14 +179,14 @@ _TIMES = {
 
 
 def _steps(name: str, packets: Came) -> NDArray[np.float64]:
-    """Seconds between packets that follow each other on one connection."""
+    """Return the times in s between consecutive packets of one connection."""
     times = moments(name, packets)
     steps = np.diff(times)
     return np.delete(steps, [at - 1 for at in packets.begins if at > 0])
 
 
 def _listened(evidence: Evidence, name: str) -> Came:
-    """The packets that came while nothing else was done, and it was seen whether this computer was held up."""
+    """Return the packets of the listening phase, in which nothing else ran and delays of the computer were noted."""
     packets: Came = getattr(evidence, name)
     begins = [note.at for note in evidence.said("listening")]
     if not begins:
@@ -203,13 +203,14 @@ def _rate(name: str) -> Check:
         is_old = (evidence.last("rtde") or {}).get("protocol") == 1
         wanted = {"primary": 10.0, "rtde": 125.0 if is_old else rate}.get(name, rate)
         if name == "primary" and evidence.firmware is not None and evidence.firmware.is_cb2:
-            # Its time is of something else.
+            # The time of CB2 has another meaning.
             steps = np.diff(packets.arrived[packets.begins[-1] :] if packets.begins else packets.arrived)
         else:
             steps = _steps(name, packets)
         if len(steps) < _FEWEST:
-            raise NotTried(f"{len(steps)} periods of {name} came; {_FEWEST} are needed")
-        # A primary package comes every 12th or 13th cycle; of the others, what is missing is counted elsewhere.
+            raise NotTried(f"{len(steps)} periods of {name} arrived; {_FEWEST} are needed")
+        # A primary package is sent every 12th or 13th cycle. For the other interfaces, missing packets are counted
+        # elsewhere.
         period = float(np.mean(steps) if name == "primary" else np.median(steps))
         measured = 1.0 / period if period > 0.0 else np.inf
         seen = f"{measured:.2f} Hz of {wanted:g} Hz in {len(steps)} periods"
@@ -244,14 +245,14 @@ def _late(evidence: Evidence) -> Measured:
 
 
 def _blame_this_computer(evidence: Evidence, seen: str) -> None:
-    """Judge nothing where this computer was itself held up.
+    """Raise `NotTried` if this computer itself was delayed, because then nothing can be judged.
 
     Raises:
-        NotTried: it was.
+        NotTried: If this computer was delayed.
     """
     worst = (evidence.last("woken") or {}).get("worst", 0.0)
     if worst > _HELD_UP:
-        raise NotTried(f"this computer was itself held up for {worst * 1e3:.0f} ms by other programs; {seen}")
+        raise NotTried(f"this computer itself was delayed by {worst * 1e3:.0f} ms by other programs; {seen}")
 
 
 def _forward(evidence: Evidence) -> Measured:
@@ -266,34 +267,34 @@ def _forward(evidence: Evidence) -> Measured:
         count += back
         if back:
             same = int(np.sum(steps == 0.0))
-            wrong.append(f"{name}: {back} of {len(steps)} packets, {same} of them with the time of the one before")
+            wrong.append(f"{name}: {back} of {len(steps)} packets, {same} of them with the time of the previous one")
     if not tried:
         raise NotTried("no interface has sent enough packets with a time")
-    return Measured(float(count), counted(wrong, f"each later than the one before: {', '.join(tried)}").seen)
+    return Measured(float(count), counted(wrong, f"each later than the previous one: {', '.join(tried)}").seen)
 
 
 def _drift(evidence: Evidence) -> Measured:
     packets = evidence.realtime
     times, arrived = moments("realtime", packets), packets.arrived
-    # Of the longest connection only: another one may be of after a reboot.
+    # Use only the longest connection, because another one might be from after a reboot.
     ends = [*packets.begins[1:], len(times)]
     begin, end = max(zip(packets.begins, ends, strict=True), key=lambda each: each[1] - each[0])
     times, delays = times[begin:end], (arrived - times)[begin:end]
     if len(times) < _FEWEST or times[-1] - times[0] < 1.0:
         raise NotTried("the packets span less than 1 s")
-    # Through two packets that nothing has held up: the line is below all others.
+    # The line passes through two packets without delay, so that it is below all others.
     middle = 0.5 * float(times[0] + times[-1])
     (begun, least), (ended, most) = lowest_edge(zip(times.tolist(), delays.tolist(), strict=True), middle)
     length = ended - begun
     slope = (most - least) / length
     above = delays - least - slope * (times - begun)
     doubt = (2.0 * float(np.quantile(above, 0.05)) + _STAMPED) / length
-    seen = f"{-slope * 1e6:+.0f} ppm, known within {doubt * 1e6:.0f} ppm, in {times[-1] - times[0]:.1f} s"
+    seen = f"{-slope * 1e6:+.0f} ppm, with an uncertainty of {doubt * 1e6:.0f} ppm, in {times[-1] - times[0]:.1f} s"
     if doubt > _MOST_DOUBT:
-        raise NotTried(f"packets came too unevenly to tell: {seen}")
-    # A drift is steady. A controller that was held up, such as a simulated one, is late at once.
+        raise NotTried(f"the arrival of packets was too uneven: {seen}")
+    # A drift is steady. A controller that was interrupted, such as a simulated one, becomes late at once.
     if (late := max(float(part.min()) for part in np.array_split(above, 8))) > _STEP:
-        raise NotTried(f"packets were late by {late * 1e3:.0f} ms at once: {seen}")
+        raise NotTried(f"packets were suddenly late by {late * 1e3:.0f} ms: {seen}")
     return Measured(max(abs(slope) - doubt, 0.0) * 1e6, seen)
 
 

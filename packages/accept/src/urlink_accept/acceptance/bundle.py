@@ -1,9 +1,9 @@
-"""The bundle: what a run leaves, in one file that others can judge anew.
+"""Bundle: the result of a run in one file, which others can judge again.
 
-A ZIP archive of the logbook, the requirements with the limits of this run, and a manifest with the SHA-256 of both,
-whose own is the digest of the bundle. What shows whose robot it is, as far as it is known where it stands, is
-overwritten with as many x: serial numbers, names of programs, network addresses. The calibration of the arm is kept:
-positions cannot be judged without it.
+It is a ZIP archive of the logbook, the requirements with the limits of this run, and a manifest with the SHA-256 of
+both. The SHA-256 of the manifest is the digest of the bundle. Serial numbers, names of programs and network addresses
+identify the owner of the robot. Wherever they are known to occur, they are overwritten with the same number of x. The
+calibration of the arm is kept, because positions cannot be judged without it.
 """
 
 from __future__ import annotations
@@ -31,31 +31,31 @@ _BYTES, _REQUIREMENTS, _MANIFEST = "bytes.urlog", "requirements.toml", "MANIFEST
 _FORMAT = 1
 #: Maximum size of each part once it is unpacked, in bytes. The logbook of a run of five minutes takes about 300 MB.
 _LARGEST = {_MANIFEST: 1 << 16, _REQUIREMENTS: 1 << 20, _BYTES: 1 << 30}
-#: Bytes that are unpacked at a time.
+#: Size of the chunks that are unpacked, in bytes.
 _CHUNK = 1 << 16
-#: Of archives, so that the same run makes the same bytes.
+#: Time stamp in archives. It is constant, so that the same run results in the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-#: A serial number: the year, and the number in it.
+#: Serial number: the year, and the number within the year.
 _SERIAL = re.compile(rb"(?<!\d)20\d{9}(?!\d)")
-#: Answers of the dashboard that name a program, and the key messages that do.
+#: Dashboard commands whose replies contain the name of a program, and the titles of key messages with such a name.
 _NAMING = ("get loaded program", "isProgramSaved", "programState")
 _PROGRAM = "PROGRAM_XXX"
 _UNNAMED = "<unnamed>"
-#: Bytes below which a name is overwritten only where it is known to stand, since others may look like it.
+#: Length in bytes below which a name is overwritten only at known places, because other bytes may look like it.
 _SHORT = 4
-#: Programs of the test itself, which are not secret.
+#: Names of the programs of the test itself, which are not secret.
 _OWN = re.compile(r"^(urlink|sleeps|goes_on|in_local|broken|accept)")
 
 
 class Bundle(NamedTuple):
-    """A bundle that is open.
+    """Open bundle.
 
     Attributes:
-        evidence: to be judged.
-        requirements: with the limits of the run.
-        site: whose cell it is, by its own requirement file.
+        evidence: Evidence of the run.
+        requirements: Requirements with the limits of the run.
+        site: Description of the cell, from its own requirement file.
         digest: SHA-256 of the manifest, in hexadecimal digits.
-        recording: the bytes of all connections, a recording as `urlink.load` takes it.
+        recording: Recording with the bytes of all connections, for `urlink.load`.
     """
 
     evidence: Evidence
@@ -72,17 +72,17 @@ def pack(
     site: Mapping[str, Any],
     secrets: Iterable[str] = (),
 ) -> None:
-    """Make a bundle of a logbook.
+    """Make a bundle from a logbook.
 
     Args:
-        logbook: of the run.
-        to: the bundle; a file that is there is replaced.
-        requirements: with the limits of the run.
-        site: whose cell it is.
-        secrets: texts to be overwritten, beside what is found: addresses.
+        logbook: Path of the logbook of the run.
+        to: Path of the bundle. An existing file is replaced.
+        requirements: Requirements with the limits of the run.
+        site: Description of the cell.
+        secrets: Texts to overwrite in addition to those that are found, such as addresses.
 
     Raises:
-        BadRecording: the logbook is damaged, or the bundle cannot be written.
+        BadRecording: If the logbook is damaged, or the bundle cannot be written.
     """
     hidden = sorted({*secrets, *_names(Evidence(logbook))} - {""}, key=len, reverse=True)
     with tempfile.TemporaryDirectory(prefix="urlink-bundle-") as folder:
@@ -101,21 +101,21 @@ def pack(
 
 @contextmanager
 def opened(path: Path) -> Iterator[Bundle]:
-    """A bundle, for as long as the block.
+    """Open a bundle for the duration of the block.
 
     Raises:
-        BadRecording: there is none at this path, it was changed since it was made, or a part of it is larger than any
-            run makes it.
+        BadRecording: If the path has no bundle, the bundle was changed after it was made, or a part of it is larger
+            than in any run.
     """
     with tempfile.TemporaryDirectory(prefix="urlink-bundle-") as folder:
         logbook = Path(folder) / _BYTES
         try:
             with zipfile.ZipFile(path) as archive:
-                # The manifest comes first: a file that is no bundle is rejected before its logbook is unpacked.
+                # Read the manifest first, so that other files are rejected before a logbook is unpacked.
                 manifest = b"".join(_unpacked(archive, _MANIFEST))
                 expected = json.loads(manifest)
                 if expected["format"] != _FORMAT or set(expected["files"]) != {_BYTES, _REQUIREMENTS}:
-                    raise BadRecording(f"{path} is of another version")
+                    raise BadRecording(f"the bundle {path} has an unsupported version")
                 text = b"".join(_unpacked(archive, _REQUIREMENTS))
                 digest = hashlib.sha256()
                 with logbook.open("wb") as file:
@@ -123,24 +123,24 @@ def opened(path: Path) -> Iterator[Bundle]:
                         digest.update(chunk)
                         file.write(chunk)
             if expected["files"] != {_BYTES: digest.hexdigest(), _REQUIREMENTS: hashlib.sha256(text).hexdigest()}:
-                raise BadRecording(f"{path} was changed since it was made, or is of another version")
+                raise BadRecording(f"the bundle {path} was changed after it was made, or has an unsupported version")
         except (OSError, KeyError, ValueError, TypeError, RecursionError, zipfile.BadZipFile) as error:
-            raise BadRecording(f"{path} is no bundle: {error}") from None
+            raise BadRecording(f"{path} is not a bundle: {error}") from None
         except (NotImplementedError, RuntimeError, zlib.error) as error:  # another compression, or a password
             raise BadRecording(f"{path} cannot be unpacked: {error}") from None
         try:
             requirements, site = read(text.decode(), str(path))
         except (UnicodeDecodeError, BadValue) as error:
-            raise BadRecording(f"{path} holds no requirements: {error}") from None
+            raise BadRecording(f"{path} contains no valid requirements: {error}") from None
         yield Bundle(Evidence(logbook), requirements, site, hashlib.sha256(manifest).hexdigest(), logbook)
 
 
 def _unpacked(archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
-    """The bytes of a part, chunk by chunk; never more than its largest size, whatever the archive says of it.
+    """Yield the bytes of a part in chunks, up to its maximum size, whatever size the archive declares.
 
     Raises:
-        ValueError: it is larger.
-        NotImplementedError: it is not compressed as `pack` does it; other methods can unpack without a bound.
+        ValueError: If the part is larger.
+        NotImplementedError: If the part is not compressed as in `pack`. Other methods can unpack without a bound.
     """
     if archive.getinfo(name).compress_type not in (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED):
         raise NotImplementedError(f"{name} is compressed by a method other than deflate")
@@ -155,10 +155,10 @@ def _unpacked(archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
 
 @contextmanager
 def recording_in(path: Path) -> Iterator[Path]:
-    """The recording of a bundle (`.zip`), for as long as the block; any other file is returned as it is.
+    """Yield the recording of a bundle (`.zip`) for the duration of the block. Any other file is returned unchanged.
 
     Raises:
-        BadRecording: as `opened`.
+        BadRecording: See `opened`.
     """
     if path.suffix.lower() != ".zip":
         yield path
@@ -168,7 +168,7 @@ def recording_in(path: Path) -> Iterator[Path]:
 
 
 def _names(evidence: Evidence) -> Iterator[str]:
-    """The names of programs that stand where names do."""
+    """Yield the names of programs, from the places where names are known to occur."""
     for note in evidence.said("dashboard"):
         if note.said["asked"] in _NAMING:
             match = COMMANDS[note.said["asked"]].match(note.said["reply"])
@@ -182,7 +182,7 @@ def _names(evidence: Evidence) -> Iterator[str]:
 
 
 def _overwrite(recording: RecordingFile, to: Path, hidden: list[str]) -> None:
-    """Copy a logbook; what is hidden may be in two chunks."""
+    """Copy a logbook and overwrite secrets, even if they are split between two chunks."""
     writer = RecordingWriter(to)
     numbers = {number: writer.add_channel(info) for number, info in recording.channels.items()}
     kept = [record for record in recording if record.kind in (Kind.BYTES, Kind.EVENT)]

@@ -1,4 +1,4 @@
-"""What a logbook holds, ready to be judged: connections, notes, and the packets of each interface as columns."""
+"""Content of a logbook, prepared for checks: connections, notes, and the packets of each interface as columns."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from .logbook import NOTES, SENT
 
 
 class Note(NamedTuple):
-    """A note.
+    """Note in a logbook.
 
     Attributes:
-        at: s, monotonic clock of the computer.
-        step: what it is about.
-        said: the rest of it.
+        at: Monotonic time of the computer, in s.
+        step: Step that the note belongs to.
+        said: Content of the note.
     """
 
     at: float
@@ -54,10 +54,10 @@ class Wire:
     """One connection, in one direction.
 
     Attributes:
-        interface: "realtime", "primary", ... or "reverse".
-        is_beside: another connection to it was open already.
-        is_sent: what this side has sent, and not what came.
-        chunks: the bytes, and when they came or went.
+        interface: Name of the interface: "realtime", "primary", ... or "reverse".
+        is_beside: Whether another connection to the interface was already open.
+        is_sent: Whether these are the sent bytes rather than the received bytes.
+        chunks: Bytes, with the time when they were received or sent.
     """
 
     interface: str
@@ -67,23 +67,24 @@ class Wire:
 
     @property
     def data(self) -> bytes:
-        """All of its bytes."""
+        """All bytes of the connection."""
         return b"".join(data for _, data in self.chunks)
 
 
 @dataclass
 class Came:
-    """The packets of one interface, of all connections to it.
+    """Packets of one interface, from all connections to it.
 
     Attributes:
-        states: those of the class that has the values, in the order of their arrival.
-        arrivals: s, monotonic, of each.
-        others: every other packet.
-        sizes: bytes of a packet -> how many had so many.
-        failures: what could not be decoded, with the reason.
-        skipped: bytes that belonged to no packet.
-        unknown, tails: packets, or parts of them, that no layout explains, or that end in bytes which none explains.
-        begins: numbers of the states with which a connection begins.
+        states: Packets of the class with the values, in the order of their arrival.
+        arrivals: Monotonic arrival time of each state, in s.
+        others: All other packets.
+        sizes: Size of a packet in bytes -> number of packets of this size.
+        failures: Reasons why packets could not be decoded.
+        skipped: Number of bytes that belong to no packet.
+        unknown: Number of packets, or parts of packets, of an unknown type.
+        tails: Number of packets, or parts of packets, that end in bytes which no layout explains.
+        begins: Indices of the first state of each connection.
     """
 
     states: list[Any] = field(default_factory=list)
@@ -97,14 +98,14 @@ class Came:
     begins: list[int] = field(default_factory=list)
 
     def column(self, read: Callable[[Any], Any]) -> NDArray[np.float64] | None:
-        """What `read` gives of each state, as an array of a row each; None where it is sent by none."""
+        """Return the values that `read` returns for the states, one row each; None if a state does not have them."""
         values = [read(state) for state in self.states]
         if not values or any(value is None for value in values):
             return None
         return np.array(values, np.float64)
 
     def between(self, moment: float, later: float) -> Came:
-        """The states that came from one moment on and before another, s, monotonic."""
+        """Return the states that arrived from one monotonic time until before another, in s."""
         first, end = (int(each) for each in np.searchsorted(self.arrived, (moment, later)))
         begins = [0, *(at - first for at in self.begins if first < at < end)] if first < end else []
         return Came(self.states[first:end], self.arrivals[first:end], begins=begins)
@@ -116,18 +117,18 @@ class Came:
 
 
 class Evidence:
-    """What is known of a run.
+    """Evidence of a run.
 
     Args:
-        path: of the logbook.
+        path: Path of the logbook.
 
     Attributes:
-        identity: what the controller reported of itself; None where it was never asked.
-        notes: in the order in which they were made.
-        wires: every connection, in both directions.
+        identity: Identity that the controller reported; None if it was never requested.
+        notes: Notes in their order.
+        wires: All connections, in both directions.
 
     Raises:
-        BadRecording: not a logbook, or a damaged one.
+        BadRecording: If the file is not a logbook, or is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -157,49 +158,49 @@ class Evidence:
 
     @property
     def firmware(self) -> Firmware | None:
-        """The controller's firmware; None where it never reported it."""
+        """Firmware of the controller; None if the controller never reported it."""
         return None if self.identity is None else self.identity.firmware
 
     def said(self, step: str) -> list[Note]:
-        """The notes about a step."""
+        """Return the notes of a step."""
         return [note for note in self.notes if note.step == step]
 
     def last(self, step: str) -> Mapping[str, Any] | None:
-        """The last note about a step; None where there is none."""
+        """Return the content of the last note of a step; None if there is none."""
         found = self.said(step)
         return found[-1].said if found else None
 
     def stage(self, number: int) -> tuple[float, float]:
-        """When a stage began and when the next one did, s, monotonic: inf where it has not begun, or was the last."""
+        """Return the monotonic start times of a stage and of the next, in s; inf if it did not start or was last."""
         began = {note.said["number"]: note.at for note in self.said("stage")}
         return began.get(number, math.inf), min((at for n, at in began.items() if n > number), default=math.inf)
 
     def received(self, interface: str) -> list[Wire]:
-        """What came on each connection to an interface."""
+        """Return the received bytes of each connection to an interface."""
         return [wire for wire in self.wires if wire.interface == interface and not wire.is_sent]
 
     def _alone(self, interface: str) -> list[Wire]:
-        """The connections one after the other, without those that were open beside one."""
+        """Return consecutive connections, without those that were opened while another one was open."""
         return [wire for wire in self.received(interface) if not wire.is_beside]
 
     @cached_property
     def realtime(self) -> Came:
-        """What came on the real-time interface."""
+        """Packets of the real-time interface."""
         return _read(((wire, RealtimeProtocol()) for wire in self._alone("realtime")), RealtimeState)
 
     @cached_property
     def primary(self) -> Came:
-        """What came on the primary interface."""
+        """Packets of the primary interface."""
         return _read(((wire, PrimaryProtocol()) for wire in self._alone("primary")), RobotState)
 
     @cached_property
     def secondary(self) -> Came:
-        """What came on the secondary interface."""
+        """Packets of the secondary interface."""
         return _read(((wire, PrimaryProtocol()) for wire in self._alone("secondary")), RobotState)
 
     @cached_property
     def rtde(self) -> Came:
-        """Data packages of RTDE, of the connection with the most variables, and what else came on it."""
+        """Packets of the RTDE connection with the most variables."""
         sent = [wire for wire in self.wires if wire.interface == "rtde" and wire.is_sent]
         pairs = zip(self.received("rtde"), map(_names, sent), strict=True)
         asked = [(len(names), wire, names) for wire, names in pairs]
@@ -212,7 +213,7 @@ class Evidence:
 
 
 def _names(sent: Wire) -> tuple[str, ...]:
-    """The outputs that were asked for first, and started, on a connection to RTDE."""
+    """Return the outputs that were first requested, and started, on a connection to RTDE."""
     data, at, is_started = sent.data, 0, False
     names: tuple[str, ...] = ()
     while at + 3 <= len(data):
@@ -220,7 +221,7 @@ def _names(sent: Wire) -> tuple[str, ...]:
         frame = data[at : at + max(size, 3)]
         is_started = is_started or frame[2:3] == b"S"
         if frame[2:3] == b"O" and not names:
-            # Under protocol 2 a frequency comes first, whose first byte is not a letter.
+            # Under protocol 2, a frequency precedes the names. Its first byte is not a letter.
             request = decode_request(frame, 1 if frame[3:4].isalpha() else 2)
             assert isinstance(request, OutputsRequest)
             names = split_names(request.names)
@@ -239,7 +240,7 @@ def _read(wires: Any, kind: type) -> Came:
             except PacketError as error:
                 found.failures.append(str(error))
                 continue
-            except LinkError as error:  # a refusal
+            except LinkError as error:  # the controller refused a request
                 found.others.append((stamp.monotonic, error))
                 continue
             if isinstance(packet, kind):
@@ -261,5 +262,5 @@ def _frames(wire: Wire, protocol: Any) -> Iterator[tuple[Stamp, bytes]]:
         try:
             for frame in protocol.framer.feed(data):
                 yield stamp, frame
-        except LinkError:  # another interface talks here
+        except LinkError:  # the peer is another interface
             return

@@ -1,6 +1,6 @@
-"""Stage 0: a controller is only listened to and asked; and checks of what it has answered.
+"""Stage 0: listen to a controller and send queries only. Also the checks of its answers.
 
-The answers are the names of RTDE, and the words of the dashboard or the Robot API.
+The answers are the variables of RTDE, and the replies of the dashboard or the Robot API.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried, counted
 
-#: What the dashboard is not asked: it ends the connection, and it would show which arm this is.
+#: Queries that are not sent to the dashboard: one ends the connection, the other would identify the arm.
 _NOT_ASKED = ("quit", "get serial number")
 _TIMEOUT = 5.0
-#: s between two looks at the clock.
+#: Interval between checks of the clock, in s.
 _STEP = 0.01
-#: What backs a release in the table of variables, where a controller that lacks one contradicts it.
+#: Kinds of evidence for a release in the table of variables that a controller without the variable contradicts.
 _BACKED = ("vendor", "drivers")
 
 
 def listen(robot: Robot, place: RobotAddress, book: Logbook, seconds: float) -> None:
-    """Listen to every interface for a time, and ask what changes nothing.
+    """Listen to every interface for a time, and send queries that change nothing.
 
     Args:
-        robot: connected within the logbook.
-        place: of its ports.
-        book: in which it is written down.
-        seconds: to listen.
+        robot: Robot that was connected within the logbook.
+        place: Address with its ports.
+        book: Logbook to write to.
+        seconds: Time to listen, in s.
     """
     _connect_to_each(robot, place, book)
     for name in ("realtime", "primary", "secondary"):
@@ -63,7 +63,7 @@ def listen(robot: Robot, place: RobotAddress, book: Logbook, seconds: float) -> 
 
 
 def _wait(seconds: float) -> float:
-    """Wait in short steps; the most by which this thread was woken late, s."""
+    """Wait in short steps; return the largest wake-up delay of this thread, in s."""
     until, worst = clock.now() + seconds, 0.0
     while (left := until - clock.now()) > 0.0:
         due = clock.now() + min(left, _STEP)
@@ -99,7 +99,7 @@ def _start_rtde(robot: Robot, book: Logbook) -> None:
         stream = robot.rtde.outputs(*RTDE_NAMES, missing="leave_out")
         stream.start()
         recipe = stream.recipe
-        assert recipe is not None, "a connection that has been made has its recipe"
+        assert recipe is not None, "an established connection has its recipe"
         book.note("rtde-names", missing=missing, names=recipe.names, types=recipe.types)
         book.note("rtde", error=None, protocol=1 if recipe.number is None else 2)
     except LinkError as error:
@@ -108,7 +108,7 @@ def _start_rtde(robot: Robot, book: Logbook) -> None:
 
 
 def _ask(robot: Robot, place: RobotAddress, book: Logbook) -> None:
-    """Every question of the dashboard that this firmware has, or as many of them as the Robot API answers."""
+    """Send every query of the dashboard that this firmware has, or that the Robot API can answer."""
     firmware = robot.firmware
     interface = "robot_api" if firmware.is_polyscope_x else "dashboard"
     if interface not in place.ports:
@@ -140,25 +140,25 @@ def _ask(robot: Robot, place: RobotAddress, book: Logbook) -> None:
 def _names(evidence: Evidence) -> Measured:
     firmware, said = evidence.firmware, evidence.last("rtde-names")
     if firmware is None or said is None:
-        raise NotTried("this firmware has no RTDE, or it was not asked")
+        raise NotTried("this firmware has no RTDE, or RTDE was not queried")
     missing = set(said["missing"])
     lacking = [OUTPUTS[name] for name in OUTPUTS if name in missing and OUTPUTS[name].is_in(firmware)]
-    wrong = [f"{each.name} is not there" for each in lacking if each.evidence in _BACKED]
+    wrong = [f"{each.name} is missing" for each in lacking if each.evidence in _BACKED]
     guessed = [each.name for each in lacking if each.evidence not in _BACKED]
     more = [name for name, v in OUTPUTS.items() if name not in missing and not v.is_in(firmware)]
     for name, type in zip(said["names"], said["types"], strict=True):
         if name in OUTPUTS and type != OUTPUTS[name].type:
-            wrong.append(f"{name} is of the type {type}; expected {OUTPUTS[name].type}")
-    seen = f"{len(OUTPUTS) - len(missing)} of {len(OUTPUTS)} outputs are there"
-    seen += f"; there sooner than was known: {', '.join(more)}" if more else ""
-    seen += f"; not there, of which nobody knew: {', '.join(guessed)}" if guessed else ""
+            wrong.append(f"{name} has the type {type}; expected {OUTPUTS[name].type}")
+    seen = f"{len(OUTPUTS) - len(missing)} of {len(OUTPUTS)} outputs exist"
+    seen += f"; earlier than known: {', '.join(more)}" if more else ""
+    seen += f"; missing, with unknown release: {', '.join(guessed)}" if guessed else ""
     return counted(wrong, seen)
 
 
 def _protocol(evidence: Evidence) -> Measured:
     said = evidence.last("rtde")
     if said is None:
-        raise NotTried("this firmware has no RTDE, or it was not asked")
+        raise NotTried("this firmware has no RTDE, or RTDE was not queried")
     if said["error"]:
         return Measured(1.0, said["error"])
     others = [packet for _, packet in evidence.rtde.others]
@@ -167,14 +167,14 @@ def _protocol(evidence: Evidence) -> Measured:
     if said["protocol"] == 1:
         wrong.append("protocol 2 was refused")
     if not evidence.rtde.states:
-        wrong.append("no data package came")
+        wrong.append("no data package arrived")
     return counted(wrong, f"protocol 2, {len(evidence.rtde.states)} data packages")
 
 
 def _words(evidence: Evidence) -> Measured:
     asked = evidence.said("dashboard")
     if not asked:
-        raise NotTried("this firmware has no dashboard, or it was not asked")
+        raise NotTried("this firmware has no dashboard, or it was not queried")
     wrong = []
     for _, _, said in asked:
         name, reply, error = said["asked"], said["reply"], said["error"]
@@ -182,7 +182,7 @@ def _words(evidence: Evidence) -> Measured:
             wrong.append(f"{name}: {error}")
         elif name in COMMANDS and COMMANDS[name].match(reply) is None:
             wrong.append(f"{name}: {reply[:80]!r}")
-    return counted(wrong, f"{len(asked)} questions were answered as expected")
+    return counted(wrong, f"{len(asked)} queries were answered as expected")
 
 
 def _dashboard_modes(evidence: Evidence) -> Measured:
@@ -208,9 +208,9 @@ def _dashboard_modes(evidence: Evidence) -> Measured:
             continue
         tried.append(name)
         if there != here:
-            wrong.append(f"{name}: {there} by the dashboard, and {here} by the robot state")
+            wrong.append(f"{name}: {there} according to the dashboard, but {here} according to the robot state")
     if not tried and not wrong:
-        raise NotTried("the dashboard names no mode")
+        raise NotTried("the dashboard reports no mode")
     return counted(wrong, f"the same: {', '.join(tried)}")
 
 

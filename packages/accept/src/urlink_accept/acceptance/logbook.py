@@ -1,8 +1,9 @@
-"""What happens while a controller is accepted, written down as it happens: every byte, and notes of what was done.
+"""Logbook of an acceptance run, written as it happens: every byte, and notes of all steps.
 
-It is a recording (`linkcore.recording.file`). A channel holds the connections to one port one after the other, in one
-direction: "realtime" what came, "realtime sent" what was sent, "primary 2" those that were open beside another. What
-programs on the robot connect to is "reverse". The channel "notes" has a JSON object in each record.
+It is a recording (`linkcore.recording.file`). A channel holds the consecutive connections to one port, in one
+direction: "realtime" for received bytes, "realtime sent" for sent bytes, and "primary 2" for connections that were
+opened while another one was open. The connections that programs on the robot make are "reverse". The channel "notes"
+has a JSON object in each record.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ from linkcore.clock import Stamp
 from urlink import Closed, RecordingWriter
 from urlink.tools import Kind, TcpTransport, strict_json, witnessed
 
-#: The channel of the notes, the interface of the connections that programs make, and the end of names of what was sent.
+#: Channel of the notes, interface of the connections that programs make, and suffix of the channels with sent bytes.
 NOTES, REVERSE, SENT = "notes", "reverse", " sent"
 
 
 class Logbook:
-    """Writes a new recording; a context manager, in which every connection of this process is seen.
+    """Writer of a new recording, and context manager that records every connection of this process.
 
     Args:
-        path: a file that does not exist yet.
-        ports: name of each port of the controller -> its number.
-        noted: Called with the step of each note, unless the step has ended.
+        path: Path of a file that does not exist yet.
+        ports: Name of each port of the controller -> its number.
+        noted: Function that is called with the step of each note, except at the end of a step.
 
     Raises:
-        BadRecording: the file exists, or cannot be made.
+        BadRecording: If the file exists, or cannot be created.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Logbook:
         self._notes = self._writer.add_channel({"name": NOTES})
 
     def note(self, step: str, **said: Any) -> None:
-        """Write down that something was done, or answered. JSON can hold what is noted; NaN becomes null."""
+        """Write a note about an action or an answer. The content must be JSON-serialisable; NaN becomes null."""
         self._writer.write(Kind.BYTES, self._notes, Stamp.now(), strict_json({"step": step, **said}).encode())
         if said.get("event") != "end":
             self._noted(step)
@@ -79,29 +80,29 @@ class Logbook:
             self._write(Kind.EVENT, each, payload)
 
     def _write(self, kind: Kind, channel: str, payload: bytes) -> None:
-        # A connection that outlives the block goes on, and is closed, unseen.
+        # A connection that outlives the block continues, and is closed later without being recorded.
         with contextlib.suppress(Closed):
             self._writer.write(kind, self._channels[channel], Stamp.now(), payload)
 
     def passed(self, channel: str, data: bytes) -> None:
-        """Bytes have come, or gone."""
+        """Record received or sent bytes."""
         self._write(Kind.BYTES, channel, data)
 
     def ended(self, name: str, error: str | None) -> None:
-        """A connection is over."""
+        """Record the end of a connection."""
         self._event(name, "lost", error)
         with self._lock:
             self._busy.discard(name)
 
 
 class _Seen:
-    """A socket that writes down what passes."""
+    """Socket that records the bytes that pass."""
 
     def __init__(self, book: Logbook, connection: Any, name: str) -> None:
         self._book = book
         self._connection = connection
         self._name = name
-        self._end: Iterator[None] = iter((None,))  # taken once, by whichever thread is first
+        self._end: Iterator[None] = iter((None,))  # consumed once, by the first thread
 
     def recv(self, size: int, flags: int = 0) -> bytes:
         try:

@@ -1,7 +1,8 @@
-"""Stage 2: one wrist moves, by some degrees, while a person holds a switch at a digital input.
+"""Stage 2: one wrist joint moves by some degrees, while a person holds a switch at a digital input.
 
-Every goal is within `SWING` of where the wrist stood, and whatever leaves `BOX`, or is let go of, is stopped by a guard
-that sees each state. The speed slider is at a tenth but where its effect is measured, and put back at the end.
+Every goal is within `SWING` of the start position of the wrist. A guard checks each state, and stops the arm if a joint
+leaves `BOX` or the switch is released. The speed slider is at a tenth, except where its effect is measured. It is
+restored at the end.
 """
 
 from __future__ import annotations
@@ -20,35 +21,37 @@ from .logbook import Logbook
 from .person import Person, is_held_by
 from .standing import Told, try_each
 
-#: The joint that moves; rad by which it is moved, and beyond which it is stopped; rad/s and rad/s² of its moves.
+#: Joint that moves; its motion and its stopping limit in rad; speed in rad/s, acceleration in rad/s².
 WRIST, SWING, BOX, SPEED, _ACCELERATION = 5, 0.05, math.radians(5.5), 0.3, 3.0
-#: s of the trajectory at a slider of 100 %, of the watchdog of a starved stream, and for which this program is frozen.
+#: Time in s of the trajectory at a slider of 100 %, watchdog of a starved stream, and time for which this program is
+#: frozen.
 FOLLOWED, WATCHDOG, _FROZEN = 1.0, 0.2, 1.0
-#: The slider, and those at which a trajectory is followed.
+#: Slow slider, and sliders for following a trajectory.
 _SLOW, _SLIDERS = 0.1, (1.0, 0.5, 0.1)
 _SOON, _LONG = 5.0, 40.0
 
 
 def move(robot: Robot, book: Logbook, person: Person, dead_man: int | None, is_simulated_here: bool) -> None:
-    """Try everything that moves; each step notes what came of it, and none but a stop by the guard ends the others.
+    """Try all steps that move the arm. Each step notes its result, and only a stop by the guard ends the others.
 
     Args:
-        robot: connected within the logbook, running, in remote control where there is such a thing.
-        book: in which it is written down.
-        person: who presses what has to be pressed.
-        dead_man: number of the digital input that is on while the arm may move; None where the person holds it else.
-        is_simulated_here: the controller is in this process, and would be frozen with it.
+        robot: Robot that was connected within the logbook, running, and in remote control if it has this mode.
+        book: Logbook to write to.
+        person: Person who presses what has to be pressed.
+        dead_man: Number of the digital input that is on while the arm may move; None if the person reports it
+            otherwise.
+        is_simulated_here: Whether the controller is in this process, and would be frozen with it.
 
     Raises:
-        Cancelled: the guard has stopped the arm, or the dead man's input is not held at the beginning.
-        LinkError: the slider cannot be set, or the wrist cannot be brought back.
+        Cancelled: If the guard has stopped the arm, or the dead-man switch is not held at the beginning.
+        LinkError: If the slider cannot be set, or the wrist cannot be moved back.
     """
     if robot.firmware < SHOWS_SLIDER:
-        book.note("moving", skipped="this firmware does not show its slider")
+        book.note("moving", skipped="this firmware does not report its slider")
         return
     guard = Guard(robot, BOX, is_held_by(person, dead_man), lambda why: book.note("guard", why=why))
     if not guard.is_held(robot.realtime.wait(_SOON)):
-        raise Cancelled("the dead man's input is not held")
+        raise Cancelled("the dead-man switch is not held")
     before = slider_of(robot)
     robot.set_speed_slider(_SLOW, confirm=_SOON)
     wrist = _Wrist(robot, book, guard)
@@ -73,7 +76,7 @@ def move(robot: Robot, book: Logbook, person: Person, dead_man: int | None, is_s
 
 
 class _Wrist:
-    """The wrist, and what it is made to do."""
+    """Steps that move the wrist."""
 
     def __init__(self, robot: Robot, book: Logbook, guard: Guard) -> None:
         self._robot = robot
@@ -86,14 +89,14 @@ class _Wrist:
         return goal
 
     def back(self) -> None:
-        """To where it stood, if the guard has not stopped it."""
+        """Move the wrist to its start position, unless the guard has stopped it."""
         self._guard.check()
         self._robot.set_speed_slider(_SLOW, confirm=_SOON)
         self._robot.motion.move_joints(self._goal(0.0), SPEED, _ACCELERATION).wait(_LONG)
         self._guard.check()
 
     def _moving(self) -> Motion:
-        """A move to the other side that has begun, and takes a second or so."""
+        """Start a motion to the other side, which takes about a second."""
         motion = self._robot.motion.move_joints(self._goal(), SPEED, _ACCELERATION)
         self._robot.realtime.wait_until(lambda state: abs(state.qd_target[WRIST]) > 0.5 * SPEED * _SLOW, _SOON)
         return motion
@@ -128,7 +131,7 @@ class _Wrist:
         self._book.note("pause", event="told")
         try:
             self._robot.dashboard.pause()
-        except LocalError as error:  # nothing of this firmware can be asked for it
+        except LocalError as error:  # this firmware has no way to pause
             motion.cancel()
             return {"skipped": str(error)}
         clock.sleep(1.5)
@@ -162,7 +165,7 @@ class _Wrist:
             return {"skipped": "the simulated controller is in this process, and would be frozen with it"}
         if os.name != "posix":
             return {"skipped": "this system cannot freeze a process"}
-        # The readers are frozen too: what the arm did meanwhile is in the bytes that wait in the kernel.
+        # The readers are frozen too. The motion of the arm in this time is in the bytes that wait in the kernel.
         script = f"kill -STOP {os.getpid()}; sleep {_FROZEN}; kill -CONT {os.getpid()}"
 
         def freeze() -> None:
@@ -172,9 +175,9 @@ class _Wrist:
         return self._streamed("frozen", freeze)
 
     def _streamed(self, step: str, interrupt: Callable[[], object]) -> Told:
-        """Stream set-points that move the wrist slowly, and then none."""
+        """Stream set-points that move the wrist slowly, and then stop sending them."""
         ended = ""
-        # At a tenth each set-point takes ten cycles, and the program on the robot looks at its watchdog as seldom.
+        # At a tenth, each set-point takes ten cycles, and the program on the robot checks its watchdog only as often.
         self._robot.set_speed_slider(1.0, confirm=_SOON)
         try:
             with self._robot.motion.servo(watchdog=WATCHDOG) as servo:
@@ -196,7 +199,7 @@ class _Wrist:
         self._book.note("protective-stop", event="told")
         if not person.does("protective-stop"):
             motion.cancel()
-            return {"skipped": "nobody has caused a protective stop"}
+            return {"skipped": "no person has caused a protective stop"}
         try:
             motion.wait(_SOON)
             ended = ""
@@ -204,6 +207,6 @@ class _Wrist:
             ended = str(error)
         clock.sleep(0.5)
         if not person.does("unlock"):
-            raise Cancelled("nobody has unlocked the protective stop")
+            raise Cancelled("no person has unlocked the protective stop")
         self._robot.safety.wait_until_clear(_LONG)
         return {"ended": ended}

@@ -1,4 +1,4 @@
-"""Checks of what a controller does when it is commanded: settings, programs, claims, connections."""
+"""Checks of the reactions of a controller to commands: settings, programs, claims, connections."""
 
 from __future__ import annotations
 
@@ -16,64 +16,64 @@ from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 from .standing import BEGIN, END, SLEEP, Told
 
-#: s of silence of the real-time interface after which times say nothing, and what is quick in spite of it.
+#: Silence of the real-time interface in s after which times are not judged, and time in s that is quick in spite of it.
 HELD_UP, _QUICK = 0.1, 0.05
 
 
 def span(evidence: Evidence, step: str) -> tuple[float, float]:
-    """When a step began and when it ended, s, monotonic.
+    """Return the monotonic start and end times of a step, in s.
 
     Raises:
-        NotTried: it was not tried.
+        NotTried: If the step was not tried.
     """
     notes = evidence.said(step)
     begins = [note.at for note in notes if note.said.get("event") == "begin"]
     if not begins:
-        raise NotTried("the stage ended before this")
+        raise NotTried("the stage ended before this step")
     return begins[-1], notes[-1].at
 
 
 def held_up(evidence: Evidence, step: str) -> float:
-    """The longest silence of the real-time interface during a step, s: what is late then is late for this reason."""
+    """Return the longest silence of the real-time interface during a step, in s. It explains late results."""
     begin, end = span(evidence, step)
     arrived = evidence.realtime.arrived
-    # From the last packet to the end of the step counts too.
+    # The time from the last packet to the end of the step counts as well.
     return float(np.diff([begin, *arrived[(arrived >= begin) & (arrived <= end)], end]).max())
 
 
 def unless_held_up(evidence: Evidence, step: str, found: Measured, most: float) -> Measured:
-    """What was found of a step.
+    """Return the result of a step, unless a delay explains it.
 
     Raises:
-        NotTried: it is more than `most`, and this computer, or the network, was held up meanwhile.
+        NotTried: If it is more than `most`, and this computer or the network was delayed during the step.
     """
     if found.value > most and (silent := held_up(evidence, step)) > HELD_UP:
-        raise NotTried(f"for {silent * 1e3:.0f} ms nothing came from the controller; {found.seen}")
+        raise NotTried(f"for {silent * 1e3:.0f} ms nothing arrived from the controller; {found.seen}")
     return found
 
 
 def outcome(evidence: Evidence, step: str) -> Told:
-    """What a step has noted at its end.
+    """Return the note at the end of a step.
 
     Raises:
-        NotTried: it was not tried, or was broken off.
+        NotTried: If the step was not tried, or was interrupted.
     """
     span(evidence, step)
     said = evidence.said(step)[-1].said
     if said.get("event") != "end":
-        raise NotTried("it was broken off")
+        raise NotTried("the step was interrupted")
     if said.get("skipped"):
         raise NotTried(said["skipped"])
     return said
 
 
 def _of(step: str, judged: Callable[[Evidence, Told], Measured], *, is_timed: bool = False) -> Check:
-    """A check of what a step has noted.
+    """Return a check of the result of a step.
 
     Args:
-        step: the step.
-        judged: makes a finding of what it has noted.
-        is_timed: how long something took is judged, which says nothing where this computer was held up.
+        step: Name of the step.
+        judged: Function that converts the note of the step to a measurement.
+        is_timed: Whether a duration is judged, which is meaningless if this computer was delayed.
     """
 
     def check(evidence: Evidence) -> Measured:
@@ -102,13 +102,13 @@ def _registers(evidence: Evidence, said: Told) -> Measured:
     if said["wrong"]:
         return Measured(math.inf, f"{said['register']} did not show {'; '.join(said['wrong'][:3])}")
     least, most = min(said["delays"]), max(said["delays"])
-    seen = f"{said['register']}: {least * 1e3:.1f} to {most * 1e3:.1f} ms until what was written was read"
+    seen = f"{said['register']}: {least * 1e3:.1f} to {most * 1e3:.1f} ms from writing to reading"
     return Measured(least, seen)
 
 
 def _claims(evidence: Evidence, said: Told) -> Measured:
     if not said["refused"]:
-        return Measured(math.inf, f"{said['register']} was given to a second client while a first one had it")
+        return Measured(math.inf, f"{said['register']} was given to a second client while a first client held it")
     if said["freed"] is None:
         return Measured(math.inf, f"{said['register']} was still in use after its client had disconnected")
     held = f"; in use by others: {', '.join(said['held'][:6])}" if said["held"] else "; no input is in use by others"
@@ -133,14 +133,14 @@ def _texts_between(evidence: Evidence, step: str) -> list[tuple[float, str, floa
 def _texts(evidence: Evidence, said: Told) -> Measured:
     expected = [f"{BEGIN} sleep", f"{END} sleep"]
     wrong = [] if said["texts"] == expected else [f"{said['texts']}; expected {expected}"]
-    return counted(wrong, "both lines of textmsg came, in their order")
+    return counted(wrong, "both lines of textmsg arrived, in their order")
 
 
 def _sleep(evidence: Evidence, said: Told) -> Measured:
     times = {text: (at, stamp) for at, text, stamp in _texts_between(evidence, "sleep")}
     begin, end = f"{BEGIN} sleep", f"{END} sleep"
     if begin not in times or end not in times:
-        return Measured(math.inf, "the program did not say when it began and ended")
+        return Measured(math.inf, "the program did not report when it began and ended")
     (a, first), (b, last) = times[begin], times[end]
     if first is not None and last is not None and last > first:
         took = last - first
@@ -152,7 +152,7 @@ def _program_state(evidence: Evidence, said: Told) -> Measured:
     begin, end = span(evidence, "sleep")
     modes = [state.robot_mode_data for state in evidence.primary.between(begin, end + 0.5).states]
     shown = [mode for mode in modes if mode is not None and mode.is_program_running]
-    wrong = [] if shown else ["no robot state said that the program ran"]
+    wrong = [] if shown else ["no robot state showed that the program ran"]
     states = evidence.realtime.column(lambda state: state.program_state)
     if states is not None:
         during = states[(evidence.realtime.arrived >= begin) & (evidence.realtime.arrived <= end)]
@@ -163,7 +163,7 @@ def _program_state(evidence: Evidence, said: Told) -> Measured:
 
 def _stop(evidence: Evidence, said: Told) -> Measured:
     if said["took"] is None:
-        return Measured(math.inf, "the program still ran when it had been stopped")
+        return Measured(math.inf, "the program still ran after it was stopped")
     return Measured(said["took"], f"{said['took'] * 1e3:.0f} ms from cancel() to a state without a program")
 
 
@@ -173,7 +173,7 @@ def _reset(evidence: Evidence, said: Told) -> Measured:
         wrong.append("the program did not begin")
     elif not said["ended"]:
         wrong.append("the program ended with the connection that had sent it")
-    return counted(wrong, f"the program went on; connected again within {said['again'] * 1e3:.0f} ms")
+    return counted(wrong, f"the program continued; connected again within {said['again'] * 1e3:.0f} ms")
 
 
 def _silent(evidence: Evidence, said: Told) -> Measured:
@@ -181,25 +181,25 @@ def _silent(evidence: Evidence, said: Told) -> Measured:
     times = moments("realtime", evidence.realtime)
     during = times[(evidence.realtime.arrived >= begin) & (evidence.realtime.arrived <= end)]
     if len(during) < 2 or evidence.firmware is None:
-        return Measured(1.0, "no packet came meanwhile")
+        return Measured(1.0, "no packet arrived meanwhile")
     expected = (during[-1] - during[0]) * evidence.firmware.rate + 1.0
     lost = max(1.0 - len(during) / expected, 0.0)
-    then = f"the controller closed its connection: {said['closed']}" if said["closed"] else "it could go on reading"
-    return Measured(lost, f"{len(during)} of {expected:.0f} packets came to another client meanwhile; {then}")
+    then = f"the controller closed its connection: {said['closed']}" if said["closed"] else "it could continue to read"
+    return Measured(lost, f"{len(during)} of {expected:.0f} packets reached another client meanwhile; {then}")
 
 
 def _local(evidence: Evidence, said: Told) -> Measured:
     if not said["refused"]:
         return Measured(1.0, "a program ran in local control")
     ran = any(text == f"{BEGIN} local" for _, text, _ in _texts_between(evidence, "local"))
-    wrong = ["the program said something after it had been refused"] if ran else []
+    wrong = ["the program sent a text after it was refused"] if ran else []
     return counted(wrong, f"refused: {said['refused']}")
 
 
 def _stands(evidence: Evidence) -> Measured:
     q = evidence.realtime.between(*evidence.stage(1)).column(lambda state: state.q_actual)
     if q is None:
-        raise NotTried("no packet of the real-time interface came")
+        raise NotTried("no packet of the real-time interface arrived")
     moved = np.ptp(q, axis=0)
     return Measured(float(moved.max()), f"joint {int(moved.argmax()) + 1} by {moved.max() * 1e6:.0f} µrad")
 

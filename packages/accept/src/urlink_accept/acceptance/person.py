@@ -1,4 +1,4 @@
-"""The person beside the arm, who does what no program can: turns a key, presses a button, pulls a cable."""
+"""Person next to the arm, for actions that no program can do: turn a key, press a button, pull a cable."""
 
 from __future__ import annotations
 
@@ -13,57 +13,57 @@ from ..identification.exercise import input_is_on
 
 Deed = Literal["local", "remote", "protective-stop", "unlock"]
 
-#: What a person is asked to do.
+#: Requests to the person.
 DEEDS: Mapping[Deed, str] = {
     "local": "Switch the robot to local control at the pendant",
     "remote": "Switch the robot to remote control at the pendant",
-    "protective-stop": "Cause a protective stop: hold the tool against its turning, or press the safeguard",
-    "unlock": "Unlock the protective stop at the pendant, and take the hands away",
+    "protective-stop": "Cause a protective stop: hold the tool against its rotation, or press the safeguard",
+    "unlock": "Unlock the protective stop at the pendant, and take your hands away",
 }
 
 
 class Person(Protocol):
-    """Does what is asked."""
+    """Person who does what is requested."""
 
     def does(self, deed: Deed) -> bool:
-        """Ask for it, and wait until it is done; False if it is not."""
+        """Request an action, and wait until it is done. Return False if it is not done."""
 
     def holds(self) -> bool:
-        """The arm may move, where no digital input shows it."""
+        """Return whether the arm may move, if no digital input shows it."""
 
 
 def is_held_by(person: Person, dead_man: int | None) -> Callable[[RealtimeState], bool]:
-    """Whether the arm may move, by a state: the dead man's input is on, or the person holds it where that is None."""
+    """Return a condition for states: whether the input of the dead-man switch is on, or the person holds it if None."""
     return input_is_on(dead_man) if dead_man is not None else lambda state: person.holds()
 
 
 class Nobody:
-    """Nobody is there."""
+    """Stand-in if no person is present."""
 
     def does(self, deed: Deed) -> bool:
-        """Nothing is done."""
+        """Return False, because nothing is done."""
         return False
 
     def holds(self) -> bool:
-        """Nothing may move."""
+        """Return False, because nothing may move."""
         return False
 
 
 class AtTheTerminal:
-    """Whoever reads the terminal."""
+    """Person at the terminal."""
 
     def does(self, deed: Deed) -> bool:
-        """Ask on stderr, and read a line: Enter says that it is done, anything else that it is not."""
-        print(f"{DEEDS[deed]}, then press Enter (n: leave it out): ", end="", file=sys.stderr, flush=True)
+        """Ask on stderr, and read a line. Enter means done, any other line means not done."""
+        print(f"{DEEDS[deed]}, then press Enter (n: skip it): ", end="", file=sys.stderr, flush=True)
         return sys.stdin.readline().strip() == ""
 
     def holds(self) -> bool:
-        """A terminal does not report that a key is held: a digital input has to."""
+        """Return False: a terminal does not report that a key is held, so a digital input has to."""
         return False
 
 
 class OfTheSimulator:
-    """Does it to a simulated controller."""
+    """Stand-in that acts on a simulated controller."""
 
     def __init__(self, controller: Controller) -> None:
         self._deeds: dict[Deed, Callable[[], object]] = {
@@ -74,10 +74,10 @@ class OfTheSimulator:
         }
 
     def does(self, deed: Deed) -> bool:
-        """Do it at once."""
+        """Do it immediately."""
         self._deeds[deed]()
         return True
 
     def holds(self) -> bool:
-        """All the time."""
+        """Return True, because the simulated person always holds the switch."""
         return True

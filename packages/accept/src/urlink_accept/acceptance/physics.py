@@ -1,4 +1,4 @@
-"""Checks of what the values mean: modes, positions and their derivatives, kinematics, moments, currents."""
+"""Checks of the meaning of the values: modes, positions and their derivatives, kinematics, moments, currents."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from .arrivals import known_arm, moments
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 
-#: rad/s below which an arm stands, and above which it moves enough for its velocities to be judged.
+#: Speed in rad/s below which an arm is at rest, and above which its velocities can be judged.
 _STANDS, _MOVES = 1e-3, 0.02
-#: Nm from which on the direction of a current is that of its moment, whatever the friction.
+#: Moment in Nm above which the current has the direction of the moment despite friction.
 _HEAVY = 5.0
 _GRAVITY = 9.82
-#: Part of the acceleration at rest that is along the axis of the base, where that stands upright.
+#: Fraction of the acceleration at rest along the axis of the base of an upright arm.
 _UPRIGHT = 0.95
 
 
-#: Of each field the lowest and the highest value of any arm, and the unit; judgements, wide enough for all that was
-#: reported.
+#: Lowest and highest value of each field for any arm, and the unit. The ranges are estimates, wide enough for all
+#: reported values.
 _RANGES = (
     ("q_actual", -100.0, 100.0, "rad"),
     ("q_target", -100.0, 100.0, "rad"),
@@ -57,7 +57,7 @@ def _column(evidence: Evidence, name: str) -> NDArray[np.float64] | None:
 
 
 def _wanted(evidence: Evidence, *names: str) -> list[NDArray[np.float64]]:
-    moments("realtime", evidence.realtime)  # that enough have come
+    moments("realtime", evidence.realtime)  # checks that enough packets have arrived
     found = [_column(evidence, name) for name in names]
     if any(each is None for each in found):
         raise NotTried(f"this firmware does not send {' and '.join(names)}")
@@ -65,7 +65,7 @@ def _wanted(evidence: Evidence, *names: str) -> list[NDArray[np.float64]]:
 
 
 def _stands(evidence: Evidence) -> NDArray[np.bool_]:
-    """The packets of an arm that runs and stands, and has done so for the last tenth of a second."""
+    """Return which packets show an arm that runs and has been at rest for the last tenth of a second."""
     (qd,) = _wanted(evidence, "qd_target")
     running = RobotModeCB2.RUNNING if evidence.firmware is not None and evidence.firmware.is_cb2 else RobotMode.RUNNING
     modes = _column(evidence, "robot_mode")
@@ -76,7 +76,7 @@ def _stands(evidence: Evidence) -> NDArray[np.bool_]:
     if modes is not None:
         stands &= modes == running
     if not stands.any():
-        raise NotTried("the arm does not run, or never stands")
+        raise NotTried("the arm does not run, or is never at rest")
     return stands
 
 
@@ -108,7 +108,7 @@ def _modes(evidence: Evidence) -> Measured:
         numbers = {int(each) for each in known}
         unknown = [f"{each:g}" for each in there if each not in numbers]
         if unknown:
-            wrong.append(f"{name}: {', '.join(unknown[:5])} is in no list")
+            wrong.append(f"{name}: {', '.join(unknown[:5])} is not in the list of modes")
         else:
             seen.append(f"{name} {', '.join(known(int(each)).name for each in there[:4])}")
     return counted(wrong, ", ".join(seen) or "this firmware sends no modes here")
@@ -135,7 +135,7 @@ def _velocities(evidence: Evidence) -> Measured:
         p, v = _wanted(evidence, position, velocity)
         with np.errstate(divide="ignore", invalid="ignore"):
             derived = (np.diff(p, axis=0) / steps[:, None])[is_next]
-        # The mean of a cycle lies between the values at its ends; an arm that brakes may do so in a single one.
+        # The mean of a cycle is between the values at its ends. An arm can brake within a single cycle.
         between = np.clip(derived, np.minimum(v[1:], v[:-1])[is_next], np.maximum(v[1:], v[:-1])[is_next])
         for joint in range(6):
             a, b = derived[:, joint], between[:, joint]
@@ -145,11 +145,11 @@ def _velocities(evidence: Evidence) -> Measured:
             tried.append(f"{velocity} of joint {joint + 1}")
             slope = float(a[moving] @ b[moving] / max(float(a[moving] @ a[moving]), 1e-12))
             if not 0.7 < slope < 1.3:
-                sign = " (its sign is the other one)" if -1.3 < slope < -0.7 else ""
+                sign = " (its sign is inverted)" if -1.3 < slope < -0.7 else ""
                 wrong.append(f"{velocity} of joint {joint + 1} is {slope:.3g} times the derivative of {position}{sign}")
     if not tried:
-        raise NotTried("no joint has moved while it was listened to")
-    return counted(wrong, f"they are: {', '.join(tried)}")
+        raise NotTried("no joint moved during listening")
+    return counted(wrong, f"derivatives agree: {', '.join(tried)}")
 
 
 def _kinematics(evidence: Evidence) -> Measured:
@@ -157,7 +157,7 @@ def _kinematics(evidence: Evidence) -> Measured:
     info = next((state.cartesian_info for state in evidence.primary.states if state.cartesian_info is not None), None)
     tcp = None if info is None else tool_offset(info)
     if tcp is None:
-        raise NotTried("this firmware does not tell the TCP")
+        raise NotTried("this firmware does not report the TCP")
     last = evidence.primary.states[-1].cartesian_info
     if last is None or tool_offset(last) != tcp:
         raise NotTried("the TCP was changed meanwhile")
@@ -167,8 +167,8 @@ def _kinematics(evidence: Evidence) -> Measured:
     apart = np.linalg.norm(expected[:, :3] - pose[some, :3], axis=1)
     turned = np.linalg.norm(poses.compose(poses.invert(expected), pose[some])[:, 3:], axis=1)
     which = "its own calibration" if known.dh_table is not None else "the published lengths"
-    seen = f"at most {apart.max() * 1e3:.3f} mm and {turned.max() * 1e3:.3f} mrad, by {which}"
-    # A turn counts as the way of a point at 1 m from the tool.
+    seen = f"at most {apart.max() * 1e3:.3f} mm and {turned.max() * 1e3:.3f} mrad, with {which}"
+    # A rotation counts as the distance that a point at 1 m from the tool moves.
     return Measured(float(max(apart.max(), turned.max())), seen)
 
 
@@ -179,11 +179,11 @@ def _gravity(evidence: Evidence) -> Measured:
     (acceleration,) = _wanted(evidence, "tool_accelerometer")
     payload, cog = _column(evidence, "payload_mass"), _column(evidence, "payload_cog")
     if payload is None or cog is None:
-        raise NotTried("this firmware does not tell the payload")
+        raise NotTried("this firmware does not report the payload")
     at = np.flatnonzero(stands)[:: max(int(stands.sum()) // 50, 1)]
     felt = poses.rotvec_to_matrix(known.kinematics.forward(q[at[0]])[3:]) @ acceleration[at].mean(axis=0)
     if abs(felt[2]) < _UPRIGHT * float(np.linalg.norm(felt)):
-        raise NotTried("the arm stands neither upright nor on its head")
+        raise NotTried("the arm is neither upright nor upside down")
     worst, seen = 0.0, ""
     for number in at:
         model = Dynamics(known.kinematics, payload=max(payload[number], 0.0), payload_cog=cog[number])
@@ -192,8 +192,10 @@ def _gravity(evidence: Evidence) -> Measured:
         joint = int(apart.argmax())
         if not seen or apart[joint] > worst:
             worst = max(float(apart[joint]), 0.0)
-            seen = f"joint {joint + 1}: {moment[number, joint]:.2f} Nm, and {expected[joint]:.2f} Nm by the masses"
-    return Measured(worst, f"{seen}, of an arm that stands upright with {payload[at[0]]:.2f} kg")
+            seen = (
+                f"joint {joint + 1}: {moment[number, joint]:.2f} Nm; expected {expected[joint]:.2f} Nm from the masses"
+            )
+    return Measured(worst, f"{seen}, for an upright arm with {payload[at[0]]:.2f} kg")
 
 
 def _currents(evidence: Evidence) -> Measured:
@@ -209,9 +211,9 @@ def _currents(evidence: Evidence) -> Measured:
         tried += 1
         ratio = current[joint] * constants[joint] / moment[joint]
         if not 0.25 < ratio < 4.0:
-            said = f"is {ratio:.3g} times what the parameter torque_constant ({constants[joint]:g} Nm/A) gives"
+            said = f"is {ratio:.3g} times the current of the parameter torque_constant ({constants[joint]:g} Nm/A)"
             if ratio < 0.0:
-                said = "has the other direction"
+                said = "has the opposite direction"
             wrong.append(f"joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
     if not tried:
         raise NotTried(f"no joint holds {_HEAVY:g} Nm in this posture")
@@ -220,7 +222,7 @@ def _currents(evidence: Evidence) -> Measured:
 
 def _accelerometer(evidence: Evidence) -> Measured:
     if evidence.firmware is None or evidence.firmware < (1, 7):
-        raise NotTried("before 1.7 it means nothing")
+        raise NotTried("before firmware 1.7, this field has no meaning")
     stands = _stands(evidence)
     (acceleration,) = _wanted(evidence, "tool_accelerometer")
     mean = acceleration[stands].mean(axis=0)

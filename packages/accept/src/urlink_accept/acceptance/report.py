@@ -1,6 +1,6 @@
-"""The verdict of each requirement, and the page about a run that an integrator can sign, as text and as HTML.
+"""Verdicts on the requirements, and the page about a run that an integrator can sign, as text and as HTML.
 
-Verdicts are made of evidence and nothing else: the same evidence gives the same verdicts.
+Verdicts depend only on the evidence: the same evidence results in the same verdicts.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from .wrist import WRIST_CHECKS
 
 State = Literal["held", "not held", "not tried"]
 
-#: requirement -> what measures it
+#: Requirement -> its check.
 CHECKS: Mapping[str, Check] = {**ARRIVALS, **AGREEMENT, **PHYSICS, **ANSWERS, **OBEDIENCE, **WRIST_CHECKS, **SWINGS}
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is found about one requirement.
+    """Verdict on one requirement.
 
     Attributes:
-        requirement: with its limit.
-        state: whether it is held.
-        value: what was measured, in the unit of the limit; None where it was not tried.
-        seen: in words; why, where it was not tried.
-        contradicts: parameters that are refuted, each with what was measured.
+        requirement: Requirement with its limit.
+        state: Whether it is held.
+        value: Measured value, in the unit of the limit; None if it was not tried.
+        seen: Description of the result, or the reason why it was not tried.
+        contradicts: Refuted parameters, each with the measured value.
     """
 
     requirement: Requirement
@@ -50,7 +50,7 @@ class Verdict:
 
 
 def judge(evidence: Evidence, requirements: Mapping[str, Requirement], progress: Progress = unseen) -> list[Verdict]:
-    """The verdict of each requirement, in their order; `progress` is called with the fraction that is done."""
+    """Return the verdicts in the order of the requirements. `progress` is called with the completed fraction."""
     stages = {note.said["number"]: note.said for note in evidence.said("stage")}
     verdicts = []
     for number, each in enumerate(requirements.values()):
@@ -62,7 +62,7 @@ def judge(evidence: Evidence, requirements: Mapping[str, Requirement], progress:
 def _verdict(
     required: Requirement, evidence: Evidence, check: Check, stages: Mapping[int, Mapping[str, str]]
 ) -> Verdict:
-    stage = stages.get(required.stage, {"refused": "it was not asked for"})
+    stage = stages.get(required.stage, {"refused": "it was not requested"})
     if "refused" in stage:
         return Verdict(required, "not tried", None, f"stage {required.stage} was not run: {stage['refused']}")
     try:
@@ -70,24 +70,24 @@ def _verdict(
     except NotTried as reason:
         return Verdict(required, "not tried", None, str(reason))
     except BadValue as error:
-        # Such as a position that is not a number, which is named elsewhere.
+        # For example a position that is not a number; another requirement reports it.
         return Verdict(required, "not tried", None, f"it cannot be judged: {error}")
-    # Not "greater than": a value that is not a number is not held.
+    # Do not write "greater than": a value that is not a number must not be held.
     return Verdict(required, "held" if found.value <= required.limit else "not held", *found)
 
 
 _WIDTH = 100
 _TITLE = "Acceptance of a controller with urlink"
 _SIGNED = ("Name", "Place, date", "Signature")
-#: What the page says of itself, so that nobody takes it for more.
+#: Statement on the page about its scope.
 _SCOPE = (
-    "It says what this controller and this library did together in this run. It is no assessment of risks, and says "
-    "nothing of the cell's safety functions."
+    "This page describes what this controller and this library did together in this run. It is not a risk assessment, "
+    "and does not describe the safety functions of the cell."
 )
 
 
 def is_accepted(verdicts: Sequence[Verdict]) -> bool:
-    """Something was tried, and all that was tried is held."""
+    """Return whether at least one requirement was tried, and all tried requirements are held."""
     return any(each.state == "held" for each in verdicts) and all(each.state != "not held" for each in verdicts)
 
 
@@ -96,7 +96,7 @@ def _about(evidence: Evidence, site: Mapping[str, Any], digest: str) -> Iterator
     if "wall" in about:
         yield "date", time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(about["wall"]))
     if known is not None:
-        yield "controller", f"{known.model or 'an arm that it does not name'}, firmware {known.firmware}"
+        yield "controller", f"{known.model or 'an arm of unknown model'}, firmware {known.firmware}"
     yield "library", f"urlink {about.get('urlink')}, Python {about.get('python')}, {about.get('system')}"
     for key, value in site.items():
         yield key, str(value)
@@ -120,7 +120,7 @@ def _measured(each: Verdict) -> str:
 
 
 def as_text(evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "") -> str:
-    """The page as text; the same for the same evidence, limits and site."""
+    """Return the page as text. It depends only on the evidence, the limits and the site."""
     lines = [_TITLE, "=" * len(_TITLE), ""]
     lines += [f"{name:12} {printable(value)}" for name, value in _about(evidence, site, digest)]
     stage = None
@@ -151,7 +151,7 @@ th, td { text-align: left; vertical-align: top; padding: .25em .6em; border-bott
 
 
 def as_html(evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "") -> str:
-    """The page as HTML, which needs nothing from elsewhere; the same for the same evidence, limits and site."""
+    """Return the page as HTML without external resources. It depends only on the evidence, the limits and the site."""
 
     def cell(text: object) -> str:
         return f"<td>{html.escape(printable(text))}</td>"

@@ -1,8 +1,9 @@
-"""Requirement files: what has to hold, up to which limit, why, and where the limit comes from.
+"""Requirement files: requirements with their limits, reasons, and the sources of the limits.
 
-They are TOML, in the part of it in which a value stands on one line and is written as in JSON: tables, texts, numbers,
-true and false. `tomllib` reads them too; Python 3.10 has none. A file of one's own changes limits by the names of the
-requirements, and says in a table `site` whose cell it is. What a check of the evidence measures is compared with them.
+The files are TOML, limited to tables, strings, numbers, true and false. Each value is on one line and is written as in
+JSON. `tomllib` can read the files too, but Python 3.10 does not have it. Your own file changes limits by the names of
+the requirements, and describes the cell in a table `site`. Checks of the evidence compare their measurements with the
+limits.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
 _TABLE = Path(__file__).with_name("requirements.toml")
 _HEAD = re.compile(r"\[([a-z][a-z0-9-]*)\]")
 _PAIR = re.compile(r"([a-z][a-z0-9_]*) *= *(.*)")
-#: What stands in the table of one's own cell.
+#: Name of the table that describes the cell.
 _SITE = "site"
-#: What a requirement has, and what of it a file of one's own may change.
+#: Keys of a requirement, and the keys that your own file may change.
 _KEYS, _OWN = ("stage", "what", "limit", "unit", "why", "source"), ("limit", "why", "source")
 
 
@@ -35,13 +36,13 @@ class Requirement:
     """One requirement.
 
     Attributes:
-        name: by which tests, reports and files of one's own refer to it.
-        stage: of the test in which it is tried.
-        what: is measured.
-        limit: the most that is held.
-        unit: of the limit; "" for a number of things or a ratio.
-        why: it is required.
-        source: of the limit.
+        name: Name, used in tests, reports and your own files.
+        stage: Stage of the test that tries it.
+        what: Description of the measured value.
+        limit: Largest value that is held.
+        unit: Unit of the limit; "" for a count or a ratio.
+        why: Reason for the requirement.
+        source: Source of the limit.
     """
 
     name: str
@@ -54,12 +55,12 @@ class Requirement:
 
 
 class Measured(NamedTuple):
-    """What was found.
+    """Result of a check.
 
     Attributes:
-        value: what was measured; compared with the limit.
-        seen: in words.
-        contradicts: parameters of `urlink.arm.parameters` that are refuted by it, each with what was measured.
+        value: Measured value, which is compared with the limit.
+        seen: Description of the result.
+        contradicts: Parameters of `urlink.arm.parameters` that the result refutes, each with the measured value.
     """
 
     value: float
@@ -68,17 +69,17 @@ class Measured(NamedTuple):
 
 
 class NotTried(Exception):
-    """There is nothing in the evidence by which it could be judged; says why."""
+    """Raised if the evidence contains nothing to judge. The message is the reason."""
 
 
 Check = Callable[["Evidence"], Measured]
 
-#: Things that are named in one verdict.
+#: Maximum number of items that one verdict names.
 _MOST = 6
 
 
 def counted(wrong: Sequence[str], otherwise: str) -> Measured:
-    """How many things are wrong, and which; `otherwise` is the text where none is."""
+    """Return the number of wrong items and their names, or `otherwise` if nothing is wrong."""
     if not wrong:
         return Measured(0.0, otherwise)
     more = f"; and {len(wrong) - _MOST} more" if len(wrong) > _MOST else ""
@@ -87,15 +88,15 @@ def counted(wrong: Sequence[str], otherwise: str) -> Measured:
 
 @cache
 def requirements() -> Mapping[str, Requirement]:
-    """The requirements that come with the library, by name, stage by stage."""
+    """Return the requirements of this library, by name, stage by stage."""
     return read(_TABLE.read_text(encoding="utf-8"), str(_TABLE))[0]
 
 
 def read(text: str, where: str) -> tuple[Mapping[str, Requirement], Mapping[str, Any]]:
-    """The requirements of a whole file, and its table `site`, empty where it has none.
+    """Parse a complete file; return the requirements and the table `site`, which is empty if the file has none.
 
     Raises:
-        BadValue: not a table of requirements, or one of them lacks something.
+        BadValue: If the text is not a table of requirements, or a requirement is incomplete.
     """
     tables = _tables(text, where)
     site = tables.pop(_SITE, {})
@@ -106,7 +107,7 @@ def read(text: str, where: str) -> tuple[Mapping[str, Requirement], Mapping[str,
 
 
 def written(requirements: Mapping[str, Requirement], site: Mapping[str, Any]) -> str:
-    """The text of a whole file, as `read` reads it."""
+    """Return the text of a complete file, which `read` can parse."""
     tables = {_SITE: dict(site)} if site else {}
     tables |= {name: {key: getattr(each, key) for key in _KEYS} for name, each in requirements.items()}
     return "\n".join(
@@ -116,10 +117,10 @@ def written(requirements: Mapping[str, Requirement], site: Mapping[str, Any]) ->
 
 
 def from_file(path: Path) -> tuple[Mapping[str, Requirement], Mapping[str, Any]]:
-    """The requirements as a file of one's own changes them, and its table `site`, empty where it has none.
+    """Return the requirements with the changes of your own file, and its table `site`, empty if the file has none.
 
     Raises:
-        BadValue: the file cannot be read, holds no limits, or names a requirement that there is not.
+        BadValue: If the file cannot be read, is not a requirement file, or names a requirement that does not exist.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -130,12 +131,12 @@ def from_file(path: Path) -> tuple[Mapping[str, Requirement], Mapping[str, Any]]
     found = dict(requirements())
     for name, table in tables.items():
         if name not in found:
-            raise BadValue(f"{path}: no requirement is called {name!r}; there are {', '.join(found)}")
+            raise BadValue(f"{path}: unknown requirement {name!r}; expected one of {', '.join(found)}")
         if not table.keys() <= set(_OWN):
-            raise BadValue(f"{path}: [{name}] has {', '.join(table)}; a file of one's own changes {', '.join(_OWN)}")
+            raise BadValue(f"{path}: [{name}] has {', '.join(table)}; your own file can change {', '.join(_OWN)}")
         limit = table.get("limit", 0.0)
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit < math.inf:
-            raise BadValue(f"{path}: [{name}] has limit = {limit!r}; expected a number from 0 on")
+            raise BadValue(f"{path}: [{name}] has limit = {limit!r}; expected a number of 0 or more")
         found[name] = replace(found[name], **table)
     return found, site
 
@@ -155,5 +156,5 @@ def _tables(text: str, where: str) -> dict[str, dict[str, Any]]:
         try:
             table[pair[1]] = json.loads(pair[2])
         except (ValueError, RecursionError):
-            raise BadValue(f"{where}, line {number}: {pair[2][:80]!r} is no value; expected one as JSON has") from None
+            raise BadValue(f"{where}, line {number}: invalid value {pair[2][:80]!r}; expected a JSON value") from None
     return tables

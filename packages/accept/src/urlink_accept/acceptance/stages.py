@@ -1,4 +1,4 @@
-"""A run: the stages one after the other, each with consent, everything of them in a logbook."""
+"""Run of the test: the stages one after the other, each with consent, with a complete logbook."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from .person import Nobody, OfTheSimulator, Person, is_held_by
 from .standing import stand
 from .swings import swing
 
-#: What each stage does, for the question whether it may.
+#: Action of each stage, used to ask for consent.
 STAGES: Mapping[int, str] = {
-    0: "reads: connects to every interface, listens, and asks what changes nothing",
-    1: "moves nothing: sets slider, TCP and payload and puts them back, runs programs that sleep",
-    2: "MOVES wrist 3 by 3 degrees while the dead man's input is on; somebody stands at the emergency stop",
-    3: "MOVES one joint after the other by 17 degrees to either side, each after it has asked you, for `identify`; "
-    "the dead man's input is on, somebody stands at the emergency stop",
+    0: "only reads: connects to every interface, listens, and sends queries that change nothing",
+    1: "moves nothing: sets slider, TCP and payload and restores them, runs programs that sleep",
+    2: "MOVES wrist 3 by 3 degrees while the dead-man switch is held; a person must stand at the emergency stop",
+    3: "MOVES one joint after the other by 17 degrees to either side, each after your consent, for `identify`; "
+    "the dead-man switch must be held, and a person must stand at the emergency stop",
 }
 
-#: Seconds that each stage usually takes; stage 0 also listens.
+#: Usual duration of each stage in s; stage 0 also listens.
 _USUAL: Mapping[int, float] = {0: 1.0, 1: 10.0, 2: 56.0, 3: 62.0}
 
 
@@ -50,28 +50,31 @@ def run(
     """Run stages against a controller.
 
     Args:
-        address: of a robot or of the simulator.
-        path: of the logbook, a file that does not exist yet.
-        stages: their numbers, in this order.
-        consent: asked before each stage, and each joint of stage 3, with the stage's number and what it does; returns
-            why it may not be run, or "".
-        person: who does what no program can; None for nobody, and for a simulated arm one that does it at once.
-        dead_man: number of the digital input that is on while the arm may move in stages 2 and 3.
-        seconds: for which stage 0 listens.
-        timeout: s, for a connection to be made.
-        progress: Called at each step with the estimated fraction that is done, 0 to 1, and a description of the step.
+        address: Address of a robot or of the simulator.
+        path: Path of the logbook, a file that does not exist yet.
+        stages: Numbers of the stages, in this order.
+        consent: Function that is called before each stage, and before each joint of stage 3, with the number of the
+            stage and its action. It returns the reason why the stage may not run, or "".
+        person: Person for actions that no program can do. If None, no person is present; for a simulated arm, a
+            stand-in acts immediately.
+        dead_man: Number of the digital input that is on while the arm may move in stages 2 and 3.
+        seconds: Time to listen in stage 0, in s.
+        timeout: Maximum time to connect, in s.
+        progress: Function that is called at each step with the estimated completed fraction, 0 to 1, and a description
+            of the step.
 
     Returns:
-        what in the logbook shows where this was: the addresses of both sides.
+        Texts in the logbook that show its location: the addresses of both sides.
 
     Raises:
-        BadAddress, BadValue: no such address, or one of a recording.
-        BadRecording: the logbook exists, or cannot be written.
-        RemoteError: the controller cannot be reached, or does not say who it is.
+        BadAddress: If the address is invalid.
+        BadValue: If the address is a recording.
+        BadRecording: If the logbook exists, or cannot be written.
+        RemoteError: If the controller cannot be reached, or does not report its identity.
     """
     place = parse_address(address)
     if isinstance(place, RecordingAddress):
-        raise BadValue(f"{address} is a recording; accept needs a controller that is running, or --replay and a bundle")
+        raise BadValue(f"{address} is a recording; expected a running controller, or --replay with a bundle")
     controller = None
     if isinstance(place, SimulatorAddress):
         controller, place = simulated(place)
@@ -99,7 +102,7 @@ def run(
 
 
 class _Pace:
-    """Reports the progress of stages, according to how long each of them usually takes."""
+    """Progress of the stages, estimated from their usual durations."""
 
     def __init__(self, stages: Sequence[int], seconds: float, progress: Callable[[float, str], object]) -> None:
         self._left = list(stages)
@@ -110,7 +113,7 @@ class _Pace:
         self._begun = 0.0
 
     def noted(self, step: str) -> None:
-        """A step has begun; "stage" begins the next stage."""
+        """Process the beginning of a step; "stage" begins the next stage."""
         if step == "stage" and self._left:
             self._stage, self._begun = self._left.pop(0), clock.now()
         if self._stage is None:
@@ -121,7 +124,7 @@ class _Pace:
 
 
 def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbook) -> str:
-    """Run a stage, unless it is refused; returns that it ended early, and why, or ""."""
+    """Run a stage unless it is refused. If it ends early, return this with the reason; otherwise return ""."""
     if refused:
         book.note("stage", number=number, refused=refused)
         return ""

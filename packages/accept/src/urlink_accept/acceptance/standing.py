@@ -1,4 +1,4 @@
-"""Stage 1: settings, programs and connections, while nothing moves."""
+"""Stage 1: settings, programs and connections, while the arm is at rest."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..identification.exercise import SHOWS_SLIDER, slider_of
 from .logbook import Logbook
 from .person import Person
 
-#: What the programs of this stage say, and s for which one sleeps.
+#: Texts of the programs of this stage, and sleep time of one program in s.
 BEGIN, END, SLEEP = "urlink accept: begins", "urlink accept: ends", 1.0
-#: Which register is written; others may use the lower half, and the last ones are the library's own.
+#: Registers to write. Others may use the lower half, and this library uses the last registers.
 _REGISTER = "input_int_register_46", "input_int_register_22"
 _ECHOES = 10
-#: s for something that a controller does at once; s after which it does not come.
+#: Maximum time in s for an immediate reaction of the controller; maximum time in s for any reaction.
 _SOON, _LONG = 5.0, 20.0
-#: s for which a client does not read.
+#: Time in s without reading by a client.
 _SILENT = 2.0
-#: By how much the slider, the tool and the payload are moved, and put back.
+#: Changes of the slider, the tool and the payload, which are restored later.
 _SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1
 _SHOWS_PAYLOAD, _SHOWS_TCP = Firmware(5, 10), Firmware(3, 2)
 
@@ -32,13 +32,13 @@ Told = Mapping[str, Any]
 
 
 def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> None:
-    """Try everything that moves nothing; each step notes what came of it, and none ends the others.
+    """Try all steps that move nothing. Each step notes its result, and no step ends the others.
 
     Args:
-        robot: connected within the logbook, and in remote control where there is such a thing.
-        place: of its ports.
-        book: in which it is written down.
-        person: who switches to local control.
+        robot: Robot that was connected within the logbook, in remote control if it has this mode.
+        place: Address with its ports.
+        book: Logbook to write to.
+        person: Person who switches to local control.
     """
     robot.realtime.wait(_SOON)
     robot.primary.wait(_SOON)
@@ -59,7 +59,7 @@ def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> N
 
 
 def try_each(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object] = list) -> None:
-    """Note what each step returns, or what it raises; whatever `between` raises, after each, ends them all."""
+    """Note the result or the error of each step. `between` runs after each step; its errors end all steps."""
     for name, step in steps.items():
         book.note(name, event="begin")
         try:
@@ -76,7 +76,7 @@ def try_each(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Ca
 
 def _slider(robot: Robot) -> Told:
     if robot.firmware < SHOWS_SLIDER:
-        return {"skipped": "this firmware does not show its slider"}
+        return {"skipped": "this firmware does not report its slider"}
     before = slider_of(robot)
     wanted = before - _SLIDER if before > 2 * _SLIDER else before + _SLIDER
     began = clock.now()
@@ -91,7 +91,7 @@ def _slider(robot: Robot) -> Told:
 
 def _tcp(robot: Robot) -> Told:
     if robot.firmware < _SHOWS_TCP:
-        return {"skipped": "this firmware does not show the TCP"}
+        return {"skipped": "this firmware does not report the TCP"}
 
     def tool() -> list[float]:
         offset = tool_offset(robot.primary.of(CartesianInfo).wait(_SOON))
@@ -110,7 +110,7 @@ def _tcp(robot: Robot) -> Told:
 
 def _payload(robot: Robot) -> Told:
     if robot.firmware < _SHOWS_PAYLOAD:
-        return {"skipped": "this firmware does not show the payload"}
+        return {"skipped": "this firmware does not report the payload"}
     state = robot.realtime.wait(_SOON)
     assert state.payload_mass is not None
     assert state.payload_cog is not None
@@ -214,7 +214,7 @@ def _until(condition: Callable[[], bool], seconds: float) -> bool:
 
 
 def _reset(robot: Robot, place: RobotAddress) -> Told:
-    """Send a program on another connection, reset that, and see whether the program goes on."""
+    """Send a program on another connection, reset this connection, and check whether the program continues."""
     texts: list[str] = []
     with robot.primary.subscribe(lambda message: texts.append(message.text), TextMessage):
         transport = TcpTransport(place.host, place.ports["primary"], silence=_SOON)
@@ -233,7 +233,7 @@ def _reset(robot: Robot, place: RobotAddress) -> Told:
 
 
 def _silent(place: RobotAddress) -> Told:
-    """Connect, and do not read."""
+    """Connect without reading."""
     transport = TcpTransport(place.host, place.ports["realtime"], silence=_SOON)
     transport.open(_SOON)
     try:
@@ -250,7 +250,7 @@ def _local(robot: Robot, person: Person) -> Told:
     if not robot.firmware.is_e_series:
         return {"skipped": "this generation has no local control that refuses programs"}
     if not person.does("local"):
-        return {"skipped": "nobody has switched to local control"}
+        return {"skipped": "no person has switched to local control"}
     began = clock.now()
     try:
         robot.script.run(f'def in_local():\n  textmsg("{BEGIN} local")\nend').wait(_LONG)

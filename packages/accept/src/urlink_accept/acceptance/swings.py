@@ -1,7 +1,7 @@
-"""Stage 3: one joint at a time swings about where it stands, and what that contradicts of the table of parameters.
+"""Stage 3: each joint swings alone about its start position, to check the table of parameters.
 
-They swing as `urlink exercise` has them, for identification. Each joint is asked for by itself, with the box that the
-arm sweeps meanwhile. A guard stops whatever else moves.
+The joints swing as in `urlink exercise`, for identification. Each joint needs its own consent, which names the box that
+the arm sweeps. A guard stops any other motion.
 """
 
 from __future__ import annotations
@@ -37,39 +37,41 @@ from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried
 
-#: A row of one arm that gives no interval, and is not of joints that were measured, is taken within this factor: the
-#: widest that such a row names in its source.
+#: Factor of the interval of an arm's own row that gives no interval and is not for measured joints. It is the largest
+#: factor that such a row names in its source.
 _FACTOR = 1.5
-#: The current of wrist 3 is mostly friction, of which the model explains less: by so much less its rest counts.
+#: Weight of the unexplained current of wrist 3, which is mostly friction. The model explains less of friction.
 _WRIST_3 = 0.1
-#: The part of an end of an interval by which the fit of a quiet arm may be beside it, whose own interval has no width.
+#: Relative tolerance at the ends of an interval, for the fit of a noise-free arm, whose interval has no width.
 _ROUNDING = 1e-6
-#: What is left of a fit is rounded to this many digits, below which it differs from one computer to another.
+#: Number of digits for rounding the residual of a fit. Further digits differ between computers.
 _DIGITS = 9
 
 _SHOWS_ARM = Firmware(3, 0)
 
 
 def _step_of(joint: int) -> str:
-    """The name of the step in which a joint swings: "swing-wrist-1"."""
+    """Return the step name of the swing of a joint, for example "swing-wrist-1"."""
     return f"swing-{JOINTS[joint].replace(' ', '-')}"
 
 
 def swing(robot: Robot, book: Logbook, is_held: Callable[[RealtimeState], bool], consent: Callable[[str], str]) -> None:
-    """Let each joint swing that may; none swings after one that was stopped.
+    """Let each joint swing that has consent. No joint swings after one was stopped.
 
     Args:
-        robot: connected within the logbook, running, in remote control where there is such a thing.
-        book: in which it is written down.
-        is_held: whether the arm may move, by a state.
-        consent: asked before each joint with what it does; returns why it may not, or "".
+        robot: Robot that was connected within the logbook, running, and in remote control if it has this mode.
+        book: Logbook to write to.
+        is_held: Function that returns for a state whether the arm may move.
+        consent: Function that is called before each joint with a description of its motion. It returns the reason why
+            the joint may not swing, or "".
 
     Raises:
-        Cancelled: the guard has stopped the arm, the dead man's input is not held at the beginning, or a motion failed.
-        LinkError: the arm is not known, or a joint would leave its limits.
+        Cancelled: If the guard has stopped the arm, the dead-man switch is not held at the beginning, or a motion
+            fails.
+        LinkError: If the arm is not known, or a joint would leave its limits.
     """
     if robot.firmware < _SHOWS_ARM:
-        book.note("swinging", skipped="this firmware does not say which arm it has")
+        book.note("swinging", skipped="this firmware does not report which arm it has")
         return
     slider = slider_of(robot)
     start = robot.realtime.wait(5.0).q_target
@@ -103,10 +105,10 @@ def _does(joint: int, planned: Exercise, slider: float) -> str:
 
 
 def contradictions(found: Iterable[tuple[Parameter, Estimate]]) -> tuple[str, ...]:
-    """Which parameters are refuted: those whose interval and the measured one have nothing in common."""
+    """Return the refuted parameters: those whose interval does not overlap the measured interval."""
     return tuple(
-        f"{row.name}{f' of {row.of}' if row.of else ''}: measured {_text(each)}{f' {row.unit}' if row.unit else ''}, "
-        f"and the table has {row.low:g} to {row.high:g} ({row.evidence}: {row.source})"
+        f"{row.name}{f' of {row.of}' if row.of else ''}: measured {_text(each)}{f' {row.unit}' if row.unit else ''}; "
+        f"the table has {row.low:g} to {row.high:g} ({row.evidence}: {row.source})"
         for row, each in found
         if each.is_known and row.low is not None and row.high is not None
         if each.high < row.low - _ROUNDING * abs(row.low) or each.low > row.high + _ROUNDING * abs(row.high)
@@ -118,14 +120,14 @@ def _text(each: Estimate) -> str:
 
 
 def rows_of(name: str, arm: str) -> list[Parameter]:
-    """The rows that a parameter of the joints has for an arm, each with the interval of its joint."""
+    """Return the rows of a joint parameter for an arm, each with the interval of its joint."""
     of_size = [parameters()[name, size] for size in joint_sizes(arm)]
     own = parameters().get((name, arm))
     if own is None:
         return of_size
     found = []
     for value, size in zip(numbers(name, arm), of_size, strict=True):
-        # The interval of a size is that of the arms that were measured: it holds for this arm if it was one of them.
+        # The interval of a size comes from measured arms. It is valid for this arm if the arm is one of them.
         low, high = size.low or 0.0, size.high or math.inf
         if not low <= value <= high:
             low, high = value / _FACTOR, value * _FACTOR
@@ -134,19 +136,19 @@ def rows_of(name: str, arm: str) -> list[Parameter]:
 
 
 class _Swings:
-    """What was recorded of the joints that have swung.
+    """Recording of the joints that have swung.
 
     Attributes:
-        joints: their numbers.
-        packets: of the real-time interface, of the stage.
-        away: (n, 6) rad from where each joint stood at the beginning of the stage.
-        spans: number of a joint -> when it began to swing and when it had, s, monotonic.
+        joints: Numbers of the joints.
+        packets: Packets of the real-time interface during the stage.
+        away: Distance of each joint from its position at the beginning of the stage, shape (n, 6), in rad.
+        spans: Number of a joint -> monotonic start and end times of its swing, in s.
     """
 
     def __init__(self, evidence: Evidence) -> None:
         began = evidence.last("swinging")
         if began is None or began.get("skipped"):
-            raise NotTried("it did not begin" if began is None else began["skipped"])
+            raise NotTried("the stage did not begin" if began is None else began["skipped"])
         said = {joint: evidence.said(_step_of(joint)) for joint in range(6)}
         self.spans: dict[int, tuple[float, float]] = {}
         for joint, notes in said.items():
@@ -157,11 +159,11 @@ class _Swings:
         self.packets = evidence.realtime.between(begin, end)
         q = self.packets.column(lambda state: state.q_actual)
         if q is None:
-            raise NotTried("no packet of the real-time interface came")
+            raise NotTried("no packet of the real-time interface arrived")
         self.away: FloatArray = np.abs(q - np.array(began["start"]))
 
     def names(self, values: Iterable[float], form: Callable[[float], str]) -> str:
-        """A value of each joint that has swung, in words."""
+        """Return a text with a value for each joint that has swung."""
         return ", ".join(f"{JOINTS[joint]} {form(value)}" for joint, value in zip(self.joints, values, strict=True))
 
 
@@ -187,10 +189,10 @@ def _alone(evidence: Evidence) -> Measured:
 
 @lru_cache(maxsize=1)
 def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
-    """What the stage shows of the arm.
+    """Return the arm that the recording of the stage shows.
 
     Raises:
-        NotTried: it shows nothing, and why.
+        NotTried: If the recording shows nothing. The message is the reason.
     """
     swings = _Swings(evidence)
     if not swings.joints:
@@ -204,7 +206,7 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
     try:
         return swings, identify(Samples(Path("the logbook"), columns, arm.name, swings.packets.arrived))
     except (BadRecording, BadValue) as error:
-        raise NotTried(f"nothing is told by it: {error}") from None
+        raise NotTried(f"the recording shows nothing: {error}") from None
 
 
 def _of_joints(swings: _Swings, found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:
@@ -222,10 +224,10 @@ def _of_arm(found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]
 
 
 def _explained(swings: _Swings, r2: tuple[float, ...], last: float = 1.0) -> tuple[float, str]:
-    """The largest part that is left of a quantity, and what is explained of each joint, in words."""
+    """Return the largest unexplained fraction of a quantity, and a text with the explained fraction of each joint."""
     left = np.array([round(1.0 - r2[joint], _DIGITS) * (last if joint == 5 else 1.0) for joint in swings.joints])
     if np.isnan(left).any():
-        raise NotTried("a joint that has swung shows no moment or current that varies")
+        raise NotTried("a joint that has swung shows no variation of its moment or current")
     return float(left.max()), swings.names((r2[joint] for joint in swings.joints), "{:.5f}".format)
 
 
@@ -245,19 +247,19 @@ def _currents(evidence: Evidence) -> Measured:
 
 
 def _of(name: str, judged: Callable[[float], float], seen: str, *others: str) -> Check:
-    """A check of one number that is identified; `others` are told by the same swings, and may be refuted too."""
+    """Return a check of one identified number. `others` are identified from the same swings, and may be refuted too."""
 
     def check(evidence: Evidence) -> Measured:
         _, found = _identified(evidence)
         (each,) = found.estimates[name]
         if not each.is_known:
-            raise NotTried(f"{name} is not told; it needs {each.needs}")
+            raise NotTried(f"{name} is unknown; it needs {each.needs}")
         return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *others)))
 
     return check
 
 
-#: What the noise of the sensors shows, beside that of the positions.
+#: Parameters that the noise of the sensors shows, in addition to the noise of the positions.
 _NOISE = ("position_offset", "current_noise_at_rest", "current_noise", "stiction", "force_noise", "torque_noise")
 
 
@@ -267,6 +269,6 @@ SWINGS: Mapping[str, Check] = {
     "swing-moments": _moments,
     "swing-currents": _currents,
     "swing-lag": _of("tracking_lag", lambda lag: lag, "s behind the targets"),
-    "swing-ramp": _of("start_rate", lambda rate: 0.5 / rate, "1/s, with which the scaling of a program rises"),
+    "swing-ramp": _of("start_rate", lambda rate: 0.5 / rate, "1/s, rate at which the scaling of a program rises"),
     "swing-noise": _of("position_noise", lambda noise: noise, "rad at rest, standard deviation", *_NOISE),
 }

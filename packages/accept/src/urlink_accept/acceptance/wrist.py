@@ -1,4 +1,4 @@
-"""Checks of how the wrist has moved in stage 2, by the packets of the real-time interface."""
+"""Checks of the motion of the wrist in stage 2, from the packets of the real-time interface."""
 
 from __future__ import annotations
 
@@ -18,55 +18,58 @@ from .obedience import HELD_UP, held_up, outcome, span, unless_held_up
 from .requirements import Check, Measured, NotTried
 from .swings import contradictions
 
-#: rad/s below which the wrist stands.
+#: Speed in rad/s below which the wrist is at rest.
 _STANDS = 2e-3
-#: s without a packet or a set-point after which a stream may have starved: half of its watchdog, since hold-ups add up.
+#: Time in s without a packet or a set-point after which a stream may have starved. It is half of the default watchdog
+#: of a stream, because delays add up.
 _STARVING = 0.05
 
 
 class _Moved:
-    """What the wrist did during a step: controller's time, arrival, positions and target speeds."""
+    """Motion of the wrist during a step: controller's time, arrival, positions and target speeds."""
 
     def __init__(self, evidence: Evidence, step: str) -> None:
         begin, end = span(evidence, step)
         self.said = outcome(evidence, step)
-        # A motion is given up where this computer, or the network, holds up what paces it. `frozen` does so on purpose.
+        # A motion is aborted if this computer or the network delays its pacing. In `frozen`, this is intended.
         self.messages = _messages(evidence, begin, end)
         gap = max(held_up(evidence, step), float(np.diff([*self.messages, end]).max()) if self.messages else 0.0)
         if self.error and step != "frozen" and gap > _STARVING:
-            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came from the controller or went to it; {self.error}")
+            raise NotTried(
+                f"for {gap * 1e3:.0f} ms, no data was received from the controller or sent to it; {self.error}"
+            )
         packets = evidence.realtime
         there = (packets.arrived >= begin) & (packets.arrived <= end)
         q, qd = packets.column(lambda state: state.q_actual), packets.column(lambda state: state.qd_target)
         if q is None or qd is None or not there.any():
-            raise NotTried("no packet of the real-time interface came")
+            raise NotTried("no packet of the real-time interface arrived")
         self.time, self.arrived = moments("realtime", packets)[there], packets.arrived[there]
         self.q, self.speed = q[there], np.abs(qd[there][:, WRIST])
         self.told = {note.said["event"]: note.at for note in evidence.said(step) if begin <= note.at <= end}
 
     @property
     def error(self) -> str:
-        """What the step raised, or nothing."""
+        """Error of the step; "" if there is none."""
         return self.said.get("error") or ""
 
     @property
     def answered(self) -> float:
-        """Which part of the states that came between set-points was answered with one; 1 where none were sent."""
+        """Fraction of the states between set-points that were answered with one; 1 if none were sent."""
         if not self.messages:
             return 1.0
         there = (self.arrived >= self.messages[0]) & (self.arrived <= self.messages[-1])
         return len(self.messages) / max(int(there.sum()), 1)
 
     def far(self) -> float:
-        """rad from the goal at the end."""
+        """Return the distance from the goal at the end, in rad."""
         return float(np.abs(self.q[-1] - np.array(self.said["goal"])).max())
 
     def stood(self) -> tuple[float, float]:
-        """When the wrist stood after it was told to, s by the controller's clock, and s that it stood then."""
+        """Return the time until the wrist was at rest, and its time at rest, in s by the controller's clock."""
         after = self.arrived >= self.told["told"]
         some = after & (self.arrived <= self.told.get("undone", math.inf))
         if not some.any():
-            raise NotTried("no packet of the real-time interface came after it")
+            raise NotTried("no packet of the real-time interface arrived after it")
         moving = np.flatnonzero(some & (self.speed > _STANDS))
         first = int(np.argmax(after))
         last = int(moving[-1]) if len(moving) else first
@@ -75,7 +78,7 @@ class _Moved:
 
 
 def _messages(evidence: Evidence, begin: float, end: float) -> list[float]:
-    """When something was sent to a program that reads set-points, s."""
+    """Return the times of set-points that were sent to a program, in s."""
     chunks = (at for wire in evidence.wires if wire.is_sent and wire.interface == "reverse" for at, _ in wire.chunks)
     return sorted(at.monotonic for at in chunks if begin <= at.monotonic <= end)
 
@@ -83,18 +86,18 @@ def _messages(evidence: Evidence, begin: float, end: float) -> list[float]:
 def _moving(evidence: Evidence) -> tuple[Mapping[str, Any], NDArray[np.float64]]:
     said = evidence.last("moving")
     if said is None or said.get("skipped"):
-        raise NotTried("it did not begin" if said is None else said["skipped"])
+        raise NotTried("the stage did not begin" if said is None else said["skipped"])
     at, end = evidence.said("moving")[-1].at, evidence.stage(2)[1]
     q = evidence.realtime.between(at, end).column(lambda state: state.q_actual)
     if q is None:
-        raise NotTried("no packet of the real-time interface came")
+        raise NotTried("no packet of the real-time interface arrived")
     return said, np.abs(q - np.array(said["start"]))
 
 
 def _box(evidence: Evidence) -> Measured:
     _, away = _moving(evidence)
     guard = evidence.last("guard")
-    stopped = "" if guard is None else f"; the guard has stopped it: {guard['why']}"
+    stopped = "" if guard is None else f"; the guard has stopped the arm: {guard['why']}"
     return Measured(float(away.max()), f"{math.degrees(away.max()):.2f} degrees{stopped}")
 
 
@@ -118,14 +121,14 @@ def _scales(evidence: Evidence) -> Measured:
     if moved.error:
         return Measured(math.inf, moved.error)
     wanted, most = SPEED * said["slider"], float(moved.speed.max())
-    seen = f"{most:.4f} rad/s, and {SPEED} rad/s at {said['slider']:.0%} are {wanted:.4f}"
+    seen = f"{most:.4f} rad/s; expected {wanted:.4f} rad/s, which is {SPEED} rad/s at {said['slider']:.0%}"
     return unless_held_up(evidence, "move", Measured(abs(most / wanted - 1.0), seen), 0.1)
 
 
 def _stops(step: str) -> Check:
     def check(evidence: Evidence) -> Measured:
         found = stopped(_Moved(evidence, step))
-        # `frozen` holds this computer up on purpose.
+        # The step `frozen` delays this computer on purpose.
         return found if step == "frozen" else unless_held_up(evidence, step, found, 0.3)
 
     def stopped(moved: _Moved) -> Measured:
@@ -141,10 +144,10 @@ def _stops(step: str) -> Check:
         if stood <= 0.1:
             return Measured(math.inf, f"it still moved {took:.2f} s{after}")
         if "undone" in moved.told and moved.far() > 2e-3:
-            return Measured(math.inf, f"it did not go on to its goal: {moved.far():.4f} rad away")
+            return Measured(math.inf, f"it did not continue to its goal: {moved.far():.4f} rad away")
         if step == "protective-stop" and not moved.said.get("ended"):
             return Measured(math.inf, "the motion did not fail with SafetyStop")
-        return Measured(max(took, 0.0), f"it stood {took * 1e3:+.0f} ms{after}")
+        return Measured(max(took, 0.0), f"at rest after {took * 1e3:+.0f} ms{after}")
 
     return check
 
@@ -160,7 +163,7 @@ def _follow(evidence: Evidence) -> Measured:
         wanted = FOLLOWED / moved.said["slider"]
         worst = max(worst, abs(took / wanted - 1.0))
         if abs(took / wanted - 1.0) > 0.1 and ((gap := held_up(evidence, step)) > HELD_UP or moved.answered < 0.9):
-            raise NotTried(f"for {gap * 1e3:.0f} ms nothing came, and {moved.answered:.0%} of the states were answered")
+            raise NotTried(f"nothing arrived for {gap * 1e3:.0f} ms; {moved.answered:.0%} of the states were answered")
         seen.append(f"{moved.said['slider']:.0%}: {took:.2f} s of {wanted:g} s")
     return Measured(worst, ", ".join(seen))
 
@@ -173,7 +176,7 @@ def _lag(evidence: Evidence) -> Measured:
     assumed = parameters()["servoj_lag_of_lookahead", ""]
     cycles = 2.0 / (evidence.firmware.rate if evidence.firmware is not None else 500)
     share = (lag - cycles) / moved.said["lookahead"]
-    seen = f"{lag * 1e3:.1f} ms, that is two cycles and {share:.2f} of the look-ahead time"
+    seen = f"{lag * 1e3:.1f} ms: two cycles and {share:.2f} of the look-ahead time"
     refuted = contradictions([(assumed, Estimate(share, share, share))])
     if refuted and moved.answered < 0.9:
         raise NotTried(f"{moved.answered:.0%} of the states were answered: {seen}")

@@ -1,1 +1,1 @@
-"""The commands `urlink accept`, `urlink exercise`, `urlink identify` and `urlink compare`."""
+"""Commands `urlink accept`, `urlink exercise`, `urlink identify` and `urlink compare`."""

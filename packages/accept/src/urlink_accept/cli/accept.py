@@ -1,4 +1,4 @@
-"""`urlink accept`: tests a controller and this library together, and leaves evidence."""
+"""Command `urlink accept`: test a controller together with this library, and store the evidence."""
 
 from __future__ import annotations
 
@@ -20,24 +20,26 @@ from ..acceptance.requirements import from_file, requirements
 
 @command(
     "accept",
-    "prove a controller, and leave evidence",
+    "test a controller and store the evidence",
     *address("?"),
-    argument("--stage", type=int, action="append", choices=list(stages.STAGES), help="run this one; repeatable (all)"),
-    argument("--yes", action="store_true", help="consent to the stages that --stage names"),
-    argument("--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"),
-    argument("--duration", type=seconds, default=10.0, metavar="S", help="listen for S seconds (10)"),
-    argument("--requirements", metavar="FILE", help="limits of your own, and whose cell it is (TOML)"),
-    argument("--bundle", metavar="FILE", help="leave the evidence in this new file, a ZIP archive"),
+    argument(
+        "--stage", type=int, action="append", choices=list(stages.STAGES), help="run this stage; repeatable (all)"
+    ),
+    argument("--yes", action="store_true", help="consent to the stages given by --stage"),
+    argument("--dead-man", type=int, choices=range(8), metavar="N", help="move only while digital input N is on"),
+    argument("--duration", type=seconds, default=10.0, metavar="S", help="listen for S seconds (default: 10)"),
+    argument("--requirements", metavar="FILE", help="use the limits and the description of the cell in FILE (TOML)"),
+    argument("--bundle", metavar="FILE", help="save the evidence in this new file, a ZIP archive"),
     argument("--replay", metavar="FILE", help="judge a bundle again, without a controller"),
-    argument("--html", metavar="FILE", help="write the page as HTML too"),
+    argument("--html", metavar="FILE", help="also write the page as HTML"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Test a controller and this library together, and print a page that can be signed.
+    """Test a controller together with this library, and print a page that can be signed.
 
-    Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees, stage 3 MOVES each joint alone
-    by 17 degrees to either side. Each stage, and each joint of stage 3, is begun with your consent: --yes gives it for
-    the stages that --stage names; a simulated arm needs none. Each requirement has a
-    verdict: held, NOT HELD, or not tried and why. The status is 0 where all that was tried is held.
+    Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees, and stage 3 MOVES each joint
+    alone by 17 degrees to either side. Each stage, and each joint of stage 3, needs your consent. --yes gives it for
+    the stages given by --stage; a simulated arm needs none. Each requirement gets a verdict: held, NOT HELD, or not
+    tried, with the reason. The exit status is 0 if all tried requirements are held.
 
     examples:
       urlink accept sim://ur5e
@@ -50,9 +52,9 @@ def run(args: argparse.Namespace) -> int:
     if args.replay is not None:
         return _page(Path(args.replay), args)
     if args.yes and not args.stage:
-        args.usage_error("--yes needs --stage: each stage is consented to by itself")
+        args.usage_error("--yes needs --stage: each stage needs its own consent")
     if args.bundle is not None and Path(args.bundle).exists():
-        raise BadValue(f"{args.bundle} exists; a bundle never overwrites one")
+        raise BadValue(f"{args.bundle} already exists; expected a new file for the bundle")
     with tempfile.TemporaryDirectory(prefix="urlink-accept-") as folder:
         bundle = Path(folder, "bundle.zip") if args.bundle is None else Path(args.bundle)
         _test(args, Path(folder, "logbook.urlog"), bundle)
@@ -67,11 +69,11 @@ def _test(args: argparse.Namespace, logbook: Path, bundle: Path) -> None:
         if args.yes or is_simulated:
             return ""
         if not sys.stdin.isatty():
-            return "nobody could be asked for consent"
+            return "no terminal to ask for consent"
         return "" if agrees(f"Stage {number} {does}.\nRun it?") else "no consent"
 
     numbers = args.stage or list(stages.STAGES)
-    tell(f"testing {args.address}: stage {', '.join(map(str, numbers))}; Ctrl-C ends it")
+    tell(f"testing {args.address}: stage {', '.join(map(str, numbers))}; press Ctrl-C to abort")
     person = AtTheTerminal() if sys.stdin.isatty() and not is_simulated else None
     with ProgressBar(f"connecting to {args.address}", args.quiet) as progress:
         secrets = stages.run(

@@ -1,4 +1,4 @@
-"""`urlink exercise`, `identify` and `compare`: a motion to record, what it shows, and the simulator beside it."""
+"""Commands `urlink exercise`, `identify` and `compare`: record a motion, identify the arm, and check the simulator."""
 
 from __future__ import annotations
 
@@ -23,27 +23,29 @@ if TYPE_CHECKING:
 
 def _degrees(text: str) -> float:
     if not 6.0 <= seconds(text) <= 45.0:
-        raise argparse.ArgumentTypeError(f"{text} is not from 6 to 45 degrees")
+        raise argparse.ArgumentTypeError(f"{text} is out of range; expected 6 to 45 degrees")
     return seconds(text)
 
 
 @command(
     "exercise",
-    "a slow motion to record",
+    "move each joint slowly, for a recording",
     *ADDRESS,
-    argument("--out", metavar="FILE", help="record it in this new file, for `urlink identify`"),
-    argument("--swing", type=_degrees, default=17.0, metavar="DEG", help="degrees to either side, 6 to 45 (17)"),
-    argument("--dead-man", type=int, choices=range(8), metavar="N", help="digital input, on while it may move"),
-    argument("--yes", action="store_true", help="the box is free; a simulated arm is not asked for"),
+    argument("--out", metavar="FILE", help="record the motion in this new file, for `urlink identify`"),
+    argument(
+        "--swing", type=_degrees, default=17.0, metavar="DEG", help="degrees to either side, 6 to 45 (default: 17)"
+    ),
+    argument("--dead-man", type=int, choices=range(8), metavar="N", help="move only while digital input N is on"),
+    argument("--yes", action="store_true", help="confirm that the box is free; not needed for a simulated arm"),
 )
 def _exercise(args: argparse.Namespace) -> int:
-    """Move each joint about where it stands, slowly, and then all of them together: what `urlink identify` needs.
-    THE ARM MOVES, for a minute or two. Where to is printed first, and nothing moves before you have said that this
-    box is free. No part of the arm is faster than 0.25 m/s, and the speed slider slows it down further: try it at
-    a low slider, and record it at 100 %.
+    """Move each joint slowly about its current position, and then all joints together, for `urlink identify`.
+    THE ARM MOVES, for a minute or two. The box of the motion is printed first, and nothing moves before you confirm
+    that this box is free. No part of the arm is faster than 0.25 m/s, and the speed slider slows it down further: try
+    the motion at a low slider, and record it at 100 %.
 
-    Stand at the emergency stop. --dead-man names a digital input that has to be on while the arm moves. Ctrl-C
-    stops it. It ends where it began.
+    Stand at the emergency stop. --dead-man names a digital input that must be on while the arm moves. Ctrl-C stops the
+    arm. The motion ends at its start position.
 
     examples:
       urlink exercise 192.168.56.101
@@ -58,20 +60,20 @@ def _exercise(args: argparse.Namespace) -> int:
         print(_box_text(str(robot.model), planned, slider), flush=True)
         if not (args.yes or args.address.strip().startswith("sim:")):
             if not sys.stdin.isatty():
-                tell("nobody could be asked whether this box is free; --yes says so")
+                tell("no terminal to ask whether this box is free; confirm it with --yes")
                 return 1
-            if not agrees("Is this box free, and somebody at the emergency stop?"):
+            if not agrees("Is this box free, and is a person at the emergency stop?"):
                 return 1
         guard = Guard(robot, planned.swing + BESIDE, *(() if args.dead_man is None else (input_is_on(args.dead_man),)))
         with contextlib.nullcontext() if args.out is None else robot.record(args.out, ["realtime"]):
             _move(robot, planned, guard, args.quiet)
     if args.out is not None:
-        tell(f"urlink identify {args.out} --out arm.json says what it tells")
+        tell(f"to identify the arm: urlink identify {args.out} --out arm.json")
     return 0
 
 
 def _move(robot: Robot, planned: Exercise, guard: Guard, quiet: bool) -> None:
-    """Move, and show the progress."""
+    """Move the arm, and show the progress."""
     from ..identification.exercise import exercise
 
     with ProgressBar("exercise", quiet) as progress:
@@ -87,31 +89,33 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
     degrees = f"{math.degrees(planned.swing):.0f} degrees"
     lines = [
         f"{model}: {len(planned.legs)} movements in {planned.seconds / max(slider, 0.01):.0f} s",
-        f"each joint turns by {degrees} to either side of where it stands, alone and then with the others",
-        "joints, the lines between them and the TCP stay, in the base frame, from",
+        f"each joint turns by {degrees} to either side of its position, alone and then with the others",
+        "joints, the lines between them and the TCP stay within this box, in the base frame:",
     ]
     pairs = zip("xyz", planned.low.tolist(), planned.high.tolist(), strict=True)
     lines += [f"  {axis} {low:7.3f} to {high:.3f} m" for axis, low, high in pairs]
-    lines.append("the arm is thicker than these lines; tool, cables and what they may catch are for you to see")
+    lines.append("the arm is thicker than these lines; check the tool, the cables and what they may catch yourself")
     if slider < 1.0:
-        lines.append(f"the speed slider is at {slider:.0%}: what is recorded tells less than at 100 %")
+        lines.append(f"the speed slider is at {slider:.0%}; a recording shows less than at 100 %")
     return "\n".join(lines)
 
 
 @command(
     "compare",
-    "a recording beside the simulator",
+    "compare a recording with the simulator",
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
-    argument("--like", metavar="FILE", help="the arm, as urlink identify wrote it"),
-    argument("--model", metavar="NAME", help="arm, if neither --like nor the recording says it"),
-    argument("--tolerance", type=seconds, default=0.01, metavar="S", help="by which a movement may take longer (0.01)"),
+    argument("--like", metavar="FILE", help="use the arm in FILE, written by urlink identify"),
+    argument("--model", metavar="NAME", help="arm, if neither --like nor the recording names it"),
+    argument(
+        "--tolerance", type=seconds, default=0.01, metavar="S", help="allowed time difference in s (default: 0.01)"
+    ),
 )
 def _compare(args: argparse.Namespace) -> int:
-    """Run what an arm was commanded in a recording on the simulator, and print by how much the two differ: for each
-    movement between two rests how much longer the simulator takes, and for each quantity the root mean square by
-    joint. The exit status is 1 if a movement differs by more than --tolerance: a regression test of a cell.
+    """Run the motions of a recording on the simulator, and print the differences: for each movement between two rests
+    the additional time of the simulator, and for each quantity the root mean square by joint. The exit status is 1 if
+    a movement differs by more than --tolerance seconds, so the command can serve as a regression test of a cell.
 
-    A recording does not hold commands, so each movement is run as the movej or movel that fits its targets.
+    A recording does not contain commands, so each movement is run as the movej or movel that fits its targets.
 
     examples:
       urlink compare run.urlog --like arm.json
@@ -128,7 +132,7 @@ def _compare(args: argparse.Namespace) -> int:
         if args.like is not None:
             like = read_arm_file(args.like)
         else:
-            # The geometry alone: the rest is that of the model.
+            # Identify only the geometry: all other values are those of the model.
             progress.next("identifying the geometry")
             found = identify(samples, args.model)
             like = ArmFile(found.model, {}, found.calibration, found.tcp)
@@ -149,17 +153,17 @@ def _compare(args: argparse.Namespace) -> int:
 
 @command(
     "identify",
-    "what a recording tells of its arm",
+    "estimate the parameters of an arm from a recording",
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
-    argument("--model", metavar="NAME", help="arm, if the recording does not say it"),
-    argument("--out", metavar="FILE", help="write what was found, for sim://...?like=FILE"),
-    argument("--json", action="store_true", help="one object a line: name, joint, value, low, high, needs"),
+    argument("--model", metavar="NAME", help="arm, if the recording does not name it"),
+    argument("--out", metavar="FILE", help="write the result, for sim://...?like=FILE"),
+    argument("--json", action="store_true", help="print one object per line: name, joint, value, low, high, needs"),
 )
 def _identify(args: argparse.Namespace) -> int:
-    """Identify an arm from a recording of it in motion: calibration, payload, rotor inertias, torque constants,
-    friction, lag, the ramp of programs, noise. Each number has the interval that holds it with 99 %; what the
-    recording does not tell says which motion would. The file that --out writes makes the simulator that arm:
-    sim://ur5e?like=arm.json.
+    """Identify an arm from a recording of its motion: calibration, payload, rotor inertias, torque constants,
+    friction, lag, the ramp of programs, noise. Each number has the interval that contains it with 99 %. If the
+    recording does not show a number, the motion that would show it is named. With the file that --out writes, the
+    simulator behaves like that arm: sim://ur5e?like=arm.json.
 
     RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), a table
     of RTDE variables as `urlink rtde --csv` prints it, or a bundle of `urlink accept` (.zip) with its stage 3.
@@ -177,14 +181,14 @@ def _identify(args: argparse.Namespace) -> int:
         found = identify(samples, args.model)
     if args.out is not None:
         found.write(args.out)
-        tell(f"sim://{found.model.lower().replace(' ', '')}?like={args.out} is this arm")
+        tell(f"to simulate this arm: sim://{found.model.lower().replace(' ', '')}?like={args.out}")
     for line in _objects(found) if args.json else _lines(found):
         print(line)
     return 0
 
 
 def _samples(path: Path, progress: ProgressBar) -> Samples:
-    """Of a recording, a table, or the recording in a bundle."""
+    """Read a recording, a table, or the recording in a bundle."""
     from ..acceptance.bundle import recording_in
     from ..identification.samples import read_samples
 
@@ -223,5 +227,5 @@ def _lines(found: ArmFile) -> Sequence[str]:
 
 def _text(estimate: Estimate, unit: str) -> str:
     if not estimate.is_known:
-        return f"not told; needs {estimate.needs}"
+        return f"unknown; needs {estimate.needs}"
     return f"{estimate.value:.5g} {unit}".rstrip() + f"  ({estimate.low:.5g} to {estimate.high:.5g})"

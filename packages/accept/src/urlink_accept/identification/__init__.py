@@ -1,4 +1,4 @@
-"""Identification: what a recording shows of the arm that was recorded, each number with its interval."""
+"""Identification of an arm from a recording: each number with its interval."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ __all__ = ["identify"]
 
 
 def identify(samples: Samples, model: str | None = None) -> ArmFile:
-    """Identify everything that samples show of an arm.
+    """Identify all properties of an arm that the samples show.
 
     Args:
-        model: name of the arm; None for that which the recording says.
+        samples: Samples of the recording.
+        model: Name of the arm; None for the arm that the recording names.
 
     Raises:
-        BadValue: the model is neither given nor recorded, or no moments were.
-        UnknownModel: no arm is called that.
+        BadValue: If the model is neither given nor recorded, or the samples contain no moments.
+        UnknownModel: If no arm has this name.
     """
     name = model or samples.model
     if name is None:
-        raise BadValue(f"{samples.path} does not say of which arm it is; give the model")
+        raise BadValue(f"{samples.path} does not contain the model of the arm; pass the model")
     arm = models.model(name)
     if "target_moment" not in samples:
-        raise BadValue(f"{samples.path} has no target_moment, from which the joints are identified")
+        raise BadValue(f"{samples.path} has no target_moment; it is needed to identify the joints")
     fitted = fit_joints(arm, samples)
     estimates: dict[str, Sequence[Estimate]] = {"payload": (fitted.payload,), "payload_cog": fitted.payload_cog}
     estimates |= {in_file: getattr(fitted, field) for field, in_file in MOTORS.items()}
@@ -42,7 +43,7 @@ def identify(samples: Samples, model: str | None = None) -> ArmFile:
     estimates |= {"tracking_lag": (tracking_lag(samples),), "start_rate": (start_rate(samples),)}
     estimates |= {key: (each,) for key, each in noise(samples, np.array(own.coulomb)).items()}
     estimates["clock_drift"] = (clock_drift(samples),)
-    needs = "set-points of servoj beside the states: a stream whose set-points the program writes to registers"
+    needs = "set-points of servoj in addition to the states: a stream whose set-points the program writes to registers"
     estimates["servoj_gain"] = estimates["servoj_delay"] = (Estimate.unknown(needs),)
     table: DhTable | None = None
     tcp: tuple[float, ...] | None = None

@@ -1,9 +1,9 @@
-"""The calibration of an arm from joint positions and the poses of its TCP, as a controller computes them.
+"""Calibration of an arm from joint positions and the poses of its TCP, as a controller computes them.
 
-Six DH parameters are not good coordinates for three joint axes that are parallel but for some mrad (see
-`urlink.arm.kinematics.geometry`), so the links are fitted in the parameters of Hayati and Mirmirani, in which small
-changes of the arm are small changes of the numbers; the DH table that a controller would send follows from the joint
-axes. What the poses do not show, such as which part of the flange belongs to the tool, stays as published.
+Six DH parameters are not good coordinates for three joint axes that are parallel within some mrad (see
+`urlink.arm.kinematics.geometry`). Therefore the links are fitted in the parameters of Hayati and Mirmirani, where small
+changes of the arm are small changes of the numbers. The DH table that a controller would send follows from the joint
+axes. Properties that the poses do not show, such as which part of the flange belongs to the tool, stay as published.
 """
 
 from __future__ import annotations
@@ -18,30 +18,31 @@ from urlink.arm.models import Model
 from urlink.arm.poses import compose, from_matrix, invert, rotvec_to_matrix, to_matrix
 from urlink.tools import FLOATS, ROWS, ArmLink, FloatArray, Geometry, angles, chain, rigid
 
-# Of each link: offset, a, d, alpha, beta. Joints 2 and 3 have an angle beta instead of an offset d along parallel axes.
+# Parameters of each link: offset, a, d, alpha, beta. Joints 2 and 3 have an angle beta instead of an offset d, because
+# their axes are parallel.
 _FREE = np.array(
     [(1, 1, 1, 1, 0), (1, 1, 0, 1, 1), (1, 1, 0, 1, 1), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0)], dtype=bool
 )
-# How far a calibration is from the published arm: rad and m. Only decides what the poses do not.
+# Expected difference of a calibration from the published arm, in rad and m. It decides only what the poses do not show.
 _PRIOR = np.array([5e-3, 2e-3, 2e-3, 5e-3, 5e-3])
 _PRIOR_TOOL = 1.0
-# m and rad that a pose is off by: of the first steps, on the way from the published arm, and at last.
+# Expected error of a pose, in m and rad: for the first steps, during the search from the published arm, and at the end.
 _SPREADS = (1e-4, 1e-6, 1e-8, 1e-8, 1e-8)
 _STEP = 1e-6
-#: Rows of which there are more are thinned out.
+#: Maximum number of rows; more rows are thinned out.
 _MOST_ROWS = 600
-#: rad that each joint has to move in the rows.
+#: Minimum motion of each joint in the rows, in rad.
 _LEAST_MOVED = 0.2
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted arm.
+    """Fitted arm.
 
     Attributes:
-        table: the DH table as a controller would send it.
-        tcp: (6,) in the frame of the flange, m and rotation vector in rad.
-        rms: m, root mean square of the distance from the fitted rows.
+        table: DH table as a controller would send it.
+        tcp: Pose of the TCP in the flange frame, shape (6,): position in m, rotation vector in rad.
+        rms: Root mean square of the distances from the fitted rows, in m.
     """
 
     table: DhTable
@@ -50,28 +51,29 @@ class Calibration:
 
 
 def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibration:
-    """The calibration and the TCP with which joint positions lead to poses.
+    """Return the calibration and the TCP that map joint positions to poses.
 
     Args:
-        model: the published arm, from which it is searched.
-        q: (n, 6) rad; targets, since the actual positions have noise.
-        poses: (n, 6) of the TCP in the base frame, m and rotation vector in rad.
+        model: Published arm, where the search starts.
+        q: Joint positions, shape (n, 6), in rad. Use targets, because the actual positions have noise.
+        poses: Poses of the TCP in the base frame, shape (n, 6): position in m, rotation vector in rad.
 
     Raises:
-        BadValue: too few rows, or joints that hardly move in them: the message names them.
+        BadValue: If there are too few rows, or joints hardly move in them. The message names these joints.
     """
     moved = np.ptp(q, axis=0) if len(q) else np.zeros(6)
     if len(q) < 30 or (moved < _LEAST_MOVED).sum() > 1:
         still = [str(joint) for joint in np.flatnonzero(moved < _LEAST_MOVED)]
         raise BadValue(
-            f"{len(q)} rows in which joints {', '.join(still) or 'none'} move by less than {_LEAST_MOVED} rad"
+            f"{len(q)} rows, where joints {', '.join(still) or 'none'} move by less than {_LEAST_MOVED} rad; "
+            "expected 30 or more rows, and motion of at least five joints"
         )
     chosen = np.linspace(0, len(q) - 1, min(len(q), _MOST_ROWS)).astype(int)
     q, poses = q[chosen], poses[chosen]
     turned = rotvec_to_matrix(poses[:, 3:])
     published = np.column_stack((model.dh_theta, model.dh_a, model.dh_d, model.dh_alpha, np.zeros(6)))
     start = published.copy()
-    # The TCP that the published arm would need at the first row.
+    # TCP that the published arm would need in the first row.
     tcp = compose(invert(from_matrix(_flanges(start, q[:1])[0])), poses[0])
     free = np.flatnonzero(_FREE)
     spread = np.concatenate((np.tile(_PRIOR, (6, 1)).ravel()[free], np.full(6, _PRIOR_TOOL)))
@@ -104,17 +106,17 @@ def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibrati
 
 
 def _geometry(links: FloatArray) -> Geometry:
-    """The arm with the links of these rows."""
+    """Return the arm with the links of these rows."""
     return Geometry(tuple(ArmLink(*link) for link in links.tolist()), is_nominal=False)
 
 
 def _flanges(links: FloatArray, q: FloatArray) -> FloatArray:
-    """(n, 4, 4) of the flange."""
+    """Return the poses of the flange as matrices, shape (n, 4, 4)."""
     return rigid.to_matrices(chain(_geometry(links), ROWS, angles(q.T))[5])
 
 
 def _table(links: FloatArray) -> tuple[DhTable, FloatArray]:
-    """The DH table with the same joint axes, and the pose of the old flange in the new one.
+    """Return the DH table with the same joint axes, and the pose of the old flange in the new one.
 
     Each frame of a DH table has its x axis along the common normal of two joint axes.
     """
@@ -127,17 +129,17 @@ def _table(links: FloatArray) -> tuple[DhTable, FloatArray]:
         sine = float(np.linalg.norm(across))
         way = place - at
         if sine < 1e-12:
-            # Parallel: the normal through the place of the old frame, which is where the published table has it.
+            # Parallel axes: use the normal through the origin of the old frame, as in the published table.
             d = float(way @ z)
             normal = way - d * z
             a = float(np.linalg.norm(normal))
             normal = normal / a if a > 1e-12 else x
         else:
             normal = across / sine
-            # The feet of the common normal: at + d z, and place + e axis.
+            # The feet of the common normal are at + d z, and place + e axis.
             d = float(np.cross(way, axis) @ across) / sine**2
             a = float(way @ normal)
-        # The normal has two directions; the published table has that with a small offset of the joint.
+        # The normal has two directions. The published table has the direction with a small offset of the joint.
         if normal @ frame[:3, 0] < 0.0:
             normal, a = -normal, -a
         theta = float(np.arctan2(np.cross(x, normal) @ z, x @ normal))

@@ -1,8 +1,8 @@
-"""What an arm was commanded, run on the simulator, and by how much the two differ.
+"""Run the motions of a recording on the simulator, and measure the differences.
 
-A recording of states does not hold its commands. Each movement between two rests is run as what fits it: a `movej` or a
-`movel` from the one posture to the other, with the acceleration and the speed that its targets show. A movement that
-neither fits, such as one with blends or by set-points, is counted and left out.
+A recording of states does not contain its commands. Each movement between two rests is run as a command that fits it: a
+`movej` or a `movel` between the two postures, with the acceleration and speed of its targets. If neither fits, for
+example because of blends or set-points, the movement is counted but not run.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from urlink.tools import ArmFile, FloatArray, Progress, unseen
 
 from .samples import COLUMNS, Samples
 
-#: rad by which the targets of a movement may be off for it to count as the same command.
+#: Maximum deviation of the targets of a movement, in rad, to count as the same command.
 _SAME = 0.1
-#: Quantities that are compared, and their units.
+#: Compared quantities, with their units.
 QUANTITIES = {"target_q": "rad", "target_moment": "Nm", "target_current": "A", "actual_q": "rad", "actual_current": "A"}
 
 
@@ -30,9 +30,9 @@ class Movement:
     """One movement of a recording.
 
     Attributes:
-        begin: row of the rest before it.
-        command: the line of URScript that it was run as; "" if none fits.
-        late: s by which the simulator takes longer for it; nan if none fits.
+        begin: Last row of the rest before it.
+        command: Line of URScript that was run for it; "" if none fits.
+        late: Additional time of the simulator in s; nan if no command fits.
     """
 
     begin: int
@@ -42,11 +42,11 @@ class Movement:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """By how much a recording and the simulator differ.
+    """Differences between a recording and the simulator.
 
     Attributes:
-        movements: each of the recording.
-        rms: quantity -> (6,) root mean square of the difference over the movements that were run, by joint.
+        movements: All movements of the recording.
+        rms: Quantity -> root mean square of the difference over the movements that were run, by joint, shape (6,).
     """
 
     movements: tuple[Movement, ...]
@@ -57,8 +57,9 @@ def compare(samples: Samples, like: ArmFile, progress: Progress = unseen) -> Dis
     """Run each movement of a recording on a simulated arm.
 
     Args:
-        like: which arm it is; of `identify`, or read from its file. An `ArmFile(model, {})` is that of the model.
-        progress: Called with the fraction of the recording that was run, 0 to 1.
+        samples: Samples of the recording.
+        like: Arm from `identify`, or from its file. An `ArmFile(model, {})` is the arm of the model.
+        progress: Function that is called with the completed fraction of the recording, 0 to 1.
     """
     movements = []
     left: dict[str, list[FloatArray]] = defaultdict(list)
@@ -73,7 +74,7 @@ def compare(samples: Samples, like: ArmFile, progress: Progress = unseen) -> Dis
 
 
 def _movements(samples: Samples) -> Iterator[tuple[int, int]]:
-    """The last row of a rest, and the first of the next one."""
+    """Yield the last row of each rest, and the first row of the next rest."""
     rest = samples.is_rest
     for begin in np.flatnonzero(rest[:-1] & ~rest[1:]).tolist():
         after = np.flatnonzero(rest[begin + 1 :])
@@ -82,7 +83,7 @@ def _movements(samples: Samples) -> Iterator[tuple[int, int]]:
 
 
 def _run(samples: Samples, like: ArmFile, begin: int, end: int) -> tuple[Movement, dict[str, FloatArray]]:
-    """A movement, and by how much each quantity of its rows differs in the simulator; none of them if none fits."""
+    """Run a movement; return it with the differences of all quantities in its rows, which are empty if none fits."""
     best = _SAME
     found: tuple[Movement, dict[str, FloatArray]] = (Movement(begin, "", math.nan), {})
     q, times = samples["target_q"], samples["timestamp"]
@@ -108,11 +109,11 @@ def _run(samples: Samples, like: ArmFile, begin: int, end: int) -> tuple[Movemen
             continue
         span = np.arange(moving[0], moving[-1] + 1)
         columns = {name: np.array(each) for name, each in shown.items()}
-        # The time at which the leading joint is where it was.
+        # Time when the leading joint is at its recorded position.
         reached = np.interp(way * q[rows, lead], way * columns["target_q"][span, lead], span)
         at = np.clip(np.round(reached).astype(int), moving[0], moving[-1])
         late = (reached - reached[0]) / controller.firmware.rate - (times[rows] - times[rows[0]])
-        # What the times are off by counts as what the joints are off by then.
+        # A time difference counts as the distance that the joints move in this time.
         apart = np.abs(columns["target_q"][at] - q[rows]).max()
         off = float(max(apart, np.abs(late).max() * np.abs(samples["target_qd"][rows, lead]).max()))
         if off < best:
@@ -124,13 +125,13 @@ def _run(samples: Samples, like: ArmFile, begin: int, end: int) -> tuple[Movemen
 
 
 def _commands(samples: Samples, like: ArmFile, begin: int, end: int, lead: int) -> Iterator[str]:
-    """What may have been commanded, the likeliest first."""
+    """Yield the possible commands, the most likely first."""
     q, qd, qdd = (samples[f"target_{name}"] for name in ("q", "qd", "qdd"))
     speed = float(np.abs(qd[begin:end, lead]).max())
-    # The middle of the accelerations: those of the ramp are smaller, or larger, and few.
+    # Median of the accelerations: those of the ramp are smaller or larger, and few.
     pushes = np.abs(qdd[begin + 1 : end, lead])
     push = float(np.median(pushes[pushes > 0.3 * pushes.max()]))
-    # A movement that never cruises does not show its speed.
+    # A movement without a constant speed does not show its maximum speed.
     for most in (2.0 * speed, speed):
         yield f"movej({q[end].tolist()}, a={push!r}, v={most!r})"
     if like.tcp is not None and "target_TCP_pose" in samples:

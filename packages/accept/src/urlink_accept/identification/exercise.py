@@ -1,9 +1,9 @@
-"""A slow motion that shows what identification needs, inside a box that is known before anything moves.
+"""Slow motion for identification, inside a box that is known before the arm moves.
 
-Each joint swings alone about where it stands, first as fast as the tool may go, by which rotor, friction and the ramp
-of programs show, and then slowly; at last all of them together, which turns the weight of the tool in other ways. It is
-a `movej` after the other, each in a program of its own and between points that are planned before. It can be planned
-for a single joint, too.
+Each joint swings alone about its current position. First it swings as fast as the tool may move, which shows rotor,
+friction and the ramp of programs, and then slowly. At the end, all joints swing together, which turns the weight of the
+tool in other directions. Each motion is a `movej` in its own program, between points that are planned before. The
+motion can also be planned for a single joint.
 """
 
 from __future__ import annotations
@@ -19,33 +19,35 @@ from urlink import Cancelled, Firmware, LinkTimeout, Motion, RealtimeState, Robo
 from urlink.arm.kinematics import Arm
 from urlink.tools import FloatArray, shown_tcp
 
-#: rad by which each joint swings to either side, and by which it may be beside that before it is stopped.
+#: Swing of each joint to either side in rad, and additional tolerance in rad before the arm is stopped.
 SWING, BESIDE = 0.3, 0.05
-#: m/s that no point of the arm's centre lines exceeds: the reduced speed of ISO 10218-1.
+#: Maximum speed of every point of the centre lines of the arm, in m/s: the reduced speed of ISO 10218-1.
 _TIP = 0.25
-#: rad/s of the fast and the slow swings, rad/s² of both, and the part of the way that the slow ones take.
+#: Speeds of the fast and the slow swings in rad/s, acceleration of both in rad/s², and relative size of the slow
+#: swings.
 _FAST, _SLOW, _ACCELERATION, _SHORT = 0.5, 0.08, 1.0, 0.2
-#: s at rest after the swings of each joint, before the first one and after the last one.
+#: Time at rest in s: after the swings of each joint, and before the first and after the last one.
 _REST, _ENDS = 0.7, 1.0
-#: Points of each leg at which the arm is computed; s that a program may take beside its motion; s for what is asked.
+#: Number of computed points of each leg; time in s that a program may take in addition to its motion; timeout of
+#: queries in s.
 _POINTS, _SPARE, _SOON = 25, 10.0, 5.0
-#: s that a program costs beside its trapezoid, roughly: the ramp, and that it is sent.
+#: Approximate time in s of a program in addition to its trapezoid, for the ramp and for sending it.
 _PROGRAM = 0.2
-#: What rounding may move a standing joint by, rad.
+#: Maximum motion of a joint at rest because of rounding, in rad.
 _STILL = 1e-3
-#: The first firmware that shows its speed slider.
+#: First firmware that reports its speed slider.
 SHOWS_SLIDER = Firmware(3, 0)
 
 
 @dataclass(frozen=True)
 class Leg:
-    """One movement.
+    """One motion of the exercise.
 
     Attributes:
-        goal: (6,) rad.
-        speed: of the joint that moves furthest, rad/s.
-        seconds: that it takes at a slider of 100 %.
-        rest: s at rest after it.
+        goal: Joint positions at the end, shape (6,), in rad.
+        speed: Speed of the joint that moves furthest, in rad/s.
+        seconds: Duration at a slider of 100 %, in s.
+        rest: Time at rest after it, in s.
     """
 
     goal: FloatArray
@@ -56,13 +58,15 @@ class Leg:
 
 @dataclass(frozen=True)
 class Exercise:
-    """A planned motion, which ends where it begins.
+    """Planned motion, which ends at its start.
 
     Attributes:
-        start: (6,) rad, where the arm stands.
-        swing: rad by which each joint is moved to either side.
-        legs: in their order.
-        low, high: (3,) m in the base frame, between which the joints, the centre lines between them and the TCP stay.
+        start: Current joint positions, shape (6,), in rad.
+        swing: Motion of each joint to either side, in rad.
+        legs: Legs in their order.
+        low: Lower corner of the box in the base frame, shape (3,), in m. The joints, the centre lines between them and
+            the TCP stay in this box.
+        high: Upper corner of the box, shape (3,), in m.
     """
 
     start: FloatArray
@@ -73,22 +77,23 @@ class Exercise:
 
     @property
     def seconds(self) -> float:
-        """s that it takes at a slider of 100 %, roughly."""
+        """Approximate duration at a slider of 100 %, in s."""
         return _ENDS + sum(leg.seconds + leg.rest + _PROGRAM for leg in self.legs)
 
 
 class Guard:
-    """Stops the arm when a joint leaves its box, or when nobody holds the switch any more; subscribe it to the states.
+    """Callback that stops the arm if a joint leaves its box or the dead-man switch is released. Subscribe it to states.
 
-    It goes by this computer and the network: a courtesy, and no safety function.
+    It depends on this computer and the network, so it is a courtesy rather than a safety function.
 
     Args:
-        box: rad by which any joint may be away from where it stands now, or six of them, one for each.
-        is_held: whether the arm may move, by a state.
-        on_stop: called with why it has stopped the arm.
+        robot: Robot to stop.
+        box: Allowed distance of the joints from their current positions, in rad: one number, or six, one per joint.
+        is_held: Function that returns for a state whether the arm may move.
+        on_stop: Function that is called with the reason after the guard has stopped the arm.
 
     Raises:
-        Cancelled: a program runs or is paused, which could move the arm later, or the arm moves already.
+        Cancelled: If a program runs or is paused, because it could move the arm later, or if the arm is already moving.
     """
 
     def __init__(
@@ -108,15 +113,15 @@ class Guard:
 
     def __call__(self, state: RealtimeState) -> None:
         if self.tripped:
-            # A motion that was begun at the moment of the stop.
+            # A motion may have started at the moment of the stop.
             if state.qd_target.any() and (self._stop is None or self._stop.done):
                 self._stop = self._robot.motion.stop()
             return
         away = np.abs(state.q_actual - self.start)
         if (outside := away > self._box).any():
-            self._trip(f"a joint was {math.degrees(float(away[outside].max())):.1f} degrees away from where it stood")
+            self._trip(f"a joint was {math.degrees(float(away[outside].max())):.1f} degrees away from its start")
         elif not self.is_held(state):
-            self._trip("the dead man's input was let go of")
+            self._trip("the dead-man switch was released")
 
     def _trip(self, why: str) -> None:
         self.tripped = why
@@ -124,34 +129,34 @@ class Guard:
         self._stop = self._robot.motion.stop()
 
     def check(self) -> None:
-        """Raise `Cancelled` once it has stopped the arm."""
+        """Raise `Cancelled` if the guard has stopped the arm."""
         if self.tripped:
             raise Cancelled(f"stopped: {self.tripped}")
 
 
 def _where_it_stands(robot: Robot) -> FloatArray:
-    """(6,) rad, when nothing moves the arm and no program could go on."""
+    """Return the joint positions in rad, shape (6,), when nothing moves the arm and no program is paused."""
     robot.realtime.wait(_SOON)
     try:
         modes = robot.primary.of(RobotModeData)
         modes.wait_until(lambda mode: not (mode.is_program_running or mode.is_program_paused), _SOON)
         return robot.realtime.wait_until(lambda state: not state.qd_target.any(), _SOON).q_target.copy()
     except LinkTimeout as error:
-        raise Cancelled(f"a program runs or is paused, or the arm moves: stop it first ({error})") from None
+        raise Cancelled(f"a program runs or is paused, or the arm moves; stop it first ({error})") from None
 
 
 def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joint: int | None = None) -> Exercise:
-    """Plan it.
+    """Plan the exercise.
 
     Args:
-        arm: with its calibration, if it is known.
-        start: (6,) rad, where the arm stands.
-        tcp: (6,) pose of the TCP in the frame of the flange.
-        swing: rad to either side. Less than 0.1 does not show the calibration.
-        joint: that alone swings, 0 to 5; None for each alone and then all of them together.
+        arm: Arm, with its calibration if it is known.
+        start: Current joint positions, shape (6,), in rad.
+        tcp: Pose of the TCP in the flange frame, shape (6,).
+        swing: Motion to either side, in rad. With less than 0.1, the motion does not show the calibration.
+        joint: Only joint that swings, 0 to 5. If None, each joint swings alone, and then all joints together.
 
     Raises:
-        BadValue: a joint would leave its position limits; the message names it.
+        BadValue: If a joint would leave its position limits. The message names the joint.
     """
     legs, where, at = [], [], start
     for goal, fastest, rest in _goals(start, swing, joint):
@@ -159,7 +164,7 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joi
         way = at + np.linspace(0.0, 1.0, _POINTS)[:, np.newaxis] * (goal - at)
         points = _points(arm, way, tcp)
         far = float(np.abs(goal - at).max())
-        # m that the fastest point goes while the leading joint turns by one rad.
+        # Distance in m that the fastest point moves while the leading joint turns by one rad.
         lever = float(np.linalg.norm(np.diff(points, axis=0), axis=2).max()) * (_POINTS - 1) / far
         speed = min(fastest, _TIP / max(lever, 1e-9))
         ramps = min(speed / _ACCELERATION, math.sqrt(far / _ACCELERATION))
@@ -172,12 +177,12 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joi
 
 
 def plan_from_here(robot: Robot, swing: float = SWING, joint: int | None = None) -> Exercise:
-    """Plan it from where the arm stands, with its TCP; the arguments are those of `plan`.
+    """Plan the exercise from the current position of the arm, with its TCP. The arguments are those of `plan`.
 
     Raises:
-        BadValue: see `plan`.
-        LocalError: the controller does not say which arm it has.
-        LinkTimeout: no state came.
+        BadValue: See `plan`.
+        LocalError: If the controller does not report which arm it has.
+        LinkTimeout: If no state arrives.
     """
     state = robot.realtime.wait(_SOON)
     arm = robot.kinematics
@@ -187,22 +192,24 @@ def plan_from_here(robot: Robot, swing: float = SWING, joint: int | None = None)
 def exercise(
     robot: Robot, planned: Exercise, guard: Guard, began: Callable[[int], object] = lambda number: None
 ) -> None:
-    """Move, and end where it began.
+    """Execute the exercise. The arm ends at its start position.
 
     Args:
-        planned: from where the arm stands.
-        guard: that stops it; its box is to be a little larger than the swing.
-        began: called as each leg begins, with its number.
+        robot: Robot to move.
+        planned: Exercise, planned from the current position of the arm.
+        guard: Guard that stops the arm. Its box should be slightly larger than the swing.
+        began: Function that is called at the beginning of each leg, with the number of the leg.
 
     Raises:
-        Cancelled: the arm stands elsewhere, the guard has stopped it, or the switch is not held at the beginning.
-        LinkError: what else has ended it.
+        Cancelled: If the arm is at another position, the guard has stopped it, or the dead-man switch is not held at
+            the beginning.
+        LinkError: If another error ends the motion.
     """
     state = robot.realtime.wait(_SOON)
     if float(np.abs(state.q_target - planned.start).max()) > _STILL:
-        raise Cancelled("the arm does not stand where this motion was planned")
+        raise Cancelled("the arm is not at the position for which this motion was planned")
     if not guard.is_held(state):
-        raise Cancelled("the dead man's input is not held")
+        raise Cancelled("the dead-man switch is not held")
     slider = max(slider_of(robot), 0.01)
     with robot.realtime.subscribe(guard):
         clock.sleep(_ENDS)
@@ -220,19 +227,19 @@ def exercise(
 
 
 def input_is_on(number: int) -> Callable[[RealtimeState], bool]:
-    """Whether a digital input is on, as a guard asks it."""
+    """Return a condition for a guard: whether a digital input is on."""
     return lambda state: bool(state.digital_input_bits >> number & 1)
 
 
 def slider_of(robot: Robot) -> float:
-    """The speed slider, 0 to 1; 1 where the firmware does not show it."""
+    """Return the speed slider, 0 to 1; 1 if the firmware does not report it."""
     if robot.firmware < SHOWS_SLIDER:
         return 1.0
     return float(robot.primary.of(RobotModeData).wait(_SOON).target_speed_fraction or 0.0)
 
 
 def _goals(start: FloatArray, swing: float, alone: int | None) -> Iterator[tuple[FloatArray, float, float]]:
-    """Goals, the fastest speed on the way there, and the rest after it."""
+    """Yield goals, the maximum speed of the motion to each goal, and the rest after it."""
     for joint in range(6) if alone is None else (alone,):
         for speed, part in ((_FAST, 1.0), (_SLOW, _SHORT)):
             for side in (1.0, -1.0, 0.0):
@@ -247,6 +254,6 @@ def _goals(start: FloatArray, swing: float, alone: int | None) -> Iterator[tuple
 
 
 def _points(arm: Arm, q: FloatArray, tcp: FloatArray) -> FloatArray:
-    """(n, 8, 3) the ends of the links and the TCP."""
+    """Return the ends of the links and the TCP, shape (n, 8, 3)."""
     frames = arm.frames(q)[..., :3, 3]
     return np.concatenate((frames, arm.forward(q, tcp)[:, np.newaxis, :3]), axis=1)

@@ -1,8 +1,8 @@
-"""Payload, rotors, torque constants and friction, from the moments and currents of a controller.
+"""Fit of payload, rotors, torque constants and friction to the moments and currents of a controller.
 
-The moment of a joint is linear in its rotor's inertia and in the payload's mass and first moments of mass; its current
-is linear in the moment and in the two numbers of friction. So both are least squares, in the order in which the
-controller computes: its own moments first, then currents over moments.
+The moment of a joint is linear in the inertia of its rotor, and in the mass and the first moments of mass of the
+payload. Its current is linear in the moment and in the two numbers of friction. Therefore both are fitted by least
+squares, in the order in which the controller computes: first its moments, then its currents from the moments.
 """
 
 from __future__ import annotations
@@ -16,26 +16,30 @@ import numpy as np
 from urlink.arm.models import Model
 from urlink.tools import FULL_SPEED, JOINTS, SIDES, Dynamics, Estimate, FloatArray, motors_of
 
-#: rad/s²: a joint that never accelerates by as much does not show its rotor.
+#: Minimum acceleration in rad/s² for a joint to show its rotor inertia.
 _ACCELERATION = 0.3
-#: rad/s: a joint that is never as fast does not show how friction grows.
+#: Minimum speed in rad/s for a joint to show the growth of its friction.
 _SPEED = 0.1
-#: Nm by which the moment of a joint has to vary to show its torque constant.
+#: Minimum variation of the moment of a joint, in Nm, to show its torque constant.
 _MOMENT = 0.05
-#: kg: a payload whose mass is not known as well is not shown by the motion.
+#: Largest uncertainty of the mass of a payload, in kg; with a larger one, the motion does not show the payload.
 _MASS = 0.5
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """What moments and currents show.
+    """Result of the fit to moments and currents.
 
     Attributes:
-        payload: kg.
-        payload_cog: (3,) in the frame of the flange, m.
-        rotor_inertias, torque_constants, coulomb, viscous: of the six joints, kg m², Nm/A, A, A s/rad.
-        torque_r2, current_r2: (6,) the part of the variance that the fit explains, in these rows; where a number is not
-            known, with that of the model.
+        payload: Mass of the payload, in kg.
+        payload_cog: Centre of gravity of the payload in the flange frame, shape (3,), in m.
+        rotor_inertias: Rotor inertias of the six joints, in kg m².
+        torque_constants: Torque constants of the six joints, in Nm/A.
+        coulomb: Coulomb friction of the six joints, in A.
+        viscous: Viscous friction of the six joints, in A s/rad.
+        torque_r2: Fraction of the variance of the torques that the fit explains, in these rows, shape (6,). Unknown
+            numbers are those of the model.
+        current_r2: The same fraction for the currents, shape (6,).
     """
 
     payload: Estimate
@@ -49,12 +53,12 @@ class JointFit:
 
 
 def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
-    """Fit what moments and currents show.
+    """Fit payload, rotors, torque constants and friction to moments and currents.
 
     Args:
-        model: of the arm.
-        columns: by their RTDE names, (n, 6) each: target_q, target_qd, target_qdd, target_moment and target_current;
-            instead of the last, actual_current will do.
+        model: Model of the arm.
+        columns: Columns by their RTDE names, shape (n, 6) each: target_q, target_qd, target_qdd, target_moment and
+            target_current. Instead of target_current, actual_current can be used.
     """
     q, qd, qdd = (columns[f"target_{name}"] for name in ("q", "qd", "qdd"))
     motors = motors_of(model)
@@ -65,7 +69,7 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     if currents is None:
         unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6
         return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6)
-    # Stiction hides the friction of a standing joint in the actual current.
+    # In the actual current, stiction hides the friction of a joint at rest.
     rows = np.ones(len(q), dtype=bool) if "target_current" in columns else (np.abs(qd) > FULL_SPEED).any(axis=1)
     found = [
         _fit_current(joint, modelled[rows, i], qd[rows, i], currents[rows, i], motors.torque_constants[i])
@@ -88,8 +92,8 @@ def _fit_moments(
         return Dynamics(model, payload=1.0, payload_cog=at).torque(q, qd, qdd)
 
     bare = Dynamics(model).torque(q, qd, qdd)
-    # The moments per kg at the flange, and per kg m along each of its axes: without the terms of second order in the
-    # distance, which are the payload's inertia about the flange.
+    # Moments per kg at the flange, and per kg m along each axis of the flange. The terms of second order in the
+    # distance are not included; they are the inertia of the payload about the flange.
     at_flange = with_kg(np.zeros(3)) - bare
     step = 1e-3
     per_way = [(with_kg(step * axis) - with_kg(-step * axis)) / (2.0 * step) for axis in np.eye(3)]
@@ -105,7 +109,7 @@ def _fit_moments(
     for _ in range(4):
         whole = np.concatenate((shared, rotor_columns), axis=-1)[:, :, known] * weight[:, np.newaxis]
         wanted = (moments - bare - second) * weight
-        # Joint after joint, so that what is left of neighbouring rows can be seen to be alike.
+        # Order the rows by joint, so that correlation of the residuals of neighbouring rows can be detected.
         stacked, target = np.swapaxes(whole, 0, 1).reshape(-1, int(known.sum())), wanted.T.ravel()
         found, spread, _ = fit(stacked, target)
         factors[known] = found
@@ -114,7 +118,7 @@ def _fit_moments(
         cog = first / mass if mass > 1e-3 else np.zeros(3)
         fitted = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0))
         modelled = fitted.torque(q, qd, qdd)
-        # What the mass at its distance adds to its first moment, from the fit before.
+        # Contribution of the mass at its distance to its first moment, from the previous fit.
         linear = bare + shared @ factors[:4] + rotor_columns @ factors[4:]
         second = modelled - linear
         deviation = np.sqrt(np.mean((moments - modelled) ** 2, axis=0))
@@ -141,7 +145,7 @@ def _fit_moments(
 def _fit_current(
     joint: str, torque: FloatArray, qd: FloatArray, current: FloatArray, constant: float
 ) -> tuple[Estimate, Estimate, Estimate]:
-    """Torque constant, Coulomb and viscous friction of one joint."""
+    """Fit the torque constant, Coulomb friction and viscous friction of one joint."""
     rubs, speeds_up, varies = np.abs(qd).max() > 2.0 * FULL_SPEED, np.abs(qd).max() > _SPEED, np.ptp(torque) > _MOMENT
     every = np.column_stack((torque, _saturated(qd), qd))
     known = np.array([varies, rubs, speeds_up])
@@ -152,7 +156,7 @@ def _fit_current(
     ]
     if not known.any():
         return estimates[0], estimates[1], estimates[2]
-    # A moment that hardly varies counts as that of the published torque constant.
+    # If the moment hardly varies, use the published torque constant for it.
     factors, covariance, _ = fit(every[:, known], current if varies else current - torque / constant)
     for place, value, deviation in zip(np.flatnonzero(known), factors, np.sqrt(np.diag(covariance)), strict=True):
         estimates[place] = Estimate.around(float(value), float(deviation))
@@ -173,16 +177,16 @@ def _r2(measured: FloatArray, modelled: FloatArray) -> float:
 
 
 def fit(columns: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Least squares: the factors of the columns, their covariance, and what is left of each row.
+    """Fit by least squares; return the factors of the columns, their covariance, and the residual of each row.
 
-    What is left over is seldom white: if neighbours are alike there are fewer independent rows than rows, by which the
-    covariance is widened.
+    The residuals are seldom white. If neighbouring residuals are correlated, there are fewer independent rows than
+    rows, and the covariance is enlarged accordingly.
 
     Args:
-        columns: (n, k), in the order of time.
-        measured: (n,).
+        columns: Columns in the order of time, shape (n, k).
+        measured: Measured values, shape (n,).
     """
-    # Columns of about the same length, whose products a matrix of k by k then holds with enough digits.
+    # Scale the columns to about the same length, so that the products in a k by k matrix have enough digits.
     lengths = np.sqrt((columns**2).sum(axis=0))
     lengths[lengths == 0.0] = 1.0
     scaled = columns / lengths
@@ -200,7 +204,7 @@ def fit(columns: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 def of_ratio(estimate: Estimate) -> Estimate:
-    """One over it, with the interval."""
+    """Return the inverse of an estimate, with its interval."""
     if not estimate.is_known or estimate.low * estimate.high <= 0.0:
         return Estimate.unknown(estimate.needs or "more motion")
     return Estimate(1.0 / estimate.value, 1.0 / estimate.high, 1.0 / estimate.low)

@@ -1,4 +1,4 @@
-"""The columns that identification reads: of a recording, or of a table of RTDE variables with their names."""
+"""Columns for identification, from a recording or from a table of RTDE variables with their names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from urlink import BadRecording, load
 from urlink.tools import FloatArray, Progress
 
-#: RTDE's name of a column -> that of the real-time interface.
+#: RTDE name of a column -> its name on the real-time interface.
 COLUMNS = {
     "timestamp": "time",
     "target_q": "q_target",
@@ -33,17 +33,18 @@ COLUMNS = {
     "payload": "payload_mass",
     "payload_cog": "payload_cog",
 }
-#: Without these nothing can be identified.
+#: Columns that every identification needs.
 _NEEDED = ("timestamp", "target_q", "target_qd", "target_qdd")
 
 
 class Samples(dict[str, FloatArray]):
-    """Columns by their RTDE names: (n,) or (n, k), finite, in the order of time.
+    """Columns by their RTDE names, shape (n,) or (n, k), finite, in the order of time.
 
     Attributes:
-        path: of the file.
-        model: name of the arm; None if the file does not say it.
-        arrival: (n,) s, when each row came, by the clock of the computer that recorded; None if that is not there.
+        path: Path of the file.
+        model: Name of the arm; None if the file does not contain it.
+        arrival: Arrival time of each row by the clock of the recording computer, shape (n,), in s; None if not
+            recorded.
     """
 
     def __init__(
@@ -52,28 +53,28 @@ class Samples(dict[str, FloatArray]):
         super().__init__(columns)
         for name in _NEEDED:
             if name not in self:
-                raise BadRecording(f"{path}: no column {name}; there are {', '.join(self) or 'none'}")
+                raise BadRecording(f"{path} has no column {name}; its columns are {', '.join(self) or 'none'}")
         self.path, self.model, self.arrival = path, model, arrival
         if len(self["timestamp"]) < 30:
-            raise BadRecording(f"{path}: {len(self['timestamp'])} rows; 30 or more are expected")
+            raise BadRecording(f"{path} has {len(self['timestamp'])} rows; expected 30 or more")
 
     @property
     def is_rest(self) -> NDArray[np.bool_]:
-        """(n,) whether no joint is to move."""
+        """Whether the targets of all joints are at rest, for each row, shape (n,)."""
         return np.asarray(~self["target_qd"].any(axis=1))
 
 
 def read_samples(path: str | os.PathLike[str], progress: Progress | None = None) -> Samples:
     """Read a recording (`.urlog`), or a table of RTDE variables (`.csv`, as `urlink rtde --csv` prints).
 
-    In a table, vectors have a column for each number, with `_0` and so on at the end of their name.
+    In a table, a vector has one column for each number, and the names end with `_0` and so on.
 
     Args:
-        path: The file.
-        progress: Called with the fraction that is done, 0 to 1, while a recording is read.
+        path: Path of the file.
+        progress: Function that is called with the completed fraction, 0 to 1, while a recording is read.
 
     Raises:
-        BadRecording: no such file, not one of these, or without the targets of the joints.
+        BadRecording: If the file does not exist, has another format, or does not contain the targets of the joints.
     """
     path = Path(path)
     if path.suffix.lower() == ".csv":
@@ -86,7 +87,7 @@ def read_samples(path: str | os.PathLike[str], progress: Progress | None = None)
         table = recording.realtime
         names = {ours: theirs for ours, theirs in COLUMNS.items() if theirs in table.fields}
     else:
-        raise BadRecording(f"{path}: neither the real-time interface nor targets of RTDE; record one of them")
+        raise BadRecording(f"{path} has neither the real-time interface nor RTDE targets; record one of them")
     columns = {ours: np.asarray(table[theirs], dtype=np.float64) for ours, theirs in names.items()}
     return Samples(path, columns, recording.model, np.asarray(table.time))
 
@@ -99,7 +100,7 @@ def _table(path: Path) -> Samples:
     except OSError as error:
         raise BadRecording(f"{path}: {error.strerror}") from None
     except ValueError as error:
-        raise BadRecording(f"{path}: not a table of numbers under one line of names ({error})") from None
+        raise BadRecording(f"{path} is not a table of numbers below one line of names ({error})") from None
     groups: dict[str, list[int]] = {}
     for at, name in enumerate(head):
         stem, _, number = name.rpartition("_")

@@ -1,4 +1,4 @@
-"""How an arm follows and measures: lag, noise, offsets, the ramp of programs, and the controller's clock."""
+"""Identification of lag, noise, offsets, the ramp of programs, and the drift of the controller's clock."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from urlink.tools import FULL_SPEED, Estimate, FloatArray, number
 from .joints import fit
 from .samples import Samples
 
-#: s that an arm needs to settle after a movement.
+#: Time in s that an arm needs to settle after a movement.
 _SETTLING = 0.3
-#: Rows of one rest that show something of it.
+#: Minimum number of rows of a rest that can be used.
 _ROWS = 8
-#: s of time between two rows up to which a ramp of 0.16 s shows.
+#: Maximum time in s between two rows that still show a ramp of 0.16 s.
 _FINE = 0.05
 
 
 def tracking_lag(samples: Samples) -> Estimate:
-    """s by which the actual joints lag behind their targets."""
+    """Return the lag of the actual joints behind their targets, in s."""
     if "actual_q" not in samples:
         return Estimate.unknown("actual_q in the recording")
     qd = samples["target_qd"]
@@ -37,16 +37,17 @@ def tracking_lag(samples: Samples) -> Estimate:
     values, variances = np.array(found).T
     weights = 1.0 / variances
     mean = float((weights * values).sum() / weights.sum())
-    # Joints that differ by more than their noise widen the interval.
+    # Widen the interval if the joints differ by more than their noise.
     among = float(np.std(values)) / np.sqrt(len(values))
     return Estimate.around(mean, max(float(weights.sum() ** -0.5), among))
 
 
 def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
-    """Standard deviations, by the names of the table of parameters, and the offset of the force at rest.
+    """Return standard deviations, by their names in the table of parameters, and the offset of the force at rest.
 
     Args:
-        coulomb: (6,) A, by which stiction is recognised.
+        samples: Samples of the recording.
+        coulomb: Coulomb friction, shape (6,), in A, which identifies stiction.
     """
     rests = list(_rests(samples))
     needs = f"two rests of {_SETTLING} s and more"
@@ -75,10 +76,11 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
 
 
 def start_rate(samples: Samples) -> Estimate:
-    """1/s with which the scaling of a program rises from 0, by the fastest joint of each movement from rest.
+    """Return the rate in 1/s at which the scaling of a program rises from 0, from movements that start at rest.
 
-    While a joint accelerates by a, and its program's time has passed at a scaling of s, its speed is s √(2 a x) after
-    the distance x: each row shows s. The ramp begins with the program, which may wait before it moves.
+    The fastest joint of each movement is used. While a joint accelerates by a, and the time of its program passes at a
+    scaling of s, its speed after the distance x is s √(2 a x), so each row shows s. The ramp begins with the program,
+    which may wait before it moves.
     """
     times, rest = samples["timestamp"], samples.is_rest
     period = float(np.median(np.diff(times)))
@@ -99,14 +101,14 @@ def start_rate(samples: Samples) -> Estimate:
     rates_ = np.array(rates)
     middle = float(np.median(rates_))
     spread = 1.4826 * float(np.median(np.abs(rates_ - middle)))
-    # Distance and speed may be half a cycle apart, of 2 or 8 ms, in the 80 ms that the ramp costs.
+    # Distance and speed may differ by half a cycle of 2 or 8 ms. The ramp takes 80 ms.
     unsure = 0.5 * float(np.clip(period, 0.002, 0.008)) * middle * middle
     found = Estimate.around(middle, spread / np.sqrt(len(rates)))
     return Estimate(middle, float(found.low - unsure), float(found.high + unsure))
 
 
 def _rate_of(t: FloatArray, distance: FloatArray, speed: FloatArray, push: FloatArray, scale: float) -> float | None:
-    """The rate of one ramp up to a speed scaling; None where the movement is too short to show it."""
+    """Return the rate of one ramp up to a speed scaling; None if the movement is too short to show it."""
     expected = scale / number("start_rate")
     top = int(np.argmax(speed))
     t, distance, speed, push = t[:top], distance[:top], speed[:top], push[:top]
@@ -127,9 +129,9 @@ def _rate_of(t: FloatArray, distance: FloatArray, speed: FloatArray, push: Float
 
 
 def clock_drift(samples: Samples) -> Estimate:
-    """How much faster than the clock of the computer that of the controller goes, as a fraction."""
+    """Return how much faster the controller's clock is than the computer's clock, as a fraction."""
     if samples.arrival is None:
-        return Estimate.unknown("times of arrival, as recordings have them")
+        return Estimate.unknown("arrival times, as recordings contain them")
     arrival, times = samples.arrival - samples.arrival[0], samples["timestamp"] - samples["timestamp"][0]
     if arrival[-1] < 5.0:
         return Estimate.unknown("5 s of recording")
@@ -139,7 +141,7 @@ def clock_drift(samples: Samples) -> Estimate:
 
 
 def _rests(samples: Samples) -> Iterator[slice]:
-    """The rows of each rest, without those in which the arm settles."""
+    """Yield the rows of each rest, without the rows where the arm settles."""
     times, rest = samples["timestamp"], samples.is_rest
     edges = np.flatnonzero(np.diff(np.concatenate(([False], rest, [False])).astype(int))).reshape(-1, 2)
     for begin, end in edges.tolist():
@@ -149,7 +151,7 @@ def _rests(samples: Samples) -> Iterator[slice]:
 
 
 def _deviation(parts: list[FloatArray]) -> Estimate:
-    """Standard deviation within parts, each about its own mean."""
+    """Return the standard deviation within parts, each about its own mean."""
     left = np.concatenate([(part - part.mean(axis=0)).ravel() for part in parts])
     free = max(len(left) - sum(part.shape[1] for part in parts), 1)
     value = float(np.sqrt((left**2).sum() / free))

@@ -1,1 +1,1 @@
-"""The commands `urlink view` and `urlink foxglove`."""
+"""Commands `urlink view` and `urlink foxglove`."""

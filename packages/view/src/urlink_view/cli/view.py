@@ -1,4 +1,4 @@
-"""`urlink foxglove` and `view`: an arm shown in Foxglove, or in 3D in a browser."""
+"""Commands `urlink foxglove` and `urlink view`: show an arm in Foxglove, or in 3D in a browser."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from ..windows import LiveWindow, RecordedWindow, Window
 
 
 def arm_of(robot: Robot) -> Arm | None:
-    """The kinematics of the arm; None if its model is unknown."""
+    """Return the kinematics of the arm; None if its model is unknown."""
     with contextlib.suppress(LocalError, WrongPeer):
         return robot.kinematics
     return None
@@ -43,17 +43,19 @@ def arm_of(robot: Robot) -> Arm | None:
     "foxglove",
     "serve a robot to Foxglove",
     *ADDRESS,
-    argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)"),
-    argument("--port", type=int, default=8765, metavar="PORT", help="port to listen on, 0 for any (8765)"),
-    argument("--rate", type=positive_number, default=50.0, metavar="HZ", help="states a second to show at most (50)"),
+    argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)"),
+    argument("--port", type=int, default=8765, metavar="PORT", help="port to listen on, 0 for any (default: 8765)"),
+    argument(
+        "--rate", type=positive_number, default=50.0, metavar="HZ", help="maximum states per second (default: 50)"
+    ),
     DURATION,
 )
 def _foxglove(args: argparse.Namespace) -> int:
-    """Serve a robot to Foxglove: connect it to the WebSocket that is printed, and add a 3D panel for the arm, plots
-    of /realtime and a log panel.
+    """Serve a robot to Foxglove: connect Foxglove to the printed WebSocket address, and add a 3D panel for the arm,
+    plots of /realtime and a log panel.
 
-    The topics are those of `urlink export run.mcap`; the arm is drawn from cylinders, and moves as the real one.
-    The robot is only read. It needs the extra foxglove: pip install 'urlink-view[foxglove]'.
+    The topics are those of `urlink export run.mcap`. The arm is drawn as cylinders, and moves like the real arm.
+    The robot is only read. The command needs the extra foxglove: pip install 'urlink-view[foxglove]'.
 
     examples:
       urlink foxglove 192.168.56.101
@@ -74,10 +76,11 @@ def keep_showing(
 ) -> int:
     """Call `show` `rate` times a second, until interrupted, until all `streams` are closed, or for `duration` seconds.
 
-    Returns the exit status.
+    Returns:
+        Exit status.
 
     Raises:
-        RemoteError: a stream gave up.
+        RemoteError: If a stream has failed permanently.
     """
     with Interruption(duration) as interruption:
         due = clock.now()
@@ -88,7 +91,7 @@ def keep_showing(
             for stream in streams:
                 if stream.failure is not None:
                     raise stream.failure
-            # At absolute times: the rate does not depend on how long a round takes.
+            # Use absolute times, so that the rate does not depend on the duration of a cycle.
             due = max(due + 1 / rate, clock.now())
             interruption.wait(due - clock.now())
     return interruption.status
@@ -98,24 +101,25 @@ def keep_showing(
     "view",
     "show an arm in 3D in a browser",
     *ADDRESS,
-    argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)"),
-    argument("--port", type=int, default=8080, metavar="PORT", help="port to listen on, 0 for any (8080)"),
-    argument("--plot", action="append", metavar="FIELD", help="draw this field; may be given again"),
+    argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)"),
+    argument("--port", type=int, default=8080, metavar="PORT", help="port to listen on, 0 for any (default: 8080)"),
+    argument("--plot", action="append", metavar="FIELD", help="plot this field; repeatable"),
     argument("--urdf", type=Path, metavar="FILE", help="draw the bodies of this URDF, with its meshes"),
-    argument("--jog", action="store_true", help="buttons that move the arm while they are held"),
-    argument("--rate", type=positive_number, default=30.0, metavar="HZ", help="pictures a second at most (30)"),
+    argument("--jog", action="store_true", help="show buttons that move the arm while they are held"),
+    argument(
+        "--rate", type=positive_number, default=30.0, metavar="HZ", help="maximum frames per second (default: 30)"
+    ),
     DURATION,
 )
 def _view(args: argparse.Namespace) -> int:
-    """Show an arm in 3D in a browser: open the address that is printed.
+    """Show an arm in 3D in a browser: open the printed address.
 
-    Drawn are the arm, translucent where its controller wants it if that is elsewhere, the trail of the TCP over
-    ten seconds, the force on it as an arrow, the modes, and curves of the fields given with --plot. A recording
-    has a slider. The page is for this computer alone, unless --host says otherwise, and asks nothing of the
-    internet.
+    The page shows the arm, a translucent arm at the target if it differs, the trail of the TCP over ten seconds, the
+    force on it as an arrow, the modes, and plots of the fields given with --plot. A recording has a slider. The page
+    is only for this computer, unless --host is given, and needs nothing from the internet.
 
-    The robot is only read. With --jog THE ARM MOVES while a button of the page is held: a box has to be ticked
-    before, which ends the program that runs.
+    The robot is only read. With --jog THE ARM MOVES while a button of the page is held. A box has to be ticked before,
+    which ends the running program.
 
     examples:
       urlink view 192.168.56.101
@@ -125,7 +129,9 @@ def _view(args: argparse.Namespace) -> int:
     """
     place = parse_address(args.address)
     if args.jog and args.host not in LOOPBACK:
-        raise LocalError("--jog is for a browser of this computer; from another one, forward the port: ssh -L 8080:...")
+        raise LocalError(
+            "--jog is only for browsers on this computer; from another one, use ssh -L 8080:localhost:8080"
+        )
     with contextlib.ExitStack() as stack:
         with ProgressBar("starting the view", args.quiet) as progress:
             page = stack.enter_context(Page(f"urlink view {args.address}", args.host, args.port))
@@ -133,7 +139,7 @@ def _view(args: argparse.Namespace) -> int:
             window: Window
             if isinstance(place, RecordingAddress):
                 if args.jog:
-                    raise LocalError(f"{args.address} is a recording, so it cannot be moved")
+                    raise LocalError(f"{args.address} is a recording; --jog needs a robot")
                 from urlink import load
 
                 recording = load(place.path, progress=progress)
