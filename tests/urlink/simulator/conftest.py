@@ -38,7 +38,7 @@ class Link:
         return data
 
     def until(self, wanted: Callable[[bytes], bool]) -> bytes:
-        """Return the first packet for which `wanted` is true."""
+        """Return the first packet that `wanted` accepts."""
         deadline = time.monotonic() + TIMEOUT
         while time.monotonic() < deadline:
             packet = self.packet()

@@ -395,7 +395,7 @@ def test_reboot_refuses_clients_and_changes_the_firmware(
 def test_client_can_connect_right_after_a_reboot(controller: Controller, connect: Connect) -> None:
     for _ in range(30):
         controller.faults.reboot(downtime=0.002)
-        while not controller.is_up:  # no pause, in which the ports could be opened
+        while not controller.is_up:  # no pause: it would give the controller time to open its ports
             pass
         connect(controller, "realtime_readonly").socket.close()
 

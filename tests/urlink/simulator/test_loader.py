@@ -1,4 +1,4 @@
-"""Assembly of programs from lines, whatever the order of blank lines, comments and statements."""
+"""Assembly of programs from the lines of a client."""
 
 from __future__ import annotations
 
