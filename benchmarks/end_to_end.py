@@ -48,8 +48,8 @@ from urlink.session.identity import Identity
 from urlink.session.source import Source
 
 RATE = 500
-#: The rate at which instructions are counted. Valgrind is slow, and packets that arrive while it works on the one before
-#: are read together, which costs less: at 500 Hz the count depends on how busy the computer is.
+#: The rate at which instructions are counted. Valgrind is slow, and packets that arrive while it works on the previous
+#: packet are read together, which costs less. At 500 Hz the count therefore depends on how busy the computer is.
 COUNTED_RATE = 100
 #: Packets before anything is measured: half a second, for imports, caches and the first of everything.
 WARM_UP = 250

@@ -323,7 +323,7 @@ async def test_threads_can_block_but_the_loop_thread_cannot() -> None:
         waiting = asyncio.create_task(asyncio.to_thread(threaded.wait, SOON))
         writer = await peer.accepted()
         await come(lambda: connection.fan_out._routes)
-        with pytest.raises(LocalError, match="await it"):
+        with pytest.raises(LocalError, match="await the call instead"):
             threaded.wait()
         writer.write(counts(5))
         assert (await waiting).number == 5

@@ -50,5 +50,5 @@ def test_input_bytes_errors_explain_the_problem(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "dump").write_text("00 0")
     with pytest.raises(BadRecording, match="has 3 hex digits; expected two for each byte"):
         input_bytes(str(tmp_path / "dump"))
-    with pytest.raises(BadRecording, match=r"cannot read 0000003714: .*with - from stdin"):
+    with pytest.raises(BadRecording, match=r"cannot read 0000003714: .*pipe them into stdin"):
         input_bytes("0000003714")

@@ -131,7 +131,7 @@ def test_what_is_missing_is_said(run: Run, tmp_path: Path) -> None:
     assert run("dissect", str(other))[0] == 1
     other.write_bytes(b"")
     status, _, err = run("dissect", str(other))
-    assert (status, err) == (1, f"rhdlink: {other} holds no bytes\n")
+    assert (status, err) == (1, f"rhdlink: {other} contains no bytes\n")
 
 
 def test_nothing_is_declared_of_a_client_that_sends_no_values() -> None:

@@ -98,13 +98,8 @@ def test_a_script_is_checked(run: Run, script: Path) -> None:
         (["--turtle"], 2, "no script was given"),
         (["{script}", "--serve"], 2, "takes commands from clients"),
         (["{script}", "--robot", "localhost:1"], 1, "localhost:1"),
-<<<<<<< HEAD
         (["{script}", "--svg", "x.svg"], 2, "need --turtle"),
-        (["{script}", "--turtle", "--svg", "x.gif"], 1, "a picture is an .svg or a .png"),
-=======
-        (["{script}", "--svg", "x.svg"], 2, "are for a --turtle"),
         (["{script}", "--turtle", "--svg", "x.gif"], 1, "unknown suffix of x.gif; expected .svg or .png"),
->>>>>>> prose-command
         (["{script}", "--turtle", "--floor", "none.svg"], 1, "none.svg: No such file"),
         (["{script}", "--turtle", "--start", "1,2"], 2, "expected X,Y,DEG"),
         (["{script}", "--turtle", "--conf", "none.conf"], 1, "none.conf: No such file"),

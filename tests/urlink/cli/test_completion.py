@@ -73,8 +73,8 @@ def test_the_other_program(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("argv", "hint"),
     [
-        (("moniter",), "no command 'moniter'; did you mean 'monitor'? there are monitor, "),
-        (("xyzzy",), "no command 'xyzzy'; there are monitor, "),
+        (("moniter",), "unknown command 'moniter'; did you mean 'monitor'? the commands are monitor, "),
+        (("xyzzy",), "unknown command 'xyzzy'; the commands are monitor, "),
         (("rtde", "sim://", "timestamp", "--fequency", "5"), "--fequency 5; did you mean '--frequency'?"),
         (("echo", "sim://", "--cuont=3"), "--cuont=3; did you mean '--count'?"),
     ],

@@ -114,7 +114,7 @@ def test_help_where_python_runs_without_docstrings(run: Run, monkeypatch: pytest
     monkeypatch.setattr(row.run, "__doc__", None)
     status, out, _ = run("info", "--help")
     assert status == 0
-    assert "\nNo more help: this Python runs without docstrings (option -OO).\n" in out
+    assert "\nNo more help is available: this Python runs without docstrings (-OO).\n" in out
     assert "--json" in out
 
 

@@ -79,7 +79,7 @@ def test_recording_and_rates(run: Run, address: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
-        (["actual q"], "cannot be the name"),
+        (["actual q"], "is not a valid name of a variable"),
         ([], "expected the names"),
         (["timestamp", "--frequency", "501"], "1 to 500"),
     ],

@@ -516,7 +516,7 @@ def test_from_a_file(robot: ScriptedController, tmp_path: Path) -> None:
     path.write_bytes(b"\xff")
     with pytest.raises(BadValue, match=r"job\.script is not a text file"):
         robot.script.run(path)
-    with pytest.raises(BadValue, match="got int"):
+    with pytest.raises(BadValue, match="is of type int; expected a string"):
         robot.script.run(3)  # type: ignore[arg-type]
 
 

@@ -426,7 +426,7 @@ def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, 
     assert isinstance(motion, urlink.Motion)
     assert motion.phase is Phase.DONE
     robot.show()
-    with pytest.raises(LinkTimeout, match="it goes on"):
+    with pytest.raises(LinkTimeout, match="and continues"):
         move(robot, 0.01)
     with pytest.raises(BadValue, match="wait="):
         move(robot, -1.0)
