@@ -65,7 +65,11 @@ def test_any_bytes_are_a_reply_or_no_gripper(is_set: bool, pieces: list[bytes]) 
 
 
 def test_what_cannot_be_said() -> None:
-    for values, error in (({}, "no variable to set"), ({"PRE": 1}, "'PRE' cannot be set"), ({"POS": 256}, "from 0 to 255")):
+    for values, error in (
+        ({}, "no variable to set"),
+        ({"PRE": 1}, "'PRE' cannot be set"),
+        ({"POS": 256}, "from 0 to 255"),
+    ):
         with pytest.raises(BadValue, match=error):
             set_line(values)
     for value in (True, 1.0, -1):
