@@ -74,7 +74,7 @@ NAMES = [
 
 #: This file, as named in the messages.
 HERE = "tests/rhdlink/test_public_names.py"
-#: Modules from which users import names.
+#: Modules with further public names.
 MODULES = ["host", "robots", "smrcl", "variables"]
 
 

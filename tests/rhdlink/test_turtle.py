@@ -77,7 +77,7 @@ def test_recorded_commands_reproduce_the_recorded_drive(drives: Path, drive: str
 @pytest.mark.captures("mrc")
 @pytest.mark.parametrize("drive", ["vw_arc", "vw_spiral", "smr_arc", "smr_spiral"])
 def test_recorded_bytes_of_mrc_move_the_turtle_identically(drives: Path, drive: str) -> None:
-    """The bytes are sent as fast as replies arrive, and must move the robot as they moved that of the original."""
+    """The bytes are sent as fast as replies arrive, and must move the robot exactly as in the recording."""
     asked = (drives / f"{drive}_rhd64.c2s.bin").read_bytes()
     with (drives / f"{drive}_rhd64.csv").open() as file:
         rows = list(csv.reader(file))[1:]
