@@ -120,7 +120,7 @@ class GripperMachine(RuleBasedStateMachine):
         self.object = None
 
     @invariant()
-    def is_as_it_can_be(self) -> None:
+    def registers_and_fingers_stay_in_range(self) -> None:
         values = {name: value_of(name, self.gripper.reply(f"GET {name}") or "") for name in READABLE}
         self.last = self.gripper.position
         assert values["OBJ"] in (0, 1, 2, 3)
