@@ -134,7 +134,7 @@ def test_monitor_ends_with_recording(run: Run, recording: Path) -> None:
         (StreamStatus.ENDED, {}, "replay:///tmp/run%20one.urlog?rate=2", "urlink replay '/tmp/run one.urlog'"),
     ],
 )
-def test_next_step_depends_on_what_was_shown(
+def test_next_step_depends_on_status_and_counts(
     status: StreamStatus, counts: dict[str, int], address: str, step: str
 ) -> None:
     stats = replace(_STATS, **({"missed": 0, "reconnects": 0} | counts))
