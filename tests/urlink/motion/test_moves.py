@@ -241,7 +241,9 @@ def test_progress_is_the_way_behind(robot: Rehearsal) -> None:
     robot.q = turned(0.5)
     robot.show()
     assert motion.progress == pytest.approx(0.75)
-    with pytest.raises(LinkTimeout, match=r"move_joints has not ended within 0\.01 s, and continues; its phase is sent"):
+    with pytest.raises(
+        LinkTimeout, match=r"move_joints has not ended within 0\.01 s, and continues; its phase is sent"
+    ):
         motion.wait(0.01)
     # Of a stop nobody knows how far it has got.
     assert robot.motion.stop().progress == 0.0
