@@ -1,4 +1,4 @@
-"""Draw docs/images/monitor.svg: what `urlink monitor sim://` shows after a few seconds."""
+"""Draw docs/images/monitor.svg: the display of `urlink monitor sim://` after a few seconds."""
 
 import argparse
 import itertools
@@ -35,7 +35,7 @@ _THEME = TerminalTheme(
 
 
 def main() -> None:
-    """Watch the simulator, and save the last view."""
+    """Monitor the simulator, and save the last view."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "images" / "monitor.svg")
     parser.add_argument("--address", default="sim://?motion=demo")
@@ -44,7 +44,7 @@ def main() -> None:
     args = parser.parse_args()
     with urlink.connect(args.address) as robot:
         if robot.controller is not None:
-            # Something to see among the inputs and outputs.
+            # Set some inputs, so that the display shows them.
             for number in (0, 2, 9):
                 robot.controller.signals.set_digital_input(number, True)
             for number in (1, 16):
@@ -59,7 +59,7 @@ def main() -> None:
     svg = console.export_svg(
         title=f"urlink monitor {args.address.removesuffix('?motion=demo')}", theme=_THEME, unique_id="monitor"
     )
-    # A picture in a document loads no fonts, and should not ask anybody for one.
+    # An image in a document loads no fonts, and should not request any.
     args.output.write_text(re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL))
 
 

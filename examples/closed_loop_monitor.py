@@ -1,7 +1,7 @@
-"""Check each state against limits, within a deadline: what a supervisor beside a control loop does.
+"""Check each state against limits and a deadline, as a supervisor next to a control loop does.
 
-The first state out of limits, and the first silence longer than the deadline, end the program with exit status 1.
-It only watches. It is no safety function: what has to be safe belongs into the robot's own safety configuration.
+The program ends with exit status 1 at the first state that exceeds a limit, or the first silence that exceeds the
+deadline. It only watches. It is not a safety function: configure safety in the robot's own safety configuration.
 
     python examples/closed_loop_monitor.py 192.168.56.101 --speed 1.0 --deadline 0.05
 """
@@ -18,7 +18,7 @@ from urlink.packets import RealtimeState, SafetyMode
 
 
 class Supervisor:
-    """Decides on each state; what it finds ends the program."""
+    """Check of each state; the first violation ends the program."""
 
     def __init__(self, speed: float) -> None:
         self.speed = speed
@@ -46,17 +46,17 @@ class Supervisor:
 def main() -> int:
     parser = argparse.ArgumentParser(description="Watch limits and a deadline.")
     parser.add_argument(
-        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (a simulator)"
+        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (default: a simulator)"
     )
-    parser.add_argument("--speed", type=float, default=1.0, help="largest joint speed, rad/s (1.0)")
-    parser.add_argument("--deadline", type=float, default=0.1, help="longest silence, s (0.1)")
-    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")
+    parser.add_argument("--speed", type=float, default=1.0, help="maximum joint speed, rad/s (default: 1.0)")
+    parser.add_argument("--deadline", type=float, default=0.1, help="maximum silence, s (default: 0.1)")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="duration, s (default: until Ctrl-C)")
     args = parser.parse_args()
 
     supervisor = Supervisor(args.speed)
     with urlink.connect(args.address) as robot:
         until = time.monotonic() + args.duration
-        # Only the newest state counts: one that waited is no basis for a decision.
+        # Only the newest state counts: a decision must not use an older, queued state.
         robot.realtime.subscribe(
             supervisor.check, policy=urlink.latest, deadline=args.deadline, on_deadline=supervisor.late
         )

@@ -1,11 +1,11 @@
-"""Follow a trajectory from a CSV file, and tell how far the arm was from it.
+"""Follow a trajectory from a CSV file, and print the largest deviation of the arm from it.
 
-The file has the header time,q0,...,q5 and, or not, qd0,...,qd5 and qdd0,...,qdd5; s and rad. Without a file it is a
-little wave of the tool joint. The arm goes to the first point slowly before it follows.
+The file has the header time,q0,...,q5 and, optionally, qd0,...,qd5 and qdd0,...,qdd5, in s and rad. Without a file, the
+trajectory is a small wave of the tool joint. The arm first moves slowly to the first point.
 
     python examples/follow_csv.py                                  # the simulator
     python examples/follow_csv.py --file wave.csv 192.168.56.101
-    python examples/follow_csv.py --low-bandwidth                  # the robot interpolates by itself
+    python examples/follow_csv.py --low-bandwidth                  # the robot interpolates on its own
 """
 
 import argparse
@@ -29,10 +29,10 @@ def wave() -> Trajectory:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Follow a trajectory.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (sim://)")
-    parser.add_argument("--file", help="the trajectory as CSV")
-    parser.add_argument("--low-bandwidth", action="store_true", help="hand it over point by point")
-    parser.add_argument("--path-tolerance", type=float, help="rad off the path that end it")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (default: sim://)")
+    parser.add_argument("--file", help="CSV file of the trajectory")
+    parser.add_argument("--low-bandwidth", action="store_true", help="send the trajectory point by point")
+    parser.add_argument("--path-tolerance", type=float, help="maximum deviation from the path, rad")
     args = parser.parse_args()
 
     worst = np.zeros(6)
@@ -55,7 +55,7 @@ def main() -> int:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 1
     print(f"followed {len(trajectory)} points in {trajectory.duration:g} s")
-    print("furthest from the path, rad:", " ".join(f"{each:.4f}" for each in worst))
+    print("largest deviation from the path, rad:", " ".join(f"{each:.4f}" for each in worst))
     return 0
 
 

@@ -1,7 +1,7 @@
-"""A leader arm moves a follower, as with gello: joint positions at the leader's own pace, and nothing else.
+"""Move a follower arm with a leader arm, as with gello: the leader sends only joint positions, at its own pace.
 
-gello calls servoJ in a loop that it paces by itself. Here the leader may be slow, uneven, or jump: with a target filter
-the follower keeps its limits.
+gello calls servoJ in a loop with its own timing. Here, the leader may be slow or uneven, or it may jump, because a
+target filter keeps the follower within its limits.
 
 python examples/gello_servo.py                       # the simulator
 python examples/gello_servo.py 192.168.56.101
@@ -18,15 +18,15 @@ HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
 
 
 def leader(t: float) -> list[float]:
-    """Joint positions of the leader, rad: yours are read from its servos."""
+    """Return the leader's joint positions, in rad. Replace this by reading your leader."""
     wave = 0.2 * math.sin(math.pi * t)
     return [HOME[0] + wave, *HOME[1:5], HOME[5] - wave]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Follow a leader arm.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (sim://)")
-    parser.add_argument("--duration", type=float, default=1.5, help="seconds (1.5)")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (default: sim://)")
+    parser.add_argument("--duration", type=float, default=1.5, help="duration, s (default: 1.5)")
     args = parser.parse_args()
     with urlink.connect(args.address) as robot:
         robot.motion.move_joints(HOME, speed=0.5, wait=120.0)

@@ -1,9 +1,9 @@
-"""Write every real-time state to a CSV file, and say at the end whether all of them are in it.
+"""Write every real-time state to a CSV file, and report at the end whether any state is missing.
 
     python examples/log_to_csv.py run.csv
     python examples/log_to_csv.py run.csv 192.168.56.101 --duration 60
 
-To keep everything rather than a few columns, record the bytes: `urlink record`, or `robot.record(path)`.
+To keep all data rather than a few columns, record the bytes: `urlink record`, or `robot.record(path)`.
 """
 
 import argparse
@@ -26,9 +26,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Log real-time states as CSV.")
     parser.add_argument("file", help="CSV file to write")
     parser.add_argument(
-        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (a simulator)"
+        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (default: a simulator)"
     )
-    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="duration, s (default: until Ctrl-C)")
     args = parser.parse_args()
 
     with open(args.file, "w", newline="") as file, urlink.connect(args.address) as robot:
@@ -38,16 +38,16 @@ def main() -> None:
         def write(state: RealtimeState) -> None:
             writer.writerow(row(state))
 
-        # 5000 states are 10 s at 500 Hz: a disk that stops for that long costs nothing.
+        # 5000 states are 10 s at 500 Hz, so no state is lost even if the disk stops for that long.
         subscription = robot.realtime.subscribe(write, policy=urlink.drop_oldest(5000))
         try:
             until = time.monotonic() + args.duration
-            # The end of a recording ends the stream by itself.
+            # At the end of a recording, the stream ends on its own.
             while time.monotonic() < until and not subscription.join(0.1):
                 pass
         except KeyboardInterrupt:
             pass
-        subscription.finish()  # deliver what waits, then stop
+        subscription.finish()  # deliver the queued states, then stop
         stats = subscription.stats
         print(f"{stats.delivered} states written, {stats.dropped} dropped, {stats.raised} failed")
 

@@ -1,6 +1,6 @@
-"""Move the arm: to a posture, up in a straight line, and back, with what can end a movement handled.
+"""Move the arm to a posture, up in a straight line, and back, and handle everything that can end a motion.
 
-Before you give it a real arm: hold the emergency stop in your hand, keep out of reach, and read docs/first-day.md.
+Before you run it with a real arm: hold the emergency stop, stay out of reach, and read docs/first-day.md.
 
     python examples/move_and_wait.py                      # the simulator
     python examples/move_and_wait.py 192.168.56.101 --speed 0.1
@@ -22,7 +22,7 @@ def move(robot: urlink.Robot, speed: float) -> None:
 
     pose = robot.realtime.wait().tool_vector_actual.copy()
     pose[2] += 0.05
-    # Leaving the block before the movement is over, by Ctrl-C for example, stops the arm.
+    # Leaving the block before the motion has ended, for example by Ctrl-C, stops the arm.
     with robot.motion.move_linear(pose, speed=0.2 * speed) as motion:
         motion.wait(timeout=120)
     height = robot.realtime.wait().tool_vector_actual[2]
@@ -40,14 +40,14 @@ def move(robot: urlink.Robot, speed: float) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Move an arm a little.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (sim://)")
-    parser.add_argument("--speed", type=float, default=0.5, help="of the joints, rad/s (0.5)")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (default: sim://)")
+    parser.add_argument("--speed", type=float, default=0.5, help="speed of the joints, rad/s (default: 0.5)")
     args = parser.parse_args()
     try:
         with urlink.connect(args.address) as robot:
             move(robot, args.speed)
     except urlink.SafetyStop as stop:
-        print(f"stopped: {stop.cause}; see docs/safety.md for how to go on", file=sys.stderr)
+        print(f"stopped: {stop.cause}; to continue, see docs/safety.md", file=sys.stderr)
         return 1
     except urlink.LinkError as error:
         print(error, file=sys.stderr)

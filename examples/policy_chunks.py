@@ -1,8 +1,8 @@
-"""Chunks of movement from a policy that takes its time, as policies that were learned give them.
+"""Follow chunks of motion from a policy that needs computing time, as learned policies do.
 
-The policy looks at the arm, computes for a while, and gives the positions of the next second and a half. By then the
-arm is further on: so a chunk begins in the past, and replaces the rest of the one before. The arm goes over from one to
-the other without a jolt, and brakes where a chunk comes too late.
+The policy reads the state of the arm, computes for a while, and returns the positions of the next 1.5 s. By then, the
+arm has moved on. So a chunk starts in the past, and replaces the rest of the previous chunk. The arm changes from one
+chunk to the next without a jolt, and brakes if a chunk arrives too late.
 
 python examples/policy_chunks.py                       # the simulator
 python examples/policy_chunks.py 192.168.56.101
@@ -18,12 +18,12 @@ import numpy as np
 import urlink
 
 HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
-#: s between two positions of a chunk, how many it has, and how long the policy computes at least and at most.
+#: Time between two positions of a chunk, in s; number of positions; shortest and longest computing time, in s.
 PERIOD, HORIZON, QUICKEST, SLOWEST = 0.05, 30, 0.05, 0.6
 
 
 def policy(observed: np.ndarray, t: float, luck: random.Random) -> urlink.Trajectory:
-    """The next positions of the joints. Yours goes by pictures; this one waves, and never says the same twice."""
+    """Return the next joint positions. Your policy uses images; this one waves randomly."""
     time.sleep(luck.uniform(QUICKEST, SLOWEST))
     off = luck.uniform(-0.003, 0.003)
     times = PERIOD * np.arange(HORIZON)
@@ -33,8 +33,8 @@ def policy(observed: np.ndarray, t: float, luck: random.Random) -> urlink.Trajec
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Follow chunks of a policy.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (sim://)")
-    parser.add_argument("--duration", type=float, default=3.0, help="seconds (3)")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (default: sim://)")
+    parser.add_argument("--duration", type=float, default=3.0, help="duration, s (default: 3)")
     args = parser.parse_args()
     luck = random.Random(1)
     chunks = 0

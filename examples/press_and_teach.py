@@ -13,7 +13,7 @@ DOWN = (0.0, 0.0, -1.0)
 
 
 def hand(controller, newtons):
-    """Push a simulated arm upwards; a real one is pushed by you."""
+    """Push a simulated arm upwards. Push a real arm yourself."""
     if controller is not None:
         controller.push([0.0, 0.0, newtons, 0.0, 0.0, 0.0])
 
@@ -27,7 +27,7 @@ def work(robot, controller):
         state = robot.realtime.wait_until(lambda state: abs(state.tcp_force[2] - 10.0) < 0.5, timeout=30)
         print(f"pressed with {round(state.tcp_force[2])} N")
 
-    with robot.teach(on_point=lambda point: print("a waypoint is kept")) as teaching:
+    with robot.teach(on_point=lambda point: print("recorded a waypoint")) as teaching:
         for height in (0.02, 0.04):
             hand(controller, 15.0)
             above = contact.pose[2] + height
@@ -40,7 +40,7 @@ def work(robot, controller):
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Press and teach.")
-    parser.add_argument("address", nargs="?", help="robot; without one, a simulated one with a table")
+    parser.add_argument("address", nargs="?", help="robot (default: a simulated robot with a table)")
     args = parser.parse_args()
     try:
         if args.address is not None:

@@ -1,4 +1,4 @@
-"""Print what the arm does, five times a second, until Ctrl-C or for --duration seconds.
+"""Print joint positions and the robot mode five times per second, until Ctrl-C or for --duration seconds.
 
 python examples/print_state.py
 python examples/print_state.py 192.168.56.101 --duration 10
@@ -14,16 +14,16 @@ import urlink
 def main() -> None:
     parser = argparse.ArgumentParser(description="Print joint positions and modes.")
     parser.add_argument(
-        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (a simulator)"
+        "address", nargs="?", default="sim://?motion=demo", help="robot, simulator or recording (default: a simulator)"
     )
-    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="duration, s (default: until Ctrl-C)")
     args = parser.parse_args()
 
     with urlink.connect(args.address) as robot:
         until = time.monotonic() + args.duration
         print(f"{robot.model}, firmware {robot.firmware}")
         shown = 0.0
-        # Iterating gives the newest state each time, so a slow loop never lags behind the robot.
+        # The loop receives the newest state each time, so a slow loop never lags behind the robot.
         for state in robot.realtime:
             now = time.monotonic()
             if now >= until:

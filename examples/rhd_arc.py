@@ -1,7 +1,7 @@
-"""Drive an arc of a given radius and angle, and end where it ends.
+"""Drive an arc of a given radius and angle, and stop at its end.
 
-In the set-up that the bridge comes from, the robot went on in the same circle for ever: the end of MRC's `turnr` ends a
-step of the script, and not the motion. Here the program that finds the angle reached also says stop.
+In the set-up for which the bridge was made, the robot kept driving in the same circle forever: the end of MRC's `turnr`
+ends a step of the script, but not the motion. Here, the program that measures the angle also stops the robot.
 
     python examples/rhd_arc.py arc.svg --radius 2 --angle 135
 """
@@ -20,11 +20,11 @@ SPEED = 0.3
 
 
 def arc(robot: rhdlink.robots.VelocityOmega, radius: float, angle: float) -> None:
-    """Drive along a circle until the heading has changed by `angle` rad; a negative one is to the right."""
+    """Drive along a circle until the heading has changed by `angle` rad, to the left if positive."""
     end = robot.rotpos + angle
     under_way = 0.0
     while True:
-        # What was commanded last shows in the heading one reply later.
+        # The last command affects the heading only in the next reply.
         left = end - robot.rotpos - under_way
         rate = math.copysign(min(SPEED / radius, abs(left) / PERIOD), left)
         if abs(rate) < 1 / 40000:
@@ -40,9 +40,11 @@ def arc(robot: rhdlink.robots.VelocityOmega, radius: float, angle: float) -> Non
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Drive an arc.")
-    parser.add_argument("picture", nargs="?", default="arc.svg", help="an .svg or a .png (arc.svg)")
-    parser.add_argument("--radius", type=float, default=2.0, help="m (2)")
-    parser.add_argument("--angle", type=float, default=135.0, help="degrees, to the left (135)")
+    parser.add_argument(
+        "picture", nargs="?", default="arc.svg", help="file for the figure, .svg or .png (default: arc.svg)"
+    )
+    parser.add_argument("--radius", type=float, default=2.0, help="radius, m (default: 2)")
+    parser.add_argument("--angle", type=float, default=135.0, help="angle to the left, degrees (default: 135)")
     args = parser.parse_args()
     angle = math.radians(args.angle)
 

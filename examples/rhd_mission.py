@@ -1,7 +1,8 @@
-"""Follow a line, go round a wall and dock at a pose: one mission, begun in three ways, on a robot in software.
+"""Follow a line, drive round a wall and dock at a pose: one mission, started in three ways, with a simulated robot.
 
-From Python, from the command line, and through the port on which MRC takes its commands. It is `missions/dock.smr`, on
-the floor that `missions/floor.svg` draws. The robot hurries and is the same each time, so all three end at one place.
+The mission is started from Python, from the command line, and through the port on which MRC accepts commands. It is
+`missions/dock.smr`, on the floor in `missions/floor.svg`. The robot does not wait for real time, and behaves the same
+each time, so all three runs end at the same place.
 
     python examples/rhd_mission.py way.svg
 """

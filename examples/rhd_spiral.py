@@ -1,7 +1,7 @@
-"""Drive a square spiral with a closing diagonal: program -> host -> bridge -> robot, and its poses all the way back.
+"""Drive a square spiral with a closing diagonal: program, host, bridge and robot, with poses in the other direction.
 
-The robot is a turtle that knows velocities and poses and nothing of RHD, as a robot behind any other software would be;
-the bridge is what makes it one. Everything runs in lockstep, so that it takes a moment and is the same each time.
+The robot is a turtle that has velocities and poses but does not implement RHD, like a robot with any other software.
+The bridge connects it to RHD. Everything runs in lockstep, so the run is fast and is the same each time.
 
     python examples/rhd_spiral.py spiral.svg
 """
@@ -19,7 +19,7 @@ PERIOD = 0.01
 
 
 class BridgedTurtle(VelocityBridge):
-    """Moves a turtle as the bridge is told, and tells the bridge where it is."""
+    """Bridge that moves a turtle, and reports its pose."""
 
     def __init__(self, world: World) -> None:
         super().__init__(self.drive, own_thread=False)
@@ -40,14 +40,14 @@ class BridgedTurtle(VelocityBridge):
 
 
 class Driver:
-    """A program that drives a velocity-omega robot by its odometry."""
+    """Program that drives a velocity-omega robot by its odometry."""
 
     def __init__(self, robot: rhdlink.robots.VelocityOmega) -> None:
         self.robot = robot
         self.heading = 0.0
 
     def forward(self, metres: float, speed: float = 0.5) -> None:
-        """Straight on, along the heading that is wanted, and slower towards the end."""
+        """Drive straight ahead along the wanted heading, and more slowly towards the end."""
         robot = self.robot
         end = robot.transpos + metres * 1e5
         while (left := (end - robot.transpos) / 1e5) > 0.002:
@@ -56,7 +56,7 @@ class Driver:
             robot.sync()
 
     def turn(self, degrees: float, rate: float = 1.5) -> None:
-        """Turn to the left on the spot."""
+        """Turn on the spot, to the left."""
         robot = self.robot
         self.heading += math.radians(degrees)
         robot.cmdtransvel = 0.0
@@ -75,7 +75,7 @@ def spiral(driver: Driver) -> None:
         driver.forward(0.6 + 0.6 * leg)
         driver.turn(90)
     driver.turn(45)
-    # Eight legs end 2.4 m to the left of the start and 2.4 m below it: the diagonal closes the way.
+    # The eight legs end 2.4 m to the left of the start and 2.4 m below it, so the diagonal closes the path.
     driver.forward(math.hypot(2.4, 2.4))
     driver.stop()
 

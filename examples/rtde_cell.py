@@ -1,9 +1,9 @@
-"""Variables by name over RTDE: a class that declares them, and registers shared with a program on the robot.
+"""Read variables over RTDE into a class that declares them, and share registers with a program on the robot.
 
     python examples/rtde_cell.py 192.168.56.101
     python examples/rtde_cell.py                  # the simulator
 
-The program on the robot adds one to an integer for as long as it is asked to; nothing moves.
+The program on the robot adds one to an integer until it is told to stop. Nothing moves.
 """
 
 import argparse
@@ -20,18 +20,18 @@ end
 
 
 class Cell(urlink.rtde.Outputs):
-    """What this program wants to know, with the controller's names."""
+    """Variables that this program reads, with the names of the controller."""
 
     timestamp: float
     actual_TCP_pose: Vector
     output_int_register_24: int
-    payload: float | None  # left out by controllers before 3.11 and 5.5.1
+    payload: float | None  # None with controllers before 3.11 and 5.5.1
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("address", nargs="?", default="sim://ur5e?firmware=5.11")
-    parser.add_argument("--count", type=int, default=20, help="states to print")
+    parser.add_argument("--count", type=int, default=20, help="number of states to print")
     options = parser.parse_args()
     with urlink.connect(options.address) as robot:
         robot.registers.write_integer(24, 1)

@@ -1,6 +1,6 @@
-"""Run a URScript file on a robot, print what it says, and where it went wrong if it did.
+"""Run a URScript file on a robot, print its messages, and show the line of an error.
 
-python examples/run_script.py                                  # a little program, in the simulator
+python examples/run_script.py                                  # a small program, in the simulator
 python examples/run_script.py --file wave.script 192.168.56.101
 """
 
@@ -25,9 +25,9 @@ end
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Run a URScript program.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (sim://)")
-    parser.add_argument("--file", type=Path, help="the program")
-    parser.add_argument("--timeout", type=float, default=600.0, help="seconds (600)")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (default: sim://)")
+    parser.add_argument("--file", type=Path, help="URScript file (default: a small program)")
+    parser.add_argument("--timeout", type=float, default=600.0, help="maximum run time, s (default: 600)")
     args = parser.parse_args()
 
     source = PROGRAM if args.file is None else args.file.read_text()
@@ -37,7 +37,7 @@ def main() -> int:
             try:
                 program.wait(args.timeout)
             finally:
-                # After Ctrl-C, or too long: closing the connection alone would leave it running.
+                # After Ctrl-C or a timeout, closing the connection alone would leave the program running.
                 program.cancel()
                 print(*program.texts, sep="\n")
     except urlink.ScriptError as error:

@@ -1,4 +1,4 @@
-"""A closed loop at the controller's rate: the tool joint is drawn to a target that moves, as by a camera.
+"""Close a loop at the controller's rate: the tool joint follows a moving target, for example from a camera.
 
 python examples/servo_loop.py                       # the simulator
 python examples/servo_loop.py 192.168.56.101 --duration 10
@@ -11,26 +11,26 @@ import sys
 import urlink
 
 HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
-#: 1/s, how eagerly the loop closes the distance to the target
+#: Gain of the loop, in 1/s.
 EAGERNESS = 5.0
 
 
 def target(t: float) -> float:
-    """Where the tool joint is wanted, rad: your camera."""
+    """Return the wanted position of the tool joint, in rad. Replace this by your camera."""
     return 0.15 * math.sin(math.pi * t)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Close a loop.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (sim://)")
-    parser.add_argument("--duration", type=float, default=1.0, help="seconds (1)")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (default: sim://)")
+    parser.add_argument("--duration", type=float, default=1.0, help="duration, s (default: 1)")
     args = parser.parse_args()
     try:
         with urlink.connect(args.address) as robot:
             robot.motion.move_joints(HOME, speed=0.5).wait(timeout=120)
             with robot.motion.servo() as servo:
                 begun = before = None
-                for state in robot.realtime:  # always the newest, so the loop keeps step with the controller
+                for state in robot.realtime:  # always the newest state, so the loop runs at the controller's rate
                     if begun is None:
                         q, begun, before = state.q_target.copy(), state.time, state.time
                     t = state.time - begun

@@ -1,8 +1,8 @@
-"""Tests of a pick-and-place program in simulated time, with the cable of the robot pulled.
+"""Tests of a pick-and-place program in simulated time, with lost connections to the robot.
 
-`pick_and_place` stands for your program. In simulated time it runs as fast as this computer can, on a computer of its
-own beside that of the robot, and the same each time for the same seed: a failure can be looked at again. Run it with
-pytest, or as a program, which prints how long it took.
+`pick_and_place` stands for your program. In simulated time, it runs as fast as this computer can, on a simulated
+computer next to that of the robot. The run is the same each time for the same seed, so a failure can be repeated. Run
+it with pytest, or as a program, which prints how long it took.
 
     pytest examples/simulated_cell.py
     python examples/simulated_cell.py
@@ -26,12 +26,15 @@ ROBOT = "192.168.0.100"
 
 
 def pick_and_place(address: str, parts: int, patience: float = 30.0) -> int:
-    """Your program: carry some parts, and go on where it was when the connection was lost. How many it carried."""
+    """Your program: carry some parts, and return their number.
+
+    After a lost connection, it continues where it was.
+    """
     carried = 0
     until = time.monotonic() + patience
     while carried < parts and time.monotonic() < until:
         with contextlib.suppress(urlink.RemoteError), urlink.connect(address, timeout=1.0, silence=0.5) as robot:
-            robot.motion.stop(wait=True)  # what a lost connection has left behind
+            robot.motion.stop(wait=True)  # ends a motion that a lost connection left behind
             while carried < parts:
                 for where, is_closed in ((ABOVE, False), (PICK, True), (ABOVE, True), (PLACE, False)):
                     robot.motion.move_joints(where, speed=1.5).wait(10.0)
@@ -41,7 +44,11 @@ def pick_and_place(address: str, parts: int, patience: float = 30.0) -> int:
 
 
 def carried(seed: int, parts: int, *faults: str) -> tuple[int, float, int]:
-    """Run it on a robot beside this computer: parts carried, seconds that it took, and a checksum of the whole run."""
+    """Run the program next to a simulated robot.
+
+    Returns:
+        Number of carried parts, simulated time in s, and a checksum of the whole run.
+    """
     with urlink.simulated_time(seed, limit=3600.0) as sim:
         cell = sim.computer("cell", ROBOT)
         with sim.on(cell):
@@ -57,13 +64,13 @@ def carried(seed: int, parts: int, *faults: str) -> tuple[int, float, int]:
 
 
 @pytest.mark.parametrize("pulled", [0.05, 1.0])
-def test_it_goes_on_when_the_cable_is_pulled(pulled: float) -> None:
+def test_program_continues_after_lost_connection(pulled: float) -> None:
     count, took, _ = carried(1, 1, f"cut=cell@{pulled:.2f}", f"mend=cell@{pulled + 1.0:.2f}")
     assert count == 1
     assert took < 15.0
 
 
-def test_the_same_seed_is_the_same_run() -> None:
+def test_same_seed_gives_same_run() -> None:
     faults = "reset=cell@1.5", "suspend=cell@2", "resume=cell@2.2"
     assert carried(7, 1, *faults) == carried(7, 1, *faults)
 

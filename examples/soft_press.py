@@ -1,7 +1,7 @@
-"""Lead the arm softly over a table, ten targets a second: it presses no harder than its springs are stretched.
+"""Move the arm softly over a table, with ten targets per second: its virtual springs limit the force on the table.
 
 python examples/soft_press.py                       # the simulator, with a table
-python examples/soft_press.py 192.168.56.101        # a robot from 5.23 on, 5 mm above a table
+python examples/soft_press.py 192.168.56.101        # a robot with firmware 5.23 or later, 5 mm above a table
 """
 
 import argparse
@@ -24,12 +24,12 @@ def work(robot):
             time.sleep(0.1)
         pressed = robot.realtime.wait().tcp_force[2]
         print("presses softly" if 2.0 < pressed < 100.0 else f"presses with {pressed:.0f} N")
-    print("let go of")
+    print("released")
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Slide softly.")
-    parser.add_argument("address", nargs="?", help="robot; without one, a simulated one with a table")
+    parser.add_argument("address", nargs="?", help="robot (default: a simulated robot with a table)")
     args = parser.parse_args()
     try:
         if args.address is not None:

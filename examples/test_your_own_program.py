@@ -1,8 +1,8 @@
-"""How to test a program of your own without a robot; run it with pytest.
+"""Tests of your own programs without a robot; run them with pytest.
 
-`wait_until_stopped`, `fetch` and `WAVE` stand for your programs: one that watches a robot, one that moves it, and one
-in URScript. The tests give them a simulated controller by its address, as they would give them a robot, and let things
-go wrong. The controller runs the URScript that it is sent, so a test can look where the arm has gone.
+`wait_until_stopped`, `fetch` and `WAVE` stand for your programs: the first watches a robot, the second moves it, and
+the third is URScript. The tests pass them the address of a simulated controller instead of a robot, and cause faults.
+The controller executes the URScript that it receives, so a test can check where the arm has moved.
 
     pytest examples/test_your_own_program.py
 """
@@ -28,7 +28,7 @@ end
 
 
 def wait_until_stopped(address: str, timeout: float = 5.0) -> str:
-    """Your program: wait for the robot to be stopped, and say why."""
+    """Your program: wait until the robot is stopped, and return the reason."""
     with urlink.connect(address, silence=0.5) as robot:
         try:
             while True:
@@ -40,7 +40,7 @@ def wait_until_stopped(address: str, timeout: float = 5.0) -> str:
 
 
 def fetch(address: str, angle: float) -> str:
-    """Your program: turn the tool joint, close the gripper, and say how it went."""
+    """Your program: turn the tool joint, close the gripper, and return the result."""
     with urlink.connect(address) as robot:
         try:
             robot.motion.move_joints((*HOME[:5], angle), speed=1.0).wait(timeout=20)
@@ -53,7 +53,7 @@ def fetch(address: str, angle: float) -> str:
 def until(condition: Callable[[], object], seconds: float = 5.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, "it did not come about"
+        assert time.monotonic() < end, "the condition did not become true in time"
         time.sleep(0.005)
 
 
@@ -63,47 +63,47 @@ def controller() -> Iterator[Controller]:
         yield controller
 
 
-def test_says_why_the_robot_stopped(controller: Controller) -> None:
+def test_reports_reason_of_stop(controller: Controller) -> None:
     controller.faults.protective_stop()
     assert wait_until_stopped(controller.address) == "PROTECTIVE_STOP"
 
 
-def test_survives_a_reboot_into_another_firmware(controller: Controller) -> None:
-    # Times are seconds since the controller was made. It comes back with its modes as new.
+def test_survives_reboot_with_another_firmware(controller: Controller) -> None:
+    # Times are in seconds since the controller was made. After the reboot, it has its initial modes again.
     controller.schedule("reboot=5.12@0.3", "emergency_stop@2")
     assert wait_until_stopped(controller.address) == "ROBOT_EMERGENCY_STOP"
 
 
-def test_notices_a_robot_that_is_connected_but_silent(controller: Controller) -> None:
+def test_silent_robot_raises_link_timeout(controller: Controller) -> None:
     address = controller.address
     with urlink.connect(address) as robot:
         robot.realtime.wait()
         controller.faults.stall(30)
         with pytest.raises(urlink.LinkTimeout):
             for _ in robot.realtime.iterate(timeout=0.2):
-                pass  # what was under way still comes
+                pass  # states that were already sent still arrive
 
 
-def test_does_not_mind_how_the_network_cuts_the_bytes(controller: Controller) -> None:
+def test_result_does_not_depend_on_packet_sizes(controller: Controller) -> None:
     controller.faults.split([7, 1460, 1])
     controller.faults.emergency_stop()
     assert wait_until_stopped(controller.address) == "ROBOT_EMERGENCY_STOP"
 
 
-def test_turns_the_tool_and_closes_the_gripper(controller: Controller) -> None:
+def test_turns_tool_and_closes_gripper(controller: Controller) -> None:
     assert fetch(controller.address, 0.3) == "fetched"
     assert controller.arm.setpoint.q[5] == pytest.approx(0.3)
     until(lambda: controller.signals.digital_outputs & 1)
 
 
-def test_says_what_stopped_it_on_its_way(controller: Controller) -> None:
-    # As if somebody had pressed the button once the arm is under way.
+def test_reports_stop_during_motion(controller: Controller) -> None:
+    # A person presses the emergency stop while the arm is moving.
     controller.schedule(f"emergency_stop@{controller.cycle / controller.firmware.rate + 1.0}")
     assert fetch(controller.address, 3.0) == "robot emergency stop"
 
 
-def test_urscript_in_no_time() -> None:
-    """Not started, a controller has no clock: two seconds take milliseconds, and are the same each time."""
+def test_urscript_runs_without_waiting() -> None:
+    """Step a controller that is not started: it has no clock, so two seconds take milliseconds."""
     controller = Controller("UR5e", "5.11", motion=Still())
     controller.take(WAVE)
     furthest = 0.0

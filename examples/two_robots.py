@@ -1,4 +1,4 @@
-"""Read several robots in one process, and say how well each of them arrives.
+"""Read several robots in one process, and print how regularly the states of each robot arrive.
 
 python examples/two_robots.py 192.168.56.101 192.168.56.102
 """
@@ -13,7 +13,7 @@ import urlink
 def main() -> None:
     parser = argparse.ArgumentParser(description="Read several robots at once.")
     parser.add_argument("addresses", nargs="*", default=["sim://ur5e", "sim://ur10?firmware=3.4"], metavar="ADDRESS")
-    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="duration, s (default: until Ctrl-C)")
     args = parser.parse_args()
 
     with contextlib.ExitStack() as stack:

@@ -1,10 +1,10 @@
-"""Move back and forth, and after a stop wait for a person: only who presses Enter lets the arm move again.
+"""Move back and forth; after a stop, wait until a person presses Enter before the arm moves again.
 
-With the policy "always" nothing moves after a stop until `robot.safety.enable()` is called. Lifting the stop itself is
-for the person at the robot.
+With the policy "always", nothing moves after a stop until `robot.safety.enable()` is called. A person must clear the
+stop itself at the robot.
 
     python examples/watch_and_recover.py 192.168.56.101
-    python examples/watch_and_recover.py --demonstrate   # the simulator makes a protective stop, and nobody is asked
+    python examples/watch_and_recover.py --demonstrate   # the simulator makes a protective stop, without a question
 """
 
 import argparse
@@ -20,7 +20,7 @@ RIGHT = (0.1, -1.57, 1.57, -1.57, -1.57, 0.0)
 
 
 def go(robot: urlink.Robot, q: tuple[float, ...], ask: Callable[[], object]) -> None:
-    """Go there, however often it takes."""
+    """Move to `q`, and try again after each stop."""
     while True:
         try:
             robot.motion.move_joints(q, speed=0.5).wait(timeout=60)
@@ -31,20 +31,20 @@ def go(robot: urlink.Robot, q: tuple[float, ...], ask: Callable[[], object]) -> 
 
 
 def recover(robot: urlink.Robot, ask: Callable[[], object]) -> None:
-    print("find out why, and lift the stop at the pendant", flush=True)
+    print("find the cause, and clear the stop at the pendant", flush=True)
     robot.safety.wait_until_clear(timeout=3600)
     ask()
     robot.safety.enable()
-    # The controller may still have the program that was stopped, paused. This takes its place.
+    # The stopped program might still be paused on the controller. This motion replaces it.
     robot.motion.stop().wait(timeout=10)
-    print("going on", flush=True)
+    print("continuing", flush=True)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Recover from stops.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (sim://)")
-    parser.add_argument("--rounds", type=int, default=2, help="times there and back (2)")
-    parser.add_argument("--demonstrate", action="store_true", help="let the simulator make a protective stop")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot or simulator (default: sim://)")
+    parser.add_argument("--rounds", type=int, default=2, help="number of rounds (default: 2)")
+    parser.add_argument("--demonstrate", action="store_true", help="make a protective stop in the simulator")
     args = parser.parse_args()
 
     try:

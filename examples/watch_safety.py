@@ -1,4 +1,4 @@
-"""Tell of every change of the safety mode and every message of the controller, and of a lost connection.
+"""Print every change of the safety mode, every message of the controller, and lost connections.
 
 python examples/watch_safety.py 192.168.56.101
 python examples/watch_safety.py --demonstrate    # the simulator makes a protective stop
@@ -16,13 +16,13 @@ from urlink.simulator import Controller
 
 
 class Watch:
-    """Prints what is new."""
+    """Callbacks that print changes."""
 
     def __init__(self) -> None:
         self.mode: object = None
 
     def on_masterboard(self, data: MasterboardData) -> None:
-        # CB2 has a safety state of its own in place of the safety mode.
+        # CB2 has its own safety state instead of the safety mode.
         mode = data.safety_mode if data.safety_mode is not None else data.master_safety_state
         if mode is not None and mode != self.mode:
             self.mode = mode
@@ -33,14 +33,14 @@ class Watch:
 
     def on_connection(self, event: ConnectionEvent) -> None:
         if event.state is ConnectionState.LOST:
-            self.mode = None  # what it was before may no longer be true
+            self.mode = None  # the previous mode may no longer be true
             tell(event.received, f"connection lost: {event.error}")
         elif event.state is ConnectionState.CONNECTED:
             tell(event.received, "connected")
 
 
 def demonstrate(controller: Controller, watch: Watch, until: float) -> None:
-    """A protective stop, and its end; each as soon as the mode before it has been told."""
+    """Cause a protective stop and clear it, each after the previous mode was printed."""
     for mode, fault in ((SafetyMode.NORMAL, "protective_stop"), (SafetyMode.PROTECTIVE_STOP, "clear")):
         while watch.mode is not mode and time.monotonic() < until:
             time.sleep(0.02)
@@ -54,15 +54,15 @@ def tell(when: Stamp | None, text: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Watch the safety of a robot.")
-    parser.add_argument("address", nargs="?", default="sim://", help="robot, simulator or recording (sim://)")
-    parser.add_argument("--duration", type=float, default=float("inf"), help="seconds (until Ctrl-C)")
-    parser.add_argument("--demonstrate", action="store_true", help="let the simulator make a protective stop")
+    parser.add_argument("address", nargs="?", default="sim://", help="robot, simulator or recording (default: sim://)")
+    parser.add_argument("--duration", type=float, default=float("inf"), help="duration, s (default: until Ctrl-C)")
+    parser.add_argument("--demonstrate", action="store_true", help="make a protective stop in the simulator")
     args = parser.parse_args()
 
     watch = Watch()
     with urlink.connect(args.address) as robot:
         until = time.monotonic() + args.duration
-        # Each subscription has a thread of its own. The first one opens the connection.
+        # Each subscription has its own thread. The first subscription opens the connection.
         robot.primary.subscribe(watch.on_connection, ConnectionEvent)
         robot.primary.subscribe(watch.on_message, RobotMessage)
         robot.primary.subscribe(watch.on_masterboard, MasterboardData)

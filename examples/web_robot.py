@@ -1,18 +1,19 @@
-"""A robot behind HTTP: its state, states as they come over a WebSocket, and motions that end with their request.
+"""Serve a robot over HTTP: its state, a WebSocket with states, and motions that end with their request.
 
     pip install fastapi uvicorn
     ROBOT=192.168.56.101 uvicorn web_robot:app            # or ROBOT=sim://
     curl localhost:8000/state
     curl localhost:8000/move_joints --json '{"q": [0, -1.5, 1.5, -1.5, -1.5, 0]}'
 
-A motion is answered when it is over. Whoever closes the connection before stops the arm.
+The answer to a motion is sent when the motion has ended. If the client closes the connection earlier, the arm stops.
 
-A browser sends requests for every page that is open in it, also to a robot in its network, and names the page's origin
-in them. Origins that are not allowed are refused, over HTTP and WebSocket; ORIGINS="http://cell.local:8000 https://lab"
-replaces those that are (port 8000 of this computer). Programs that are no browser name no origin: this is no login.
+A browser sends requests for every open page, even to a robot in its network, and includes the origin of the page.
+Origins that are not allowed are rejected, over HTTP and WebSocket. By default, the origins of port 8000 of this
+computer are allowed; ORIGINS="http://cell.local:8000 https://lab" replaces them. Programs other than browsers send no
+origin, so this is not a login.
 
 A web site can also give its own host name the address of this computer (DNS rebinding). Its pages then have the same
-origin as this server, so the browser lets them read the answers and names no origin for them. Therefore the header Host
+origin as this server, so the browser lets them read the answers and sends no origin for them. Therefore the header Host
 must be the host of an allowed origin, or an IP address, which such an attack cannot use.
 """
 
@@ -31,15 +32,15 @@ from starlette.websockets import WebSocketClose
 
 import urlink
 
-#: Seconds between two looks whether a client is still there, and between two states of a WebSocket.
+#: Interval, in s, for checking whether a client is still connected, and for the states of a WebSocket.
 LOOK, PERIOD = 0.05, 0.1
 
-#: Origins of the pages whose requests are taken.
+#: Default origins of pages whose requests are accepted.
 ORIGINS = frozenset(("http://localhost:8000", "http://127.0.0.1:8000"))
 
 
 class OriginCheck:
-    """Rejects what a browser sends for a page of another origin or host, before the application gets it."""
+    """Rejection of requests that a browser sends for a page of another origin or host."""
 
     def __init__(self, app: Any, origins: frozenset[str]) -> None:
         self.app = app
@@ -67,11 +68,11 @@ class OriginCheck:
 
 class Move(BaseModel):
     q: list[float] = Field(description="positions of the joints, base to wrist 3, rad")
-    speed: float = Field(1.05, description="rad/s of the joint that is furthest")
+    speed: float = Field(1.05, description="speed of the joint with the longest distance, rad/s")
 
 
 def create_app(address: str, origins: frozenset[str] = ORIGINS) -> FastAPI:
-    """The application of one robot, for pages of these origins."""
+    """Create the application of one robot, for pages of these origins."""
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -88,7 +89,7 @@ def create_app(address: str, origins: frozenset[str] = ORIGINS) -> FastAPI:
         robot: urlink.Robot = app.state.robot
         latest = robot.realtime.latest
         if latest is None or latest.received is None:
-            raise HTTPException(503, "nothing has come of the robot")
+            raise HTTPException(503, "no state has arrived from the robot")
         refusal = robot.safety.refusal
         return {
             "q": latest.q_actual.tolist(),
@@ -109,12 +110,12 @@ def create_app(address: str, origins: frozenset[str] = ORIGINS) -> FastAPI:
     async def move_joints(move: Move, request: Request) -> dict[str, str]:
         robot: urlink.Robot = app.state.robot
         try:
-            # In a thread: to begin a motion may take until the robot has answered.
+            # In a thread, because starting a motion may wait for the robot.
             motion = await asyncio.to_thread(robot.motion.move_joints, move.q, move.speed)
-            with motion:  # which cancels it, where it is left before it is over
+            with motion:  # cancels the motion if the block is left early
                 while not motion.done:
                     if await request.is_disconnected():
-                        raise HTTPException(499, "the client has gone; the arm brakes")
+                        raise HTTPException(499, "the client has disconnected; the arm brakes")
                     await asyncio.sleep(LOOK)
             motion.wait()
         except urlink.BadValue as error:

@@ -39,7 +39,10 @@ def _warn_of_other() -> None:
 
 
 def _has_the_package(metadata: str) -> bool:
-    """Whether a distribution has a package `urlink`. A distribution that does not list its files might have it."""
+    """Whether a distribution has a package `urlink`.
+
+    A distribution that does not list its files might have it.
+    """
     try:
         with open(os.path.join(metadata, "RECORD"), encoding="utf-8") as files:
             return any(line.startswith("urlink/__init__.py,") for line in files)

@@ -60,7 +60,7 @@ def check_seconds(value: Any, name: str, *, positive: bool = False, finite: bool
 
 
 def check_wait(value: bool | float) -> float:
-    """Return the seconds of an argument ``wait=``: 0 for False, which does not wait, and 60 for True.
+    """Return the seconds of an argument ``wait=``: 0 for False (no wait), and 60 for True.
 
     Raises:
         BadValue: If `value` is neither a bool nor a finite number of seconds, or if it is too large. See
@@ -107,9 +107,10 @@ def check_number(
 
 
 def other_unit(value: float, unit: str, least: float, most: float) -> str:
-    """Return the question whether a value out of range is in another unit; empty if that is unlikely.
+    """Return the question whether a value out of range is in another unit.
 
-    It goes to the end of an error message, and asks about millimetres, degrees and so on.
+    Return an empty text if that is unlikely. The question asks about millimetres, degrees and so on, and goes to the
+    end of an error message.
 
     >>> other_unit(50.0, "m/s", 0.001, 5.0)
     ' (in mm/s?)'
@@ -163,7 +164,9 @@ def check_fields(fields: Sequence[Any]) -> None:
 
 
 def element_of(name: str) -> tuple[str, int] | None:
-    """Return the field and the index of an element from its name in exported files; None for any other name.
+    """Return the field and the index of an element from its name in exported files.
+
+    Return None for any other name.
 
     >>> element_of("q_actual_3"), element_of("q_actual")
     (('q_actual', 3), None)

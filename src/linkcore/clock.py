@@ -62,7 +62,7 @@ else:
 
 
 def now() -> float:
-    """Return the time in s, on a monotonic clock that includes the time for which this computer was suspended."""
+    """Return the time in s, on a monotonic clock that includes the time of a suspend."""
     return read()
 
 
@@ -93,9 +93,10 @@ _LOOK = 0.05
 
 
 def slice_of(seconds: float | None) -> float | None:
-    """Return how long one system call should wait, out of `seconds` in total; None if it may wait without a limit.
+    """Return how long one system call should wait, out of `seconds` in total.
 
-    Use it in a loop that reads the clock itself after each system call. Everything else uses `wait`.
+    Return None if it may wait without a limit. Use it in a loop that reads the clock itself after each system call.
+    Everything else uses `wait`.
     """
     if seconds is None or seconds == math.inf:
         return ENDLESS
@@ -103,7 +104,9 @@ def slice_of(seconds: float | None) -> float | None:
 
 
 def wait(attempt: Callable[[float | None], object], timeout: float | None = None) -> bool:
-    """Call `attempt`, such as `event.wait`, until it returns a true value; return False after `timeout`.
+    """Call `attempt`, such as `event.wait`, until it returns a true value.
+
+    Return False after `timeout`.
 
     Args:
         attempt: Function that waits for the given number of seconds, or without a limit if given None.
@@ -173,7 +176,9 @@ def get(items: queue.SimpleQueue[T], timeout: float | None = None) -> T:
 
 
 def is_done(future: Future[T], timeout: float | None = None) -> bool:
-    """Wait until a future has a result or an error, or was cancelled; return False after `timeout`.
+    """Wait until a future has a result or an error, or was cancelled.
+
+    Return False after `timeout`.
 
     Raises:
         Cancelled: If this thread makes a pending call that was abandoned.

@@ -67,7 +67,7 @@ class RemoteError(LinkError):
 
 
 class ConnectFailed(RemoteError, ConnectionError):
-    """No connection could be made."""
+    """A connection that could not be made."""
 
 
 class ConnectionLost(RemoteError, ConnectionError):
@@ -75,7 +75,7 @@ class ConnectionLost(RemoteError, ConnectionError):
 
 
 class LinkTimeout(RemoteError, TimeoutError):
-    """Nothing arrived before the deadline."""
+    """A timeout: nothing arrived before the deadline."""
 
 
 class WrongPeer(RemoteError):

@@ -32,7 +32,9 @@ C = TypeVar("C", bound=_Closing)
 
 
 class Opening(StrictAttributes, Generic[C]):
-    """Result of `connect_async`: ``robot = await opening``, or ``async with opening as robot``, which closes it.
+    """Result of `connect_async`, to be awaited or entered.
+
+    Write ``robot = await opening``, or ``async with opening as robot``, which closes the robot.
 
     Args:
         open: Function that connects; called once for each use.
@@ -76,10 +78,11 @@ def running_loop(what: str) -> asyncio.AbstractEventLoop:
 
 
 async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
-    """Wait until a future is done; return False after `seconds`. The future is neither cancelled nor read.
+    """Wait until a future is done; return False after `seconds`.
 
-    A task that is cancelled while it waits here ends at once, even if the future becomes done in the same iteration of
-    the loop. In this case `asyncio.wait_for` of Python 3.11 and older returns, and the task continues (bpo-42130).
+    The future is neither cancelled nor read. A task that is cancelled while it waits here ends at once, even if the
+    future becomes done in the same iteration of the loop. In this case `asyncio.wait_for` of Python 3.11 and older
+    returns, and the task continues (bpo-42130).
 
     Args:
         seconds: Maximum wait in s; None waits forever.
@@ -96,7 +99,10 @@ async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
 
 
 async def finished(ending: asyncio.Future[T]) -> T:
-    """Wait for a future that must not be interrupted; a task that is cancelled meanwhile ends after the future."""
+    """Wait for a future that must not be interrupted.
+
+    A task that is cancelled meanwhile ends after the future.
+    """
     try:
         await asyncio.wait({ending})
     except asyncio.CancelledError:
@@ -273,7 +279,7 @@ class Workers:
         return self._threads.submit(call)
 
     def stop(self, call: Callable[[], T]) -> Future[T]:
-        """Make a call that stops the robot or closes something, in a thread that is not used for other calls.
+        """Make a call that stops the robot or closes something, in a separate thread for stops.
 
         Raises:
             Closed: If it was closed.
@@ -285,7 +291,9 @@ class Workers:
     async def make(
         self, call: Callable[[], T], undo: Callable[[T], object] = lambda result: None, *, is_ordered: bool = True
     ) -> T:
-        """Make a call in a thread, and wait for the result. Cancelling the task abandons the call, and ends the task.
+        """Make a call in a thread, and wait for the result.
+
+        Cancelling the task abandons the call, and ends the task.
 
         Args:
             call: The call.
@@ -306,7 +314,9 @@ class Workers:
             del making  # an error refers to this frame, and the future to the error
 
     async def make_stop(self, call: Callable[[], T]) -> T:
-        """Make a call that stops the robot. If the task is cancelled, it ends at once, but the call is still made.
+        """Make a call that stops the robot.
+
+        If the task is cancelled, it ends at once, but the call is still made.
 
         Raises:
             Closed, LocalError: See `stop`.

@@ -175,7 +175,10 @@ class Lifecycle:
         return Phase.RUNNING if Event.BEGIN in self._marks else Phase.SENT
 
     def happened(self, event: Event) -> Occurrence | None:
-        """Return the record of an event other than an end; None if it has not happened before the end."""
+        """Return the record of an event other than an end.
+
+        Return None if it has not happened before the end.
+        """
         return self._marks.get(event)
 
     @property
@@ -197,7 +200,10 @@ class Lifecycle:
     # -- events --------------------------------------------------------------------------------------
 
     def begin(self, at: float = math.nan) -> bool:
-        """Record that the robot has begun it. Like all of these, return False if repeated or after the end."""
+        """Record that the robot has begun it.
+
+        Like all of these, return False if repeated or after the end.
+        """
         return self.fire(Event.BEGIN, at=at)
 
     def finish(self) -> bool:
@@ -345,7 +351,10 @@ class Handle(StrictAttributes):
 
     @property
     def error(self) -> Exception | None:
-        """Error that ended it early, which `wait` raises; None if it finished normally or has not ended."""
+        """Error that ended it early, which `wait` raises.
+
+        It is None if it finished normally or has not ended.
+        """
         return self._life.error
 
     def wait(self, timeout: float = 60.0, *, cancel: bool = True) -> None:
@@ -387,14 +396,18 @@ class Handle(StrictAttributes):
                 self.cancel()  # has an effect only if a second Ctrl-C has interrupted the first call
 
     def cancel(self) -> None:
-        """Cancel it, and let the robot brake. Returns before the robot is at rest; no effect if it has ended."""
+        """Cancel it, and let the robot brake.
+
+        Returns before the robot is at rest; no effect if it has ended.
+        """
         if self._life.cancel("cancelled", brake=True):
             _log.info("%s was cancelled", self.name)
 
     def add_done_callback(self, callback: Callable[[Self], object]) -> None:
-        """Call `callback` when it has ended, in the robot's callback thread; soon if it has already ended.
+        """Call `callback` in the robot's callback thread when it has ended.
 
-        The callback may command the robot, and wait. A slow callback delays other callbacks of the same robot.
+        If it has already ended, the callback is called soon. The callback may command the robot, and wait. A slow
+        callback delays other callbacks of the same robot.
 
         Raises:
             BadValue: If `callback` is not callable.

@@ -100,7 +100,9 @@ def lazy_names(
 
 
 def foreign_hint(package: str, name: str) -> str | None:
-    """Return the equivalent in a package for a name of another library; None if no table has the name.
+    """Return the equivalent in a package for a name of another library.
+
+    Return None if no table has the name.
 
     Args:
         package: Name of the package; "linkcore" searches the tables of all packages.
@@ -172,7 +174,9 @@ def missing_plugin(distribution: str, purpose: str) -> str:
 
 
 class _Brought:
-    """Finder for a subpackage from another distribution; each of its modules is one module under both names.
+    """Finder for a subpackage from another distribution.
+
+    Each of its modules is one module under both names.
 
     Args:
         package: Package that the subpackage belongs to.
@@ -210,7 +214,10 @@ class _Brought:
         """Return None, so that the import system makes an empty module, which `exec_module` replaces."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Import the module under its other name. The import system then uses the entry in `sys.modules`."""
+        """Import the module under its other name.
+
+        The import system then uses the entry in `sys.modules`.
+        """
         sys.modules[module.__name__] = import_module(self._elsewhere(module.__name__))
 
 

@@ -32,7 +32,10 @@ _orders = itertools.count(1)
 
 
 def next_order() -> int:
-    """Return the number of a call or a stop. It is larger than all earlier numbers of all threads."""
+    """Return the number of a call or a stop.
+
+    It is larger than all earlier numbers of all threads.
+    """
     return next(_orders)
 
 
@@ -51,7 +54,10 @@ class Started(Protocol):
 
 
 class _Lives:
-    """Lives that one call has started. The references are weak, so an abandoned handle may be collected."""
+    """Lives that one call has started.
+
+    The references are weak, so an abandoned handle may be collected.
+    """
 
     def __init__(self) -> None:
         # Appending to a list is one step, even if two threads do it.
@@ -148,9 +154,9 @@ class PendingCall:
             raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 
     def give_up(self, submit: Callable[[Callable[[], object]], object] = lambda call: call()) -> None:
-        """Abandon the call: it sends nothing more, its waits end, and what it has started is cancelled. Idempotent.
+        """Abandon the call, so that it sends nothing more, its waits end, and its motions are cancelled. Idempotent.
 
-        The robot brakes. Any thread may call this.
+        Everything that the call has started is cancelled, and the robot brakes. Any thread may call this.
 
         Args:
             submit: Function that runs a given function, which sends a stop to the robot and may wait for the result.
@@ -167,7 +173,9 @@ class PendingCall:
 
 
 class Call:
-    """One call of a public method that can start a motion, from its entry to its return; see `starts_motion`.
+    """One call of a public method that can start a motion, from its entry to its return.
+
+    See `starts_motion`.
 
     Args:
         outer: Call that is being made when this call is entered, or None. If given, both count as entered together.
@@ -205,7 +213,10 @@ class Call:
             self._task.check()
 
     def abandon(self, error: BaseException) -> None:
-        """Cancel everything that the call has started, because it does not return a handle; the robot brakes."""
+        """Cancel everything that the call has started, because it does not return a handle.
+
+        The robot brakes.
+        """
         if self.has_started and isinstance(error, LinkTimeout):
             return  # the wait for it has timed out
         what = "could not return its handle" if isinstance(error, Exception) else "was interrupted"
@@ -264,7 +275,9 @@ def has_started() -> None:
 
 
 def check_wanted() -> None:
-    """Raise if this thread makes a call that was abandoned. It is called before anything is sent.
+    """Raise if this thread makes a call that was abandoned.
+
+    It is called before anything is sent.
 
     Raises:
         Cancelled: If the call was abandoned.
@@ -281,7 +294,10 @@ def pending_call() -> PendingCall | None:
 
 
 def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
-    """Surround a wait; see `PendingCall.interruptible`. No effect unless this thread makes a pending call."""
+    """Surround a wait; see `PendingCall.interruptible`.
+
+    No effect unless this thread makes a pending call.
+    """
     call = pending_call()
     return contextlib.nullcontext() if call is None else call.interruptible(wake)
 

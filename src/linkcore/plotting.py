@@ -16,7 +16,7 @@ from . import clock
 from .errors import BadRecording, BadValue
 from .names import StrictAttributes, needs
 
-#: Maximum number of points of a line. Of a longer line, only the minimum and maximum of each section are drawn.
+#: Maximum number of points of a line. For a longer line, only the minimum and maximum of each section are drawn.
 _MOST_POINTS = 8000
 #: Shortest time in s that a window gets for its events. Matplotlib would interpret 0 as no limit.
 SHORTEST = 0.01
@@ -170,7 +170,7 @@ def _thinned(time: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[An
     stretch = 2 * len(time) // _MOST_POINTS
     count = len(time) // stretch
     pieces = values[: count * stretch].reshape(count, stretch)
-    # fmin and fmax ignore NaN. A column has NaN where a connection was lost.
+    # fmin and fmax ignore NaN. A column has a NaN for each lost connection.
     ends = np.stack([np.fmin.reduce(pieces, axis=1), np.fmax.reduce(pieces, axis=1)], axis=1).ravel()
     return np.repeat(time[: count * stretch : stretch], 2), ends
 

@@ -43,7 +43,7 @@ class HomeProcess:
 
     @property
     def is_here(self) -> bool:
-        """Whether the current process is the one that created the object, rather than a forked child."""
+        """Whether the current process has created the object, rather than a forked child of that process."""
         return os.getpid() == self._number
 
     def check(self) -> None:
@@ -89,7 +89,9 @@ class Abandonable(Protocol):
     """An object that has started programs on a robot."""
 
     def abandon(self, why: str, is_end: bool) -> object:
-        """Stop the started programs, and if the process ends, start nothing more. Must not raise `LinkError`.
+        """Stop the started programs, and if the process ends, start nothing more.
+
+        Must not raise `LinkError`.
 
         Args:
             why: Event that has happened to this process, for messages.

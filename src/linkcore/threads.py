@@ -288,7 +288,10 @@ class Runnable(Closing, ABC):
 
     @abstractmethod
     def _serve(self) -> None:
-        """Run until `_is_stopping` is set; then shut down in order. Keep an error that ends it early in `failure`."""
+        """Run until `_is_stopping` is set; then shut down in order.
+
+        Keep an error that ends it early in `failure`.
+        """
 
     @abstractmethod
     def _give_up(self) -> None:
@@ -296,7 +299,10 @@ class Runnable(Closing, ABC):
 
     @abstractmethod
     def _wake(self) -> None:
-        """Make `_serve` check whether it must stop. May be called in a signal handler, so it must take no lock."""
+        """Make `_serve` check whether it must stop.
+
+        May be called in a signal handler, so it must take no lock.
+        """
 
     # -- life ------------------------------------------------------------------------------------------
 
@@ -361,7 +367,10 @@ class Runnable(Closing, ABC):
             _log.exception("the %s has ended", self._kind)
 
     def stop(self) -> None:
-        """Make it end after this round. Any thread, callback, plugin or signal handler may call this."""
+        """Make it end after this round.
+
+        Any thread, callback, plugin or signal handler may call this.
+        """
         # A flag and a byte into a pipe need no lock. The code that a signal handler interrupts might hold a lock.
         self._is_stopping = True
         self._wake()

@@ -109,12 +109,12 @@ def test_press_and_teach() -> None:
     lines = output("press_and_teach.py").splitlines()
     assert lines[0].startswith("the table is at z = ")
     assert lines[1] == "pressed with 10 N"
-    assert lines[2:] == ["a waypoint is kept", "a waypoint is kept", "played"]
+    assert lines[2:] == ["recorded a waypoint", "recorded a waypoint", "played"]
 
 
 @pytest.mark.slow
 def test_soft_press() -> None:
-    assert output("soft_press.py").splitlines() == ["presses softly", "let go of"]
+    assert output("soft_press.py").splitlines() == ["presses softly", "released"]
 
 
 def shown(cell: dict[str, Any], names: dict[str, Any]) -> list[str]:
@@ -249,8 +249,8 @@ def test_watch_and_recover() -> None:
     lines = output("watch_and_recover.py", "--demonstrate", "--rounds", "1").splitlines()
     assert lines == [
         "not moving: the robot is stopped: protective stop",
-        "find out why, and lift the stop at the pendant",
-        "going on",
+        "find the cause, and clear the stop at the pendant",
+        "continuing",
         "done",
     ]
 

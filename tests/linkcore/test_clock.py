@@ -1,4 +1,4 @@
-"""One clock that includes a suspend of the computer, and waits that end by it."""
+"""The clock of the library, which includes time in suspend, and the waits that use this clock."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_clock_gettime_is_simulated() -> None:
     assert time.clock_gettime(time.CLOCK_PROCESS_CPUTIME_ID) - busy < 100.0
 
 
-def test_left_is_never_negative() -> None:
+def test_left_is_never_negative_after_the_deadline() -> None:
     assert clock.left(clock.now() + 10.0) == pytest.approx(10.0, abs=1e-3)
     assert clock.left(clock.now() - 10.0) == 0.0
 
@@ -95,7 +95,7 @@ def test_sleep_lasts_as_long_as_asked(seconds: float) -> None:
     assert clock.now() - begun == pytest.approx(max(seconds, 0.0), abs=1e-3)
 
 
-def test_wait_is_in_slices_where_ctrl_c_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wait_without_timeout_runs_in_slices(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock, "ENDLESS", 0.1)
     monkeypatch.setattr(clock, "_SLICE", 0.1)
     waited: list[float | None] = []

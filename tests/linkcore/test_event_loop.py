@@ -1,4 +1,4 @@
-"""Threads of one robot for calls that wait, and what a task that awaits them is told."""
+"""Worker threads of one robot for blocking calls, and the errors that awaiting tasks get."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from tests.waiting import until
 pytestmark = pytest.mark.simulated_time
 
 
-def test_a_call_that_waits_for_a_thread_ends_as_closed() -> None:
-    """And not as if somebody had cancelled its task."""
+def test_queued_call_raises_closed_when_workers_close() -> None:
+    """The error is not CancelledError, because no one cancelled the task."""
     workers = Workers("robot", 1)
     is_over = threading.Event()
 
@@ -42,7 +42,7 @@ def refuse(thread: threading.Thread) -> None:
     raise RuntimeError("can't start new thread")
 
 
-def test_call_is_not_made_later_if_no_thread_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_call_without_a_thread_is_not_made_later(monkeypatch: pytest.MonkeyPatch) -> None:
     workers = Workers("robot", 4)
     is_over, made = threading.Event(), threading.Event()
     waiting = workers.submit(lambda: is_over.wait(60.0))

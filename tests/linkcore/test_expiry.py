@@ -1,4 +1,4 @@
-"""A server that was held up refuses, for a while, what may be older than its clients waited."""
+"""An interrupted server rejects, for a while, commands that its clients might have abandoned."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from linkcore.clock import Expiry
 from linkcore.errors import LinkTimeout
 
 
-def test_what_may_be_older_than_its_client_waits_is_refused() -> None:
+def test_expiry_rejects_commands_after_an_interruption() -> None:
     now = 100.0
     expiry = Expiry(4.0, lambda: now)
-    now = 200.0  # it has not begun to tick
+    now = 200.0  # no tick was recorded yet, so this is not an interruption
     expiry.check()
     assert not expiry.tick()
     now += 2.0

@@ -1,4 +1,4 @@
-"""The life of what runs on a robot: its table, held against every order of events, and what its handle tells of it."""
+"""Life cycle of a motion, program or mission: its transition table for any order of events, and its handle."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def happen(life: Lifecycle, event: Event) -> bool:
     return life.fire(event)
 
 
-#: As the module's text has it.
+#: The table as printed in the docstring of the module.
 TABLE = """
 SEND       SENT      -            -         -
 BEGIN      RUNNING   -            -         -
@@ -70,7 +70,7 @@ FAIL       FAILED    FAILED       -         -
 """
 
 
-def test_the_table_is_what_the_module_says() -> None:
+def test_transition_table_equals_module_docstring() -> None:
     said, needed = {}, {}
     for row in TABLE.strip().splitlines():
         event, *phases, before, _ = row.split()
@@ -85,14 +85,14 @@ def test_the_table_is_what_the_module_says() -> None:
 
 
 class Modelled:
-    """What the table says of any order of events, written once more, with a set of what has happened."""
+    """Second implementation of the transition table, which keeps the past events in a set."""
 
     def __init__(self) -> None:
         self.phase = Phase.SENT
         self.events: set[Event] = set()
 
     def happen(self, event: Event) -> bool | None:
-        """Whether it has an effect; None if it is to raise."""
+        """Whether the event has an effect; None if it must raise an error."""
         if self.phase in OVER or (event in self.events and event is not Event.REPORT):
             return False
         after, needs = TRANSITIONS.get((self.phase, event)), AFTER.get(event, event)
@@ -116,14 +116,14 @@ def compare(life: Lifecycle, modelled: Modelled, event: Event) -> None:
         assert (life.happened(each) is not None) == (each in modelled.events and each not in ENDS)
 
 
-def test_each_order_of_three_events(callbacks: CallbackThread) -> None:
+def test_lifecycle_equals_model_for_every_three_events(callbacks: CallbackThread) -> None:
     for events in itertools.product(Event, repeat=3):
         life, modelled = Lifecycle("job", callbacks), Modelled()
         for event in events:
             compare(life, modelled, event)
 
 
-def test_an_event_keeps_when_it_was_and_what_it_brought(life: Lifecycle) -> None:
+def test_event_keeps_its_time_and_error(life: Lifecycle) -> None:
     assert life.fire(Event.SEND)
     assert life.begin(at=2.0)
     assert not life.begin(at=3.0)
@@ -139,8 +139,8 @@ def test_an_event_keeps_when_it_was_and_what_it_brought(life: Lifecycle) -> None
     assert (lost.at, str(lost.error), life.error) == (4.0, "pulled", None)
 
 
-def test_of_two_threads_that_report_an_event_one_does(life: Lifecycle) -> None:
-    """The other comes after this one has looked at the table, and before it has fired."""
+def test_event_is_recorded_once_when_two_threads_fire_it(life: Lifecycle) -> None:
+    """The other thread reports the event after this thread has read the table, and before it has fired."""
 
     class Interrupted(dict[Event | None, Occurrence]):
         def setdefault(self, key: Event | None, mark: Occurrence) -> Occurrence:
@@ -155,7 +155,7 @@ def test_of_two_threads_that_report_an_event_one_does(life: Lifecycle) -> None:
 
 
 class Life(RuleBasedStateMachine):
-    """Events in any order, and those who want to know."""
+    """Events in any order, with waiters, callbacks and releases that are notified of them."""
 
     @initialize()
     def begin(self) -> None:
@@ -213,10 +213,10 @@ TestLife = pytest.mark.property(Life.TestCase)
 TestLife.settings = settings(deadline=None, stateful_step_count=15)
 
 
-# -- who wants to know -----------------------------------------------------------------------------------
+# -- waits and callbacks ---------------------------------------------------------------------------------
 
 
-def test_waiting(life: Lifecycle) -> None:
+def test_wait_times_out_returns_at_the_end_and_checks_timeout(life: Lifecycle) -> None:
     handle = Handle(life)
     with pytest.raises(LinkTimeout, match=r"job has not ended within 0\.01 s, and continues; its phase is sent"):
         handle.wait(0.01)
@@ -232,7 +232,7 @@ def test_waiting(life: Lifecycle) -> None:
             handle.wait(timeout)  # type: ignore[arg-type]
 
 
-def test_what_ended_it_is_raised_each_time(life: Lifecycle) -> None:
+def test_wait_raises_the_first_error_each_time(life: Lifecycle) -> None:
     handle = Handle(life)
     life.fail(ConnectionLost("pulled"))
     life.cancel("cancelled", brake=False)
@@ -242,19 +242,19 @@ def test_what_ended_it_is_raised_each_time(life: Lifecycle) -> None:
     assert repr(handle) == "<Handle job failed: pulled>"
 
 
-def test_waiting_where_one_would_wait_for_oneself(callbacks: CallbackThread) -> None:
+def test_wait_raises_local_error_in_the_reporting_thread(callbacks: CallbackThread) -> None:
     def refusing() -> contextlib.AbstractContextManager[object]:
-        raise LocalError("this thread has to hear of it")
+        raise LocalError("this thread has to report the end")
 
     life = Lifecycle("job", callbacks, refusing)
-    with pytest.raises(LocalError, match="has to hear of it"):
+    with pytest.raises(LocalError, match="has to report the end"):
         Handle(life).wait(10)
     life.finish()
-    Handle(life).wait(10)  # there is nothing to wait for
+    Handle(life).wait(10)  # returns, because the job has ended
 
 
 @pytest.mark.real_time
-def test_an_interrupted_wait_cancels(life: Lifecycle) -> None:
+def test_interrupted_wait_cancels(life: Lifecycle) -> None:
     brakes: list[None] = []
     life.brake = lambda: brakes.append(None)
     handle = Handle(life)
@@ -267,10 +267,10 @@ def test_an_interrupted_wait_cancels(life: Lifecycle) -> None:
 
 
 class InterruptedTwice(Handle):
-    """Its first `cancel` is interrupted at the line of that number, of those that are run in the module and in brakes.
+    """Handle whose first `cancel` is interrupted at line `number` of the lines executed in the module and in `brake`.
 
     Attributes:
-        left: lines to that one; greater than 0 when there were fewer.
+        left: Number of lines left until the interrupt. It stays above 0 if `cancel` executes fewer lines.
     """
 
     def __init__(self, life: Lifecycle, number: int) -> None:
@@ -286,7 +286,7 @@ class InterruptedTwice(Handle):
     def cancel(self) -> None:
         if self._is_first:
             self._is_first = False
-            sys.settrace(self._trace)  # which an exception takes away
+            sys.settrace(self._trace)  # removed again when it raises
         super().cancel()
 
     def _trace(self, frame: FrameType, event: str, _: object) -> Any:
@@ -301,12 +301,12 @@ class InterruptedTwice(Handle):
 
 
 @pytest.mark.real_time
-def test_a_second_interrupt_does_not_keep_it_from_braking(callbacks: CallbackThread) -> None:
+def test_second_interrupt_does_not_prevent_braking(callbacks: CallbackThread) -> None:
     tracing = sys.gettrace()
     for number in range(1, 100):
         handle = InterruptedTwice(Lifecycle(f"job {number}", callbacks), number)
         try:
-            interrupted(lambda: handle.wait(10))  # noqa: B023 - called in this round
+            interrupted(lambda: handle.wait(10))  # noqa: B023 - called within this iteration
         finally:
             sys.settrace(tracing)
         assert handle.phase is Phase.CANCELLED, number
@@ -316,7 +316,7 @@ def test_a_second_interrupt_does_not_keep_it_from_braking(callbacks: CallbackThr
     assert 10 < number < 99
 
 
-def test_awaiting(life: Lifecycle, callbacks: CallbackThread) -> None:
+def test_cancelled_await_cancels_the_handle(life: Lifecycle, callbacks: CallbackThread) -> None:
     other = Lifecycle("other", callbacks)
 
     async def use() -> None:
@@ -337,21 +337,21 @@ async def _awaited(handle: Handle) -> None:
     await handle
 
 
-def test_awaiting_needs_a_loop_of_asyncio(life: Lifecycle) -> None:
-    """As in trio, which steps coroutines itself."""
+def test_await_raises_local_error_without_asyncio_loop(life: Lifecycle) -> None:
+    """For example in trio, which runs coroutines without asyncio."""
     waiting = _awaited(Handle(life))
     with pytest.raises(LocalError, match="awaiting job needs a running asyncio event loop"):
         waiting.send(None)
     assert not life.is_over
 
 
-def test_a_block_that_is_left_cancels(life: Lifecycle) -> None:
+def test_leaving_the_block_cancels(life: Lifecycle) -> None:
     with Handle(life) as handle:
         assert not handle.done
     assert handle.phase is Phase.CANCELLED
 
 
-def test_done_callbacks_are_called_in_a_thread_of_their_own(life: Lifecycle) -> None:
+def test_done_callbacks_run_in_the_callback_thread(life: Lifecycle) -> None:
     handle = Handle(life)
     threads: list[str] = []
 
@@ -362,10 +362,10 @@ def test_done_callbacks_are_called_in_a_thread_of_their_own(life: Lifecycle) -> 
         sys.exit("on purpose")
 
     def command(each: Handle) -> None:
-        each.wait(10)  # it is over
+        each.wait(10)  # returns at once, because it has ended
         other = Lifecycle("other", CallbackThread("others"))
         threading.Timer(0.01, other.finish).start()
-        Handle(other).wait(10)  # and what is not over can be waited for
+        Handle(other).wait(10)  # a callback can also wait for another motion that is still running
         threads.append(threading.current_thread().name)
 
     for callback in (fail, leave, command):
@@ -379,7 +379,7 @@ def test_done_callbacks_are_called_in_a_thread_of_their_own(life: Lifecycle) -> 
         handle.add_done_callback(3)  # type: ignore[arg-type]
 
 
-def test_a_robot_that_cannot_be_told_to_brake(life: Lifecycle) -> None:
+def test_cancel_succeeds_when_the_brake_has_no_connection(life: Lifecycle) -> None:
     def brake() -> None:
         raise ConnectionLost("gone")
 
@@ -390,7 +390,7 @@ def test_a_robot_that_cannot_be_told_to_brake(life: Lifecycle) -> None:
         handle.wait(0)
 
 
-def test_a_mistake_in_the_brake_leaves_nobody_waiting(life: Lifecycle) -> None:
+def test_error_in_brake_still_ends_the_handle(life: Lifecycle) -> None:
     def brake() -> None:
         raise RuntimeError("a mistake")
 
@@ -404,8 +404,8 @@ def test_a_mistake_in_the_brake_leaves_nobody_waiting(life: Lifecycle) -> None:
         Handle(life).wait(0)
 
 
-def test_lifecycle_releases_what_it_holds_when_the_call_that_ends_it_was_abandoned(life: Lifecycle) -> None:
-    """A release may wait for no time at all, such as for a thread; that wait raises in an abandoned call."""
+def test_releases_run_when_the_ending_call_is_abandoned(life: Lifecycle) -> None:
+    """A release may join a thread, even with a timeout of 0. In an abandoned call such a wait would raise."""
     pending, released = PendingCall(), []
 
     def release() -> None:
@@ -424,7 +424,7 @@ def test_lifecycle_releases_what_it_holds_when_the_call_that_ends_it_was_abandon
     assert isinstance(life.error, ConnectionLost)
 
 
-def test_two_threads_end_it_once(callbacks: CallbackThread) -> None:
+def test_lifecycle_ends_once_when_two_threads_end_it(callbacks: CallbackThread) -> None:
     for _ in range(200):
         life = Lifecycle("job", callbacks)
         ends: list[bool] = []
@@ -446,7 +446,7 @@ def test_two_threads_end_it_once(callbacks: CallbackThread) -> None:
 # -- the thread for callbacks ----------------------------------------------------------------------------
 
 
-def test_it_is_started_for_the_first_call_and_for_each_after_its_end() -> None:
+def test_callback_thread_restarts_for_calls_after_its_end() -> None:
     name = "callbacks that come and go"
     callbacks = CallbackThread(name)
     assert name not in [each.name for each in threading.enumerate()]
@@ -460,7 +460,7 @@ def test_it_is_started_for_the_first_call_and_for_each_after_its_end() -> None:
     assert called == [0, 1, 2]
 
 
-def test_closing_ends_in_its_time_whatever_a_callback_does() -> None:
+def test_callback_thread_close_times_out_when_a_callback_hangs() -> None:
     callbacks = CallbackThread("callbacks that hang")
     go_on = threading.Event()
     called: list[int] = []
@@ -472,7 +472,7 @@ def test_closing_ends_in_its_time_whatever_a_callback_does() -> None:
     until(lambda: called == [1])
 
 
-def test_closing_from_within_a_callback() -> None:
+def test_callback_can_close_its_callback_thread() -> None:
     callbacks = CallbackThread("callbacks that close")
     done = threading.Event()
 
@@ -484,7 +484,9 @@ def test_closing_from_within_a_callback() -> None:
     assert done.wait(5)
 
 
-def test_no_thread_left(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_callback_is_skipped_and_logged_when_no_thread_starts(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     def refuse(thread: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 

@@ -1,4 +1,4 @@
-"""A lock that is held for a block is free afterwards, wherever Ctrl-C comes."""
+"""A lock that is held for a block is free afterwards, even if Ctrl-C interrupts the block at any moment."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from urlink.command.section import Section
 
 
 class Interrupter:
-    """Raises KeyboardInterrupt at the n-th moment at which the interpreter looks for signals in a function.
+    """Trace function that raises KeyboardInterrupt at the n-th check for signals in a function.
 
-    It does so after a call, and where a function or a generator begins or continues.
+    The interpreter checks for signals after a call, and when a function or a generator starts or continues.
     """
 
     def __init__(self, code: Any, at: int) -> None:
@@ -51,7 +51,7 @@ def use(lock: threading.Lock) -> None:
 
 
 def interrupted_at(at: int, lock: threading.Lock) -> bool:
-    """Whether there was such a moment."""
+    """Whether the function has so many checks for signals, and was interrupted at this one."""
     interrupter = Interrupter(acquired.__wrapped__.__code__, at)  # type: ignore[attr-defined]
     before = sys.gettrace()
     sys.settrace(interrupter.trace)
@@ -92,8 +92,8 @@ def test_acquired_yields_whether_it_has_the_lock() -> None:
     assert not lock.locked()
 
 
-def test_section_is_entered_by_the_interpreter_itself() -> None:
-    """A method in Python would have a gap between the acquisition and the block, for Ctrl-C."""
+def test_section_lock_is_entered_by_builtin_code() -> None:
+    """With an `__enter__` in Python, Ctrl-C could come between the acquisition and the block."""
     lock = Section().lock
     assert isinstance(type(lock).__enter__, MethodDescriptorType | BuiltinFunctionType)
     assert not hasattr(Section, "__enter__")

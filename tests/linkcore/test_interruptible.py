@@ -1,4 +1,4 @@
-"""Waits of a call that a thread makes for a task, which end when the task is cancelled."""
+"""Interruptible waits: a thread waits on behalf of a task, and the wait ends when the task is cancelled."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ def test_give_up_wakes_an_interruptible_wait() -> None:
     assert len(ended) == 1
 
 
-def test_interruptible_refuses_to_wait_after_give_up() -> None:
+def test_interruptible_raises_cancelled_after_give_up() -> None:
     call = PendingCall()
     call.give_up(at_once)
 
     def wait() -> None:
         with interruptible(lambda: None):
-            raise AssertionError("it waited")
+            raise AssertionError("the abandoned call has waited")
 
     with pytest.raises(Cancelled):
         call.make(wait)
 
 
-def test_give_up_wakes_no_wait_that_has_ended() -> None:
+def test_give_up_does_not_wake_an_ended_wait() -> None:
     call, woken = PendingCall(), threading.Event()
 
     def wait() -> None:
@@ -85,7 +85,7 @@ def test_give_up_undoes_a_call_that_has_returned() -> None:
     assert undone.is_set()
 
 
-def test_on_give_up_undoes_at_once_after_give_up() -> None:
+def test_on_give_up_runs_immediately_after_give_up() -> None:
     call, undone = PendingCall(), threading.Event()
     call.give_up(at_once)
     call.on_give_up(undone.set)

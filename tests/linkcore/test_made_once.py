@@ -1,4 +1,4 @@
-"""What is made at its first use, where another thread or a signal handler comes in between."""
+"""Objects that are made at their first use, possibly by another thread or a signal handler at the same time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from linkcore.threads import MadeOnce
 
 
-def test_what_is_made_first_is_kept_until_it_is_taken() -> None:
+def test_made_once_keeps_the_first_object_until_taken() -> None:
     once: MadeOnce[list[int]] = MadeOnce()
     assert not once.made
     assert once.take() is None
@@ -21,8 +21,8 @@ def test_what_is_made_first_is_kept_until_it_is_taken() -> None:
     assert once.keep(second) is second
 
 
-def test_a_signal_handler_uses_it_while_it_is_made() -> None:
-    """What it has made holds, also for the one that it has interrupted."""
+def test_object_made_by_a_signal_handler_is_kept() -> None:
+    """The interrupted code then uses the object of the signal handler, too."""
     once: MadeOnce[str] = MadeOnce()
 
     def make() -> str:

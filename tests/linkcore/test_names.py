@@ -1,4 +1,4 @@
-"""Names that are imported when they are first asked for: the mechanism, and the two packages that use it."""
+"""Names that are imported at their first use: the mechanism, and the packages that use it."""
 
 from __future__ import annotations
 
@@ -33,34 +33,34 @@ def package(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return made
 
 
-def test_a_name_is_that_of_its_module(package: ModuleType) -> None:
+def test_lazy_name_is_the_object_of_its_module(package: ModuleType) -> None:
     assert package.loads is json.loads
-    assert vars(package)["loads"] is json.loads, "it is found without asking again"
+    assert vars(package)["loads"] is json.loads, "after its first use the name is an attribute of the package"
     assert "dumps" not in vars(package)
 
 
-def test_only_what_is_public_shows(package: ModuleType) -> None:
+def test_dir_and_star_import_show_public_names_only(package: ModuleType) -> None:
     assert dir(package) == ["Fraction", "dumps", "loads"]
     found: dict[str, object] = {}
     exec("from made import *", found)
     assert found.keys() >= {"Fraction", "dumps", "loads"}
 
 
-def test_another_name_is_no_attribute(package: ModuleType) -> None:
+def test_unknown_name_raises_attribute_error(package: ModuleType) -> None:
     with pytest.raises(AttributeError, match="module 'made' has no attribute 'load'"):
         package.load  # noqa: B018
     assert not hasattr(package, "json")
 
 
 @pytest.mark.real_time
-def test_a_module_is_imported_when_it_is_first_asked_for() -> None:
+def test_module_is_imported_at_first_use() -> None:
     program = "import sys, urlink; before = 'urlink.arm.poses' in sys.modules; urlink.poses.compose; print(before)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
 
 @pytest.mark.parametrize("package", LAZY)
-def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
+def test_names_for_type_checkers_equal_lazy_names(package: ModuleType) -> None:
     assert package.__file__ is not None
     tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
     (branch,) = (node for node in tree.body if isinstance(node, ast.If))
@@ -69,7 +69,7 @@ def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
         assert isinstance(node, ast.ImportFrom)
         module = importlib.import_module("." * node.level + (node.module or ""), package.__name__)
         for alias in node.names:
-            assert alias.asname == alias.name, "so it is exported"
+            assert alias.asname == alias.name, "type checkers export a name only if it is imported as itself"
             whole = f"{module.__name__}.{alias.name}"
             is_module = hasattr(module, "__path__") and importlib.util.find_spec(whole) is not None
             told[alias.name] = importlib.import_module(whole) if is_module else getattr(module, alias.name)
@@ -79,17 +79,17 @@ def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("package", LAZY)
-def test_no_public_name_is_that_of_a_module(package: ModuleType) -> None:
-    """Who imports the module would replace the name."""
+def test_public_names_differ_from_module_names(package: ModuleType) -> None:
+    """Importing a module of the same name would replace the public name."""
     assert package.__file__ is not None
     modules = {path.stem for path in Path(package.__file__).parent.iterdir()}
     assert modules & set(package.__all__) == set()
 
 
-def test_an_attribute_error_inside_of_a_module_is_shown(
+def test_attribute_error_in_a_module_raises_import_error(
     package: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It would otherwise be taken for a name that is not there."""
+    """Python would otherwise report that the name does not exist."""
     (tmp_path / "broken_module.py").write_text("import math\nmath.sine(1.0)\nName = 1\n", encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     get, _, _ = lazy_names("made", {"broken_module": "Name"})
@@ -101,7 +101,7 @@ def test_an_attribute_error_inside_of_a_module_is_shown(
         hasattr(package, "Name")
 
 
-def test_a_module_is_found_under_its_last_name() -> None:
+def test_module_is_available_under_its_last_name() -> None:
     get, names, public = lazy_names("email", {"json": "loads"}, modules="mime.text utils")
     assert get("text") is importlib.import_module("email.mime.text")
     assert (names(), public) == (["loads", "text", "utils"], ["loads"])
@@ -109,7 +109,7 @@ def test_a_module_is_found_under_its_last_name() -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 @pytest.mark.real_time
-def test_importing_a_package_imports_nothing_of_it(package: ModuleType) -> None:
+def test_importing_a_package_does_not_import_its_modules(package: ModuleType) -> None:
     program = f"import sys; import {package.__name__}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     ours = {name for name in done.stdout.split() if name.partition(".")[0] in ("linkcore", "urlink", "rhdlink")}
@@ -119,7 +119,7 @@ def test_importing_a_package_imports_nothing_of_it(package: ModuleType) -> None:
 
 @pytest.fixture
 def entries(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[importlib.metadata.EntryPoint]]:
-    """Group -> its entry points, in the place of those of installed distributions."""
+    """Map of groups to their entry points, which replaces the entry points of installed distributions."""
     found: dict[str, list[importlib.metadata.EntryPoint]] = {}
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: found.get(group, []))
     return found
@@ -135,7 +135,7 @@ def test_plugin_loads_what_an_entry_point_names(entries: dict[str, list[importli
     [("made-json", "pip install made-json"), ("made-json[fast]", "pip install 'made-json[fast]'")],
 )
 @pytest.mark.usefixtures("entries")
-def test_plugin_says_what_installs_it_when_it_is_not_installed(distribution: str, install: str) -> None:
+def test_missing_plugin_error_names_the_install_command(distribution: str, install: str) -> None:
     with pytest.raises(LocalError) as refused:
         plugin("made.parsers", "json", distribution, "reading")
     assert str(refused.value) == f"reading needs the package made-json, which is not installed: {install}"
@@ -150,7 +150,7 @@ def test_needs_names_the_distribution_of_the_extra(extra: str, distribution: str
         importlib.import_module("made_no_such")
 
 
-def test_lazy_names_brings_a_package_of_another_distribution(
+def test_lazy_names_imports_packages_of_other_distributions(
     package: ModuleType, monkeypatch: pytest.MonkeyPatch, entries: dict[str, list[importlib.metadata.EntryPoint]]
 ) -> None:
     monkeypatch.setattr(sys, "meta_path", sys.meta_path[:])

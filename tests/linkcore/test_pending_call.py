@@ -1,4 +1,4 @@
-"""Calls that start motions: their order, and what happens to what they have started when they fail."""
+"""Calls that start motions: their order, and the end of their motions when a call fails."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CALLBACKS = cast(CallbackThread, SimpleNamespace(call=lambda function, *argument
 
 
 class Arm:
-    """Something with a method that starts a motion."""
+    """Arm with methods that start motions."""
 
     def __init__(self) -> None:
         self.brakes = 0
@@ -50,7 +50,7 @@ class Arm:
 
     @starts_motion
     def orders(self, stops: bool = False) -> tuple[int, int]:
-        """The order of this call and of one within it, before which this thread has perhaps stopped the robot."""
+        """Return the orders of this call and of a nested one; if `stops`, this thread stops the robot in between."""
         call = current_call()
         assert call is not None
         if stops:
@@ -64,7 +64,7 @@ def arm() -> Arm:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), LocalError("no thread is left"), ValueError("a defect")])
-def test_call_cancels_what_it_started_when_it_raises(arm: Arm, error: BaseException) -> None:
+def test_call_cancels_its_motion_when_it_raises(arm: Arm, error: BaseException) -> None:
     with pytest.raises(type(error)):
         arm.move(error=error)
     assert arm.started[0].phase is Phase.CANCELLED
@@ -108,29 +108,29 @@ def test_order_increases_from_call_to_call(arm: Arm) -> None:
     assert first < stop < second
 
 
-def test_call_within_a_call_has_its_order(arm: Arm) -> None:
+def test_nested_call_has_the_order_of_the_outer_call(arm: Arm) -> None:
     outer, inner = arm.orders()
     assert outer == inner
 
 
-def test_call_within_a_call_comes_after_a_stop_of_its_thread(arm: Arm) -> None:
+def test_nested_call_gets_a_new_order_after_a_stop_of_its_thread(arm: Arm) -> None:
     outer, inner = arm.orders(stops=True)
     assert outer < inner
 
 
-def test_pending_call_is_entered_when_it_is_made(arm: Arm) -> None:
+def test_pending_call_takes_its_order_when_created(arm: Arm) -> None:
     pending = PendingCall()
     stop = next_order()
     assert pending.make(arm.order) < stop
 
 
-def test_unordered_pending_call_orders_each_call_in_it(arm: Arm) -> None:
+def test_unordered_pending_call_orders_each_nested_call(arm: Arm) -> None:
     pending = PendingCall(is_ordered=False)
     stop = next_order()
     assert pending.make(arm.order) > stop
 
 
-def test_abandoned_pending_call_starts_nothing_more(arm: Arm) -> None:
+def test_abandoned_pending_call_does_not_start_motions(arm: Arm) -> None:
     pending = PendingCall()
     pending.give_up(lambda call: call())
     with pytest.raises(Cancelled):
@@ -138,7 +138,7 @@ def test_abandoned_pending_call_starts_nothing_more(arm: Arm) -> None:
     assert not arm.started
 
 
-def test_abandoned_pending_call_cancels_what_it_started(arm: Arm) -> None:
+def test_abandoned_pending_call_cancels_its_motion(arm: Arm) -> None:
     pending = PendingCall()
     handle = pending.make(arm.move)
     pending.give_up(lambda call: call())
@@ -154,7 +154,7 @@ def test_regardless_leaves_the_call_and_returns_to_it(arm: Arm) -> None:
 
 
 @given(st.lists(st.sampled_from(["call", "stop"]), max_size=30))
-def test_call_is_overtaken_exactly_by_later_stops(events: list[str]) -> None:
+def test_only_later_stops_have_a_higher_order(events: list[str]) -> None:
     arm, last_stop, calls = Arm(), 0, []
     for at, event in enumerate(events):
         if event == "stop":

@@ -1,4 +1,4 @@
-"""What was started on a robot is stopped when this process ends without closing it."""
+"""Programs on a robot are stopped when this process ends without closing the robot object."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from linkcore import process
 
 
 class Part:
-    """Something that has started programs."""
+    """Part of a robot object that has started programs."""
 
     def __init__(self) -> None:
         self.reasons: list[str] = []
@@ -30,7 +30,7 @@ class Part:
 
 @pytest.fixture
 def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
-    """A process in which nothing is watched yet, inside a notebook; the callbacks that were registered, by event."""
+    """Registered callbacks by event, in a simulated notebook process that does not watch any part yet."""
     found: dict[str, Any] = {}
     shell = SimpleNamespace(events=SimpleNamespace(register=found.__setitem__))
     monkeypatch.setattr(process, "_watched", set())
@@ -43,7 +43,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     signal.signal(signal.SIGTERM, before)
 
 
-def test_exit_abandons_what_is_open(events: dict[str, Any]) -> None:
+def test_exit_abandons_open_parts_only(events: dict[str, Any]) -> None:
     kept, closed = Part(), Part()
     process.abandon_at_end(kept)
     process.abandon_at_end(closed)
@@ -66,7 +66,7 @@ def test_sigterm_abandons_and_ends_the_process(events: dict[str, Any], monkeypat
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
-def test_handler_of_the_program_is_left_alone(events: dict[str, Any]) -> None:
+def test_own_sigterm_handler_is_kept(events: dict[str, Any]) -> None:
     def own(number: int, frame: object) -> None: ...
 
     signal.signal(signal.SIGTERM, own)
@@ -85,7 +85,7 @@ def test_notebook_cell_abandons_when_interrupted(
     assert not part.is_end
 
 
-def test_forked_child_abandons_nothing(events: dict[str, Any]) -> None:
+def test_forked_child_does_not_abandon_parts(events: dict[str, Any]) -> None:
     part = Part()
     process.abandon_at_end(part)
     events["fork"]()

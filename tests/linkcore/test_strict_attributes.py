@@ -1,4 +1,4 @@
-"""Unknown attributes and arguments of public objects, over the whole public surface."""
+"""Unknown attributes and arguments of public objects, for every public class."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from linkcore.wire.packet import State
 from rhdlink import Int32, Variables, Write
 from tests.surface_classes import public_classes
 
-#: Public classes on whose instances any attribute can be set, and why.
+#: Public classes whose instances accept any attribute, with the reason.
 LEFT_OUT = {
-    "Computer": "a computer of simulated time, made by the library",
+    "Computer": "a computer in simulated time, made by the library",
     "Counters": "a data class of a simulated controller, set in each cycle",
-    "Database": "the variables of a host: it is read and set at each tick",
-    "Declaration": "declares a variable, and is read at each access to one",
+    "Database": "the variables of a host, which are read and set at each tick",
+    "Declaration": "the declaration of a variable, which is read at each access to the variable",
     "ModbusSignal": "a data class",
     "Modes": "modes of a simulated controller, read and set in each cycle",
     "PendingCall": "one is made for each awaited call",
-    "Plugin": "users derive from it, and set attributes of their own from anywhere",
+    "Plugin": "users derive from it, and set their own attributes from anywhere",
     "Sample": "a data class with slots",
     "Scaled": "as ValueType",
     "Selection": "it is read at each tick",
-    "SimulatedArm": "it is read and set in each cycle; strict attributes would double the time of one at rest",
+    "SimulatedArm": "it is read and set in each cycle; strict attributes would double the time of a cycle at rest",
     "Structure": "as ValueType",
     "Text": "as ValueType",
     "ValueType": "users derive from it",
@@ -41,7 +41,7 @@ LEFT_OUT = {
 
 
 def is_plain(kind: type) -> bool:
-    """Whether it is a value rather than an object: it cannot be set, or is made by those who use it."""
+    """Whether the class is a value or a protocol: its attributes cannot be set, or users implement it."""
     frozen = getattr(kind, "__dataclass_params__", None)
     return (
         issubclass(kind, (BaseException, enum.Enum, tuple, int, float, State))
@@ -85,7 +85,7 @@ def moves() -> Iterator[tuple[str, Any, str, str]]:
             method = inspect.getattr_static(kind, name)
             if (name == "__init__" or name[0] != "_") and inspect.isfunction(method) and _moves(method):
                 if kind.__name__.startswith("Async"):
-                    continue  # raises when it is awaited; see test_awaited_move_hints_at_arguments
+                    continue  # raises only when awaited; see test_awaited_move_hints_at_arguments
                 for foreign, own in _OWN_KEYWORDS.items():
                     if own in _arguments(method):
                         yield f"{kind.__name__}.{name}", method, foreign, own
@@ -128,11 +128,11 @@ def test_move_keeps_its_own_type_errors() -> None:
         Mover().move(sped=1)  # type: ignore[call-arg]
 
 
-# -- what can be set -------------------------------------------------------------------------------
+# -- attributes that can be set --------------------------------------------------------------------
 
 
 @pytest.mark.simulated_time
-def test_setting_names_what_can_be_set() -> None:
+def test_error_of_setting_names_the_alternative() -> None:
     with urlink.connect("sim://") as robot:
         held: Any = robot
         for part, name, hint in (
@@ -167,7 +167,7 @@ def test_code_of_its_package_can_add_attributes() -> None:
     assert (own.count, own.more) == (1, 2)
 
 
-def test_variables_are_set_and_misspelt_ones_refused() -> None:
+def test_misspelt_variable_raises_an_error_with_a_hint() -> None:
     class Smr(Variables):
         speedl = Write(Int32)
 
@@ -178,7 +178,7 @@ def test_variables_are_set_and_misspelt_ones_refused() -> None:
         robot.sped  # noqa: B018
 
 
-def test_plugins_keep_attributes_of_their_own() -> None:
+def test_plugins_can_have_any_attribute() -> None:
     class Battery(rhdlink.Plugin):
         def periodic(self, tick: int) -> None:
             self.ticks = tick
@@ -189,10 +189,10 @@ def test_plugins_keep_attributes_of_their_own() -> None:
     assert plugin.ticks == 1
 
 
-# -- before it is connected or entered -------------------------------------------------------------
+# -- objects that are not connected yet ------------------------------------------------------------
 
 
-def test_opening_names_how_to_connect() -> None:
+def test_opening_error_shows_how_to_connect() -> None:
     opening: Any = urlink.connect_async("sim://")
     with pytest.raises(
         AttributeError, match="Opening has no attribute 'realtime'; it is not connected yet; write 'async"

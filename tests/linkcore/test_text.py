@@ -1,3 +1,5 @@
+"""Text and JSON that is safe to print: no control characters, no invalid JSON."""
+
 from __future__ import annotations
 
 import json
@@ -24,17 +26,17 @@ from tests.harm import HOSTILE, assert_harmless, strict
         ("日本 é", "日本 é"),
     ],
 )
-def test_safe_text(text: str, shown: str) -> None:
+def test_printable_escapes_control_characters(text: str, shown: str) -> None:
     assert printable(text) == shown
 
 
 @pytest.mark.property
 @given(st.text(st.characters(min_codepoint=0, max_codepoint=sys.maxunicode)))
-def test_nothing_that_steers_a_terminal_is_left(text: str) -> None:
+def test_printable_removes_every_control_character(text: str) -> None:
     assert all(character == " " or unicodedata.category(character)[0] not in "CZ" for character in printable(text))
 
 
-def test_json_is_strict_and_harmless() -> None:
+def test_strict_json_replaces_nan_and_escapes_control_characters() -> None:
     value = {"a": [1.5, float("nan"), (float("-inf"),)], "b": {"c": HOSTILE}, "d": None, "e": True}
     text = strict_json(value)
     assert_harmless(text)
@@ -46,11 +48,11 @@ def test_json_is_strict_and_harmless() -> None:
 @pytest.mark.slow
 @pytest.mark.property
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda inner: st.lists(inner)))
-def test_json_of_anything(value: object) -> None:
+def test_strict_json_of_any_value_is_printable_and_valid(value: object) -> None:
     text = strict_json(value)
     assert text.isprintable()
     strict(text)
 
 
-def test_finite_numbers_are_kept_exactly() -> None:
+def test_strict_json_keeps_finite_numbers_exactly() -> None:
     assert json.loads(strict_json([0.1, -1e-300, 2**53])) == [0.1, -1e-300, 2**53]

@@ -1,4 +1,4 @@
-"""One arm follows another that a person leads by hand, through LeRobot's own interfaces.
+"""Let one arm follow another that a person moves by hand, with LeRobot's own interfaces.
 
 python teleoperate.py 192.168.56.101 192.168.56.102      # leader, follower
 python teleoperate.py "sim://?motion=demo" sim:// --seconds 2

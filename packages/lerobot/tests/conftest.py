@@ -1,4 +1,4 @@
-"""A simulated arm, and the adapter that is to connect to it."""
+"""Simulated arm, and the package's robot to connect to it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from urlink.simulator import Controller
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A robot that is silent here is so because the machine is busy."""
+    """Use long limits, because a busy machine causes silence and delays of the robot."""
     monkeypatch.setattr(urlink, "connect", partial(urlink.connect, silence=20.0, stale_after=20.0, start_timeout=20.0))
 
 

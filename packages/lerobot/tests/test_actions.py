@@ -1,4 +1,4 @@
-"""Every kind of action, the gripper, and chunks, on a simulated arm."""
+"""Every kind of action, the gripper, and chunks, with a simulated arm."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ JOINTS = [f"joint_{number}.pos" for number in range(1, 7)]
 DELTAS = [f"joint_{number}_delta.pos" for number in range(1, 7)]
 POSE = [*(f"tcp_{axis}.pos" for axis in "xyz"), *(f"tcp_r{number}.pos" for number in range(1, 7))]
 POSE_DELTAS = [f"tcp_{axis}_delta.pos" for axis in ("x", "y", "z", "rx", "ry", "rz")]
-WATCHDOG = 2.0  # s, of a machine that is busy
+WATCHDOG = 2.0  # in s, long because the machine might be busy
 
 
 def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, "it did not come about"
+        assert time.monotonic() < end, "the condition did not become true in time"
         time.sleep(0.01)
 
 
@@ -37,7 +37,7 @@ def seen(arm: UR, names: list[str]) -> np.ndarray:
     return np.array([observation[name] for name in names])
 
 
-def test_deltas_of_joints_add_up_and_the_excess_is_left_out(make: Callable[..., UR]) -> None:
+def test_joint_deltas_add_up_and_are_limited(make: Callable[..., UR]) -> None:
     arm = make(action="joint_deltas", max_step=0.01, watchdog=WATCHDOG)
     arm.connect()
     assert list(arm.action_features) == DELTAS
@@ -46,17 +46,17 @@ def test_deltas_of_joints_add_up_and_the_excess_is_left_out(make: Callable[..., 
         assert list(sent) == DELTAS
         assert list(sent.values()) == pytest.approx([0.005, 0, 0, 0, 0, 0.01])
         time.sleep(0.02)
-    # Without another action the arm would go on until the watchdog brakes it.
+    # Without another action, the arm would continue until the watchdog brakes it.
     wanted = np.add(Q, [0.05, 0, 0, 0, 0, 0.1])
     until(lambda: arm.send_action(dict.fromkeys(DELTAS, 0.0)) and np.abs(seen(arm, JOINTS) - wanted).max() < 2e-3)
 
 
-def test_a_pose_is_reached_in_steps(make: Callable[..., UR]) -> None:
+def test_pose_is_reached_in_steps(make: Callable[..., UR]) -> None:
     arm = make(action="pose", max_step=0.02, watchdog=WATCHDOG)
     arm.connect()
     goal = seen(arm, POSE) + np.array([0.03, -0.02, 0.04, *[0.0] * 6])
     turned = poses.rotvec_to_matrix([0.0, 0.0, 0.1]) @ goal[3:].reshape(2, 3).T
-    goal[3:] = 1.3 * turned.T.ravel()  # of a policy, whose columns are not quite of length 1
+    goal[3:] = 1.3 * turned.T.ravel()  # a policy's columns do not have exactly length 1
     sent = []
     for _ in range(40):
         sent.append(arm.send_action(named(POSE, goal)))
@@ -67,7 +67,7 @@ def test_a_pose_is_reached_in_steps(make: Callable[..., UR]) -> None:
     until(lambda: np.abs(seen(arm, POSE) - goal).max() < 1e-3)
 
 
-def test_deltas_of_the_pose_are_along_the_axes_of_the_base(make: Callable[..., UR]) -> None:
+def test_pose_deltas_are_along_axes_of_base(make: Callable[..., UR]) -> None:
     arm = make(action="pose_deltas", watchdog=WATCHDOG)
     arm.connect()
     start = seen(arm, POSE)
@@ -80,7 +80,7 @@ def test_deltas_of_the_pose_are_along_the_axes_of_the_base(make: Callable[..., U
     until(lambda: arm.send_action(dict.fromkeys(POSE_DELTAS, 0.0)) and np.abs(seen(arm, POSE) - wanted).max() < 1e-3)
 
 
-def test_poses_that_are_none_or_out_of_reach_are_refused(make: Callable[..., UR]) -> None:
+def test_invalid_and_unreachable_poses_are_rejected(make: Callable[..., UR]) -> None:
     arm = make(action="pose")
     arm.connect()
     here = seen(arm, POSE)
@@ -93,12 +93,12 @@ def test_poses_that_are_none_or_out_of_reach_are_refused(make: Callable[..., UR]
     assert seen(arm, JOINTS) == pytest.approx(Q, abs=1e-3)
 
 
-def test_a_kind_that_is_none_is_refused(make: Callable[..., UR]) -> None:
+def test_unknown_kind_of_action_is_rejected(make: Callable[..., UR]) -> None:
     with pytest.raises(urlink.BadValue, match="joint_deltas"):
         make(action="torque")
 
 
-def test_fingers_follow_an_action_and_not_one_that_was_refused(make: Callable[..., UR], controller: Controller) -> None:
+def test_fingers_follow_only_accepted_actions(make: Callable[..., UR], controller: Controller) -> None:
     arm = make(gripper=True, watchdog=WATCHDOG)
     arm.connect()
     here = named(JOINTS, Q)
@@ -122,7 +122,7 @@ def _works(arm: UR, action: dict[str, float]) -> bool:
     return True
 
 
-def test_chunks_begin_at_the_observation_and_replace_one_another(make: Callable[..., UR]) -> None:
+def test_chunks_start_at_observation_and_replace_each_other(make: Callable[..., UR]) -> None:
     arm = make(max_step=0.02, watchdog=WATCHDOG, gripper=True)
     arm.connect()
     with pytest.raises(urlink.LocalError, match="get_observation"):
@@ -131,21 +131,21 @@ def test_chunks_begin_at_the_observation_and_replace_one_another(make: Callable[
     led = []
     for _ in range(12):
         arm.get_observation()
-        time.sleep(0.1)  # the policy computes
+        time.sleep(0.1)  # computing time of the policy
         led.append(arm.send_chunk([named(JOINTS, goal) | {"gripper.pos": 1.0}] * 25, period=0.05))
         if np.abs(seen(arm, JOINTS) - goal).max() < 0.01:
             break
     for chunk in led:
         path = np.array([[action[name] for name in JOINTS] for action in chunk])
         assert np.abs(np.diff(path, axis=0)).max() <= 0.02 + 1e-9
-    # A later chunk begins where the arm was led when it was observed, not where it began.
+    # A later chunk starts at the set-points of its observation rather than those of the first one.
     assert led[-1][0]["joint_1.pos"] > led[0][0]["joint_1.pos"] + 0.05
     until(lambda: np.abs(seen(arm, [*JOINTS, "gripper.pos"]) - [*goal, 1.0]).max() < 0.15)
     until(lambda: np.abs(seen(arm, JOINTS) - goal).max() < 0.01)
-    arm.send_action(named(JOINTS, goal) | {"gripper.pos": 1.0})  # and single actions again
+    arm.send_action(named(JOINTS, goal) | {"gripper.pos": 1.0})  # single actions are possible again
 
 
-def test_a_stop_ends_chunks(make: Callable[..., UR], controller: Controller) -> None:
+def test_stop_ends_chunks(make: Callable[..., UR], controller: Controller) -> None:
     arm = make(watchdog=WATCHDOG)
     arm.connect()
 

@@ -1,4 +1,4 @@
-"""The robot and the teleoperator against LeRobot's own base classes, with simulated arms."""
+"""Robot and teleoperator with LeRobot's own base classes and simulated arms."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from urlink.simulator import Controller
 NAMES = [f"joint_{number}.pos" for number in range(1, 7)]
 
 
-# Not out of `tests`: draccus, which LeRobot needs, installs a package of that name.
+# Do not import it from `tests`: draccus, which LeRobot needs, installs a package of that name.
 def until(condition: Callable[[], object], seconds: float = 10.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, "it did not come about"
+        assert time.monotonic() < end, "the condition did not become true in time"
         time.sleep(0.01)
 
 
@@ -34,7 +34,7 @@ def positions(arm: UR) -> np.ndarray:
     return np.array([observation[name] for name in NAMES])
 
 
-def test_lerobot_finds_them_by_name_and_makes_them(tmp_path: Path) -> None:
+def test_lerobot_finds_robot_and_teleoperator_by_name(tmp_path: Path) -> None:
     register_third_party_plugins()
     kind = RobotConfig.get_choice_class("ur")
     assert kind is URConfig
@@ -46,7 +46,7 @@ def test_lerobot_finds_them_by_name_and_makes_them(tmp_path: Path) -> None:
     assert isinstance(leader, URLeader)
 
 
-def test_it_says_what_it_has_while_it_is_not_connected(arm: UR) -> None:
+def test_features_are_available_without_connection(arm: UR) -> None:
     assert list(arm.action_features) == NAMES
     assert list(arm.observation_features)[:6] == NAMES
     assert not arm.is_connected
@@ -56,7 +56,7 @@ def test_it_says_what_it_has_while_it_is_not_connected(arm: UR) -> None:
             use()
 
 
-def test_an_observation_has_what_is_declared(arm: UR) -> None:
+def test_observation_matches_declared_features(arm: UR) -> None:
     arm.connect()
     with pytest.raises(DeviceAlreadyConnectedError):
         arm.connect()
@@ -66,12 +66,12 @@ def test_an_observation_has_what_is_declared(arm: UR) -> None:
     arm.disconnect()
     assert not arm.is_connected
     arm.disconnect()
-    arm.connect()  # it can be had back
+    arm.connect()  # it can be connected again
     assert arm.is_connected
 
 
-def test_actions_lead_the_arm_in_small_steps(arm: UR) -> None:
-    arm.config.watchdog = 5.0  # of a machine that is busy
+def test_actions_move_arm_in_small_steps(arm: UR) -> None:
+    arm.config.watchdog = 5.0  # long because the machine might be busy
     arm.connect()
     start = positions(arm)
     goal = start + np.array([0.3, 0, 0, 0, 0, 0.1])
@@ -80,20 +80,20 @@ def test_actions_lead_the_arm_in_small_steps(arm: UR) -> None:
         sent.append(arm.send_action(dict(zip(NAMES, goal.tolist(), strict=True))))
         time.sleep(0.02)
     led = np.array([[step[name] for name in NAMES] for step in sent])
-    # What was really sent is returned: no more than a step at once, and at last the goal.
+    # The sent action is returned: at most one step at a time, and finally the goal.
     assert np.abs(np.diff(led, axis=0)).max() <= arm.config.max_step + 1e-9
     assert led[-1] == pytest.approx(goal)
     until(lambda: np.abs(positions(arm) - goal).max() < 0.01, 5.0)
 
 
 @pytest.mark.parametrize("action", [{}, dict.fromkeys(NAMES, float("nan")), dict.fromkeys(NAMES, "x")])
-def test_bad_actions_are_refused(arm: UR, action: dict[str, object]) -> None:
+def test_bad_actions_are_rejected(arm: UR, action: dict[str, object]) -> None:
     arm.connect()
     with pytest.raises(urlink.BadValue):
         arm.send_action(action)
 
 
-def test_a_stop_is_raised_and_the_next_action_goes_on(arm: UR, controller: Controller) -> None:
+def test_stop_is_raised_and_later_action_works(arm: UR, controller: Controller) -> None:
     arm.connect()
     here = dict(zip(NAMES, positions(arm).tolist(), strict=True))
     arm.send_action(here)
@@ -113,18 +113,18 @@ def _works(arm: UR, action: dict[str, float]) -> bool:
     return True
 
 
-def test_an_arm_without_actions_brakes_by_itself(arm: UR, controller: Controller) -> None:
+def test_arm_brakes_without_actions(arm: UR, controller: Controller) -> None:
     arm.connect()
     goal = positions(arm) + np.array([1.0, 0, 0, 0, 0, 0])
     for _ in range(10):
         arm.send_action(dict(zip(NAMES, goal.tolist(), strict=True)))
         time.sleep(0.02)
-    # As if the process hung: no action, no end.
+    # As in a hanging process: no action, and no end.
     until(lambda: abs(arm.get_observation()["joint_1.vel"]) < 1e-3, 5.0)
     assert positions(arm)[0] < 0.9
 
 
-def test_one_arm_leads_another(arm: UR, controller: Controller, tmp_path: Path) -> None:
+def test_leader_moves_follower(arm: UR, controller: Controller, tmp_path: Path) -> None:
     leader = URLeader(URLeaderConfig(id="leader", calibration_dir=tmp_path, address=controller.address))
     with pytest.raises(DeviceNotConnectedError):
         leader.get_action()
@@ -136,4 +136,4 @@ def test_one_arm_leads_another(arm: UR, controller: Controller, tmp_path: Path) 
         arm.send_action(leader.get_action())
     finally:
         leader.disconnect()
-    assert os.listdir(tmp_path) == []  # nothing is calibrated, so nothing is kept
+    assert os.listdir(tmp_path) == []  # no calibration is stored, because none is needed

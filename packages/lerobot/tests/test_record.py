@@ -1,4 +1,4 @@
-"""LeRobot's own programs for recording and replaying: one simulated arm leads, another one follows."""
+"""LeRobot's own programs for recording and replaying: one simulated arm leads, another arm follows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FPS = 20
 NAMES = [f"joint_{number}.pos" for number in range(1, 7)]
 
 
-def test_what_one_arm_leads_is_recorded_and_replayed(
+def test_teleoperation_is_recorded_and_replayed(
     make: Callable[..., UR], controller: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
@@ -43,7 +43,7 @@ def test_what_one_arm_leads_is_recorded_and_replayed(
     assert made.features["action"]["names"] == NAMES
     assert made.num_frames > FPS
     assert np.ptp(actions[:, 0]) > 0.1
-    assert np.abs(states[:, :6] - actions).max() < 0.15  # the arm lags behind the one that leads it
+    assert np.abs(states[:, :6] - actions).max() < 0.15  # the arm lags behind its leader
 
     with urlink.connect(controller.address) as robot:
         robot.motion.move_joints(actions[0].tolist(), wait=True)
@@ -55,5 +55,5 @@ def test_what_one_arm_leads_is_recorded_and_replayed(
                 )
             )
             turned = history.array("q_target")["q_target"][:, 0]
-    # It went the way that was recorded, to its end.
+    # The arm moved along the recorded path to its end.
     assert turned.max() == pytest.approx(actions[:, 0].max(), abs=0.02)

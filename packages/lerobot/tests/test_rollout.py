@@ -1,4 +1,4 @@
-"""LeRobot's own program for rollouts: a policy that is fitted to a demonstration pushes a box, in MuJoCo."""
+"""LeRobot's own program for rollouts: a policy that is fitted to a demonstration pushes a box in MuJoCo."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 import torch
 
 pytest.importorskip("lerobot.rollout", reason="this LeRobot has no rollouts")
-pytest.importorskip("urlink_mujoco", reason="the adapter for MuJoCo is not installed")
+pytest.importorskip("urlink_mujoco", reason="urlink-mujoco is not installed")
 
 from lerobot.configs import PreTrainedConfig
 from lerobot.configs.types import FeatureType, PolicyFeature
@@ -29,7 +29,7 @@ from packages.mujoco.tests.placing import DOWN, TCP, arm_at
 from urlink.arm.kinematics import Arm
 from urlink_mujoco import MujocoWorld
 
-#: A box of 2 kg on a table, whose near face is at y = 0.15.
+#: A box of 2 kg on a table. Its near face is at y = 0.15.
 PUSH = Path(__file__).parents[2] / "mujoco" / "tests" / "push.xml"
 BEFORE, BEHIND = (-0.45, 0.12, 0.05), (-0.45, 0.25, 0.05)
 FPS = 20
@@ -39,7 +39,7 @@ POSITIONS = [f"joint_{number}.pos" for number in range(1, 7)]
 @PreTrainedConfig.register_subclass("linear")
 @dataclass
 class LinearConfig(PreTrainedConfig):
-    """Of a policy whose action is a matrix times the positions of the joints, and an offset."""
+    """Configuration of a policy: its action is a matrix times the joint positions, plus an offset."""
 
     observation_delta_indices = action_delta_indices = reward_delta_indices = None
 
@@ -54,7 +54,7 @@ class LinearConfig(PreTrainedConfig):
 
 
 class LinearPolicy(PreTrainedPolicy):
-    """LeRobot finds it by the name of its configuration."""
+    """Policy that LeRobot finds by the name of its configuration."""
 
     config_class = LinearConfig
     name = "linear"
@@ -64,7 +64,10 @@ class LinearPolicy(PreTrainedPolicy):
         self.map = torch.nn.Linear(6, 6)
 
     def fit(self, states: list[list[float]], actions: list[list[float]]) -> None:
-        """Least squares, of which the shortest: off the way that was shown, it leads back to it."""
+        """Fit the map by least squares with minimum norm.
+
+        Away from the demonstrated path, the map then leads back to it.
+        """
         seen, done = torch.tensor(states, dtype=torch.float64)[:, :6], torch.tensor(actions, dtype=torch.float64)
         middle = seen.mean(0)
         weights = torch.linalg.pinv(seen - middle, rtol=1e-3) @ (done - done.mean(0))
@@ -91,7 +94,7 @@ class LinearPolicy(PreTrainedPolicy):
 
 @pytest.fixture
 def signals() -> Iterator[None]:
-    """LeRobot's program takes over signals, and leaves them so."""
+    """Restore the signal handlers, which LeRobot's program replaces."""
     taken = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT
     kept = {number: signal.getsignal(number) for number in taken}
     yield
@@ -100,7 +103,7 @@ def signals() -> Iterator[None]:
 
 
 def demonstration(config: URConfig) -> tuple[list[list[float]], list[list[float]]]:
-    """Go behind where the box is: what was observed, and what was done then."""
+    """Move to a point behind the position of the box; return observations and actions."""
     states: list[list[float]] = []
     actions: list[list[float]] = []
     end = time.monotonic() + 60.0
@@ -120,11 +123,11 @@ def demonstration(config: URConfig) -> tuple[list[list[float]], list[list[float]
             time.sleep(1 / FPS)
     finally:
         arm.disconnect()
-    raise AssertionError("it did not get there")
+    raise AssertionError("the arm did not reach its goal")
 
 
 def saved(states: list[list[float]], actions: list[list[float]], folder: Path) -> LinearConfig:
-    """A policy that does as was done, with its processors, as training leaves it."""
+    """Save a policy that repeats the demonstration, and its processors, like training does."""
     config = LinearConfig(
         input_features={"observation.state": PolicyFeature(FeatureType.STATE, (12,))},
         output_features={"action": PolicyFeature(FeatureType.ACTION, (6,))},
@@ -142,7 +145,7 @@ def saved(states: list[list[float]], actions: list[list[float]], folder: Path) -
 
 
 @pytest.mark.usefixtures("signals")
-def test_a_policy_pushes_the_box_as_it_was_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fitted_policy_pushes_box_like_demonstration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     controller = arm_at(BEFORE)
     world = MujocoWorld(PUSH, {"left": controller})
@@ -153,7 +156,7 @@ def test_a_policy_pushes_the_box_as_it_was_shown(tmp_path: Path, monkeypatch: py
             calibration_dir=tmp_path / "none",
             address=controller.address,
             fps=FPS,
-            # Below 0.1 m/s, or the box would slide on when the arm has stopped.
+            # below 0.1 m/s, because the box would otherwise slide on after the arm has stopped
             max_step=0.01,
             watchdog=5.0,
             observe_tool=False,

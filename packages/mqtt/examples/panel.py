@@ -1,4 +1,4 @@
-"""A panel that reads a robot behind a broker, and moves its base by a degree; see the page *MQTT*.
+"""Read a robot through a broker, and move its base by one degree; see the page *MQTT*.
 
 urlink serve mqtt arm=sim://ur5e --broker localhost --allow-commands
 python panel.py --broker localhost arm
@@ -19,7 +19,7 @@ CLIENT = "panel"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", help="of the robot")
+    parser.add_argument("name", help="name of the robot")
     parser.add_argument("--broker", default="localhost")
     parser.add_argument("--port", type=int, default=1883)
     args = parser.parse_args()
@@ -34,7 +34,7 @@ def main() -> None:
 
     client = Client(CallbackAPIVersion.VERSION2)
     client.on_message = lambda client, data, message: heard.put((message.topic, json.loads(message.payload)))
-    # The broker says so when this program is gone: its motion ends then.
+    # When this program ends, the broker publishes this will, and the motion ends.
     client.will_set(f"{arm}/client/{CLIENT}", b"", qos=1, retain=True)
     client.connect(args.broker, args.port, keepalive=5)
     client.loop_start()

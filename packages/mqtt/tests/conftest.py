@@ -15,7 +15,7 @@ __all__ = ["broker"]
 
 @pytest.fixture
 def panels(broker: int) -> Iterator[Callable[..., Panel]]:
-    """Makes panels of one broker."""
+    """Function that makes panels which are connected to the same broker."""
     made: list[Panel] = []
 
     def make(name: str = "panel", **options: Any) -> Panel:
@@ -29,7 +29,7 @@ def panels(broker: int) -> Iterator[Callable[..., Panel]]:
 
 @pytest.fixture
 def server(broker: int, urlink_robot: urlink.Robot) -> Iterator[Server]:
-    """Serves the simulated robot as "arm", with commands."""
+    """Server that serves the simulated robot as "arm" and accepts commands."""
     where = Broker("127.0.0.1", broker)
     with Server(urlink_robot, "arm", where, status_rate=20.0, allow_commands=True) as server:
         yield server

@@ -1,4 +1,4 @@
-"""A client with its own connection to the broker."""
+"""Test client with its own connection to the broker."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from tests.waiting import until
 __all__ = ["Panel"]
 
 
-#: What clients say.
+#: topics that clients publish
 _ASKED = ("urlink/arm/command/", "urlink/arm/client/")
 
 
 class Panel:
-    """What a client has heard, and what it asks for.
+    """Messages that a client received, and commands that it sends.
 
     Attributes:
-        heard: topic -> everything that came, in order.
+        heard: All messages of each topic, in order.
 
     Args:
-        ca: the certificate by which an encrypted broker is checked; None for one that is not.
+        ca: Certificate to check an encrypted broker; None for an unencrypted broker.
     """
 
     def __init__(self, port: int, name: str = "panel", *, is_there: bool = True, ca: str | None = None) -> None:
@@ -55,7 +55,7 @@ class Panel:
 
     @property
     def status(self) -> dict[str, Any]:
-        """The newest."""
+        """Newest status."""
         until(lambda: "urlink/arm/status" in self.heard)
         found: dict[str, Any] = self.heard["urlink/arm/status"][-1]
         return found
@@ -70,11 +70,11 @@ class Panel:
         self.publish(name, json.dumps({**asked, "age": 30.0, "arguments": arguments, **changed}))
 
     def publish(self, name: str, payload: str, *, retain: bool = False) -> None:
-        """Send a command as text; again, if it was sent before."""
+        """Send a command as text, which may be the same as an earlier one."""
         self.mqtt.publish(f"urlink/arm/command/{name}", payload, qos=1, retain=retain)
 
     def answer(self) -> dict[str, Any]:
-        """The next answer to this client."""
+        """Return the next answer to this client."""
         return self._answers.get(timeout=30.0)
 
     def ask(self, name: str, arguments: dict[str, Any] | None = None, **changed: Any) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class Panel:
         return self.answer()
 
     def lose(self) -> None:
-        """Lost, rather than gone in order: the broker says its last will."""
+        """Break the connection without disconnecting, so that the broker publishes the last will."""
         connection = self.mqtt.socket()
         assert connection is not None
         self.mqtt.reconnect_delay_set(60, 60)

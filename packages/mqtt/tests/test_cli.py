@@ -1,4 +1,4 @@
-"""The options of `urlink serve mqtt`."""
+"""Options of `urlink serve mqtt`."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ def parsed(*argv: str) -> argparse.Namespace:
         ("[fe80::1%eth0]:1884", "fe80::1%eth0", 1884),
     ],
 )
-def test_broker_is_read_with_and_without_a_port(text: str, host: str, port: int | None) -> None:
+def test_broker_address_with_and_without_port(text: str, host: str, port: int | None) -> None:
     assert parsed("--broker", text).broker == (host, port)
 
 
 @pytest.mark.parametrize(
     "text", ["", "host:", "host:0", "host:65536", "host:x", "mqtt://host", "a:1:2", "user@host", "[::1"]
 )
-def test_broker_rejects_other_texts(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_broker_address_rejects_other_forms(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         parsed("--broker", text)
     assert f"{text!r} is not the address of a broker; expected HOST or HOST:PORT" in capsys.readouterr().err
 
 
-def test_broker_with_two_ports_is_rejected() -> None:
+def test_serve_rejects_two_different_ports() -> None:
     with (
         pytest.raises(BadValue, match="names port 1884 and --port names port 1885"),
         cli.serve({}, parsed("--broker", "localhost:1884", "--port", "1885")),
@@ -48,7 +48,7 @@ def test_broker_with_two_ports_is_rejected() -> None:
         pass
 
 
-def test_broker_uses_either_port(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_serve_uses_port_of_either_option(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[tuple[str, int | None]] = []
     monkeypatch.setattr(cli, "Broker", lambda host, port, *rest: made.append((host, port)))
     for argv in (["--broker", "a:1884"], ["--broker", "a", "--port", "1884"], ["--broker", "a:1884", "--port", "1884"]):

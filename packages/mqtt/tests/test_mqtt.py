@@ -26,7 +26,7 @@ from urlink.simulator import Controller
 from urlink_mqtt import Broker, Server, cli
 from urlink_mqtt.commands import Asked, ServerClock, read
 
-#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+#: Marks of the simulated arm of these tests. The limits are long because a busy machine causes silence and delays.
 pytestmark = pytest.mark.urlink(
     model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
 )
@@ -53,11 +53,13 @@ def test_status_and_info_are_retained(server: Server, panels: Panels, urlink_rob
 
 
 @needs_broker
-def test_a_client_moves_a_robot_and_is_told_of_it(server: Server, panels: Panels, urlink_robot: urlink.Robot) -> None:
+def test_client_moves_robot_and_receives_motion_events(
+    server: Server, panels: Panels, urlink_robot: urlink.Robot
+) -> None:
     panel = panels()
     answer = panel.ask("move_joints", {"q": HOME}, id="first")
     assert (answer["id"], answer["command"], answer["error"]) == ("first", "move_joints", None)
-    assert answer["phase"] in ("sent", "running")  # it may have begun before the answer was made
+    assert answer["phase"] in ("sent", "running")  # it may have started before the answer was made
     until(lambda: panel.of("motion") and panel.of("motion")[-1]["phase"] == "done", 60.0)
     assert [said["id"] for said in panel.of("motion")] == ["first", "first"]
     assert urlink_robot.realtime.wait().q_actual.tolist() == pytest.approx(HOME, abs=1e-3)
@@ -67,14 +69,14 @@ def test_a_client_moves_a_robot_and_is_told_of_it(server: Server, panels: Panels
 
 @needs_broker
 @pytest.mark.parametrize("name", ["stop", "cancel"])
-def test_motion_does_not_begin_when_a_stop_came_after_it(
+def test_motion_does_not_start_after_later_stop(
     server: Server, panels: Panels, urlink_robot: urlink.Robot, urlink_controller: Controller, name: str
 ) -> None:
     panel = panels()
     assert panel.ask("move_joints", {"q": HOME, "speed": 2.0})["error"] is None
     until(lambda: panel.of("motion") and panel.of("motion")[-1]["phase"] == "done")
     urlink_controller.faults.stall(1.0, "dashboard")
-    panel.send("load", {"path": "nothing.urp"})  # keeps the motion waiting
+    panel.send("load", {"path": "nothing.urp"})  # delays the motion
     panel.send("move_joints", {"q": FAR})
     answers = [panel.ask(name), panel.answer(), panel.answer()]
     assert [(answer["command"], answer["error"]) for answer in answers] == [
@@ -86,9 +88,7 @@ def test_motion_does_not_begin_when_a_stop_came_after_it(
 
 
 @needs_broker
-def test_message_is_not_executed_again_when_it_is_delivered_again(
-    server: Server, panels: Panels, urlink_robot: urlink.Robot
-) -> None:
+def test_repeated_message_is_executed_once(server: Server, panels: Panels, urlink_robot: urlink.Robot) -> None:
     panel = panels()
     status = panel.status
     asked = {"client": panel.name, "id": "1", "server": status["server"], "time": status["time"], "age": 30.0}
@@ -100,18 +100,18 @@ def test_message_is_not_executed_again_when_it_is_delivered_again(
     answer = panel.answer()
     assert (answer["error"], answer["message"]) == (
         "LocalError",
-        "this move_joints was received before; each command needs an id of its own",
+        "this move_joints was received before; each command needs its own id",
     )
     assert urlink_robot.motion.current is None
 
 
 @needs_broker
-def test_command_with_the_retain_flag_is_not_executed(server: Server, panels: Panels) -> None:
+def test_command_with_retain_flag_is_not_executed(server: Server, panels: Panels) -> None:
     panel = panels()
     status = panel.status
     asked = {"client": panel.name, "id": "1", "server": status["server"], "time": status["time"], "age": 30.0}
     panel.publish("move_joints", json.dumps({**asked, "arguments": {"q": FAR}}), retain=True)
-    assert panel.ask("enable")["command"] == "enable"  # it came later, and is answered first
+    assert panel.ask("enable")["command"] == "enable"  # sent later, but answered first
     assert panel.of("motion") == []
     panel.mqtt.publish("urlink/arm/command/move_joints", b"", qos=1, retain=True).wait_for_publish(10.0)
 
@@ -127,16 +127,16 @@ def test_command_with_the_retain_flag_is_not_executed(server: Server, panels: Pa
         ("enable", {"age": 0}, "BadValue", "age"),
         ("enable", {"age": 3600.0}, "BadValue", "at most 60"),
         ("enable", {"time": None}, "BadValue", "time"),
-        ("enable", {"server": "another"}, "LocalError", "a server that is gone"),
-        ("enable", {"time": 1.0, "age": 1.0}, "LinkTimeout", "nothing was done"),
+        ("enable", {"server": "another"}, "LocalError", "an earlier server"),
+        ("enable", {"time": 1.0, "age": 1.0}, "LinkTimeout", "was not executed"),
     ],
 )
-def test_what_is_wrong_is_answered_and_not_done(
+def test_invalid_commands_are_answered_with_errors(
     server: Server, panels: Panels, name: str, changed: dict[str, Any], error: str, said: str
 ) -> None:
     panel = panels()
     if changed.get("time", 0.0) is None:
-        panel.send(name, {}, **changed)  # what is not read has no client in its answer
+        panel.send(name, {}, **changed)  # the answer to an unreadable command contains no client
         until(lambda: panel.of("answer"))
         answer = panel.of("answer")[0]
     else:
@@ -146,14 +146,14 @@ def test_what_is_wrong_is_answered_and_not_done(
 
 
 @needs_broker
-def test_a_lost_client_ends_its_motion_and_no_other(server: Server, panels: Panels, urlink_robot: urlink.Robot) -> None:
+def test_lost_client_ends_only_its_own_motion(server: Server, panels: Panels, urlink_robot: urlink.Robot) -> None:
     panel, other = panels(), panels("other")
     panel.ask("move_joints", {"q": HOME})
     until(lambda: other.of("motion") and other.of("motion")[-1]["phase"] == "done", 60.0)
     panel.ask("move_joints", {"q": FAR, "speed": 0.1})
     until(lambda: urlink_robot.realtime.wait().q_actual[0] > 0.02)
     refused = other.ask("move_joints", {"q": HOME})
-    assert "client panel moves the arm" in refused["message"]
+    assert "client panel is moving the arm" in refused["message"]
     other.mqtt.publish("urlink/arm/client/nobody", b"", qos=1, retain=True).wait_for_publish(10.0)
     assert other.of("motion")[-1]["phase"] in ("sent", "running")
     panel.lose()
@@ -163,14 +163,14 @@ def test_a_lost_client_ends_its_motion_and_no_other(server: Server, panels: Pane
 
 
 @needs_broker
-def test_a_client_that_is_not_there_moves_nothing(server: Server, panels: Panels) -> None:
+def test_motion_of_absent_client_is_refused(server: Server, panels: Panels) -> None:
     panel = panels(is_there=False)
-    assert "client that is there" in panel.ask("move_joints", {"q": HOME})["message"]
+    assert "is not present" in panel.ask("move_joints", {"q": HOME})["message"]
 
 
 @needs_broker
 @pytest.mark.parametrize("name", ["stop", "cancel"])
-def test_anybody_stops_the_arm_however_late(
+def test_any_client_stops_arm_without_age(
     server: Server, panels: Panels, urlink_robot: urlink.Robot, name: str
 ) -> None:
     panel = panels()
@@ -182,7 +182,7 @@ def test_anybody_stops_the_arm_however_late(
 
 
 @needs_broker
-def test_commands_are_refused_unless_they_are_allowed(broker: int, panels: Panels, urlink_robot: urlink.Robot) -> None:
+def test_commands_are_refused_unless_allowed(broker: int, panels: Panels, urlink_robot: urlink.Robot) -> None:
     with Server(urlink_robot, "arm", Broker("127.0.0.1", broker)):
         panel = panels()
         before = urlink_robot.realtime.wait().q_target.tolist()
@@ -194,7 +194,7 @@ def test_commands_are_refused_unless_they_are_allowed(broker: int, panels: Panel
 
 
 @needs_broker
-def test_a_robot_that_is_read_only_takes_no_commands_and_has_a_status(
+def test_read_only_robot_publishes_status_and_refuses_commands(
     broker: int, panels: Panels, urlink_controller: Controller
 ) -> None:
     with (
@@ -207,7 +207,7 @@ def test_a_robot_that_is_read_only_takes_no_commands_and_has_a_status(
 
 
 @needs_broker
-def test_a_command_that_was_retained_is_not_carried_out(
+def test_retained_command_is_not_executed_by_later_server(
     broker: int, panels: Panels, urlink_robot: urlink.Robot
 ) -> None:
     where = Broker("127.0.0.1", broker)
@@ -221,10 +221,8 @@ def test_a_command_that_was_retained_is_not_carried_out(
 
 
 @needs_broker
-def test_the_status_says_when_nobody_serves_the_robot(
-    broker: int, panels: Panels, urlink_controller: Controller
-) -> None:
-    """Closed in order, by the server; and killed, by its last will. `urlink serve` in a process of its own."""
+def test_status_reports_when_server_ends(broker: int, panels: Panels, urlink_controller: Controller) -> None:
+    """A terminated `urlink serve` reports its end itself, a killed one by its last will."""
     panel = panels()
     command = [sys.executable, "-m", "urlink.cli", "serve", "mqtt", f"arm={urlink_controller.address}"]
     for number in (signal.SIGTERM, signal.SIGKILL):
@@ -239,9 +237,7 @@ def test_the_status_says_when_nobody_serves_the_robot(
 
 
 @needs_broker
-def test_the_arm_stops_when_the_broker_is_lost_and_the_server_comes_back_with_it(
-    tmp_path: Path, urlink_robot: urlink.Robot
-) -> None:
+def test_broker_loss_stops_arm_and_server_reconnects(tmp_path: Path, urlink_robot: urlink.Robot) -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port: int = probe.getsockname()[1]
     config = tmp_path / "mosquitto.conf"
@@ -282,7 +278,7 @@ def _answers(port: int) -> bool:
 
 
 @needs_broker
-def test_the_example_moves_the_arm(server: Server, broker: int, urlink_robot: urlink.Robot) -> None:
+def test_example_panel_moves_arm(server: Server, broker: int, urlink_robot: urlink.Robot) -> None:
     before = urlink_robot.realtime.wait().q_actual[0]
     said = subprocess.run(
         [sys.executable, "-W", "error", str(EXAMPLE), "arm", "--port", str(broker), "--broker", "127.0.0.1"],
@@ -298,15 +294,15 @@ def test_the_example_moves_the_arm(server: Server, broker: int, urlink_robot: ur
 # -- without a broker ------------------------------------------------------------------------------
 
 
-def test_no_broker(urlink_robot: urlink.Robot) -> None:
+def test_server_raises_connect_failed_without_broker(urlink_robot: urlink.Robot) -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port: int = probe.getsockname()[1]
-    with pytest.raises(urlink.ConnectFailed, match=f"no broker at 127.0.0.1:{port}"):
+    with pytest.raises(urlink.ConnectFailed, match=f"the broker at 127.0.0.1:{port}"):
         Server(urlink_robot, "arm", Broker("127.0.0.1", port))
 
 
 @pytest.mark.parametrize(("name", "options"), [("a/b", {}), ("arm", {"prefix": "a/+"}), ("arm", {"status_rate": 0.0})])
-def test_wrong_arguments(urlink_robot: urlink.Robot, name: str, options: dict[str, Any]) -> None:
+def test_server_rejects_invalid_topic_and_rate(urlink_robot: urlink.Robot, name: str, options: dict[str, Any]) -> None:
     with pytest.raises(urlink.BadValue, match="expected"):
         Server(urlink_robot, name, Broker(), **options)
 
@@ -314,38 +310,38 @@ def test_wrong_arguments(urlink_robot: urlink.Robot, name: str, options: dict[st
 @pytest.mark.parametrize(
     ("payload", "said"),
     [
-        (b"{", "no JSON"),
+        (b"{", "not valid JSON"),
         (b"[]", "expected an object"),
         (b'{"q": 1}', "expected an object with some of client"),
         (b'{"time": "now"}', "time is 'now'; expected a number"),
         (b'{"age": true}', "age is 'True'; expected a number"),
         (b'{"client": 5}', "client is '5'; expected text"),
-        (b'{"arguments": []}', "arguments are no object"),
-        (b"[" * 100_000, "no JSON"),
+        (b'{"arguments": []}', "arguments are not an object"),
+        (b"[" * 100_000, "not valid JSON"),
     ],
 )
-def test_what_is_no_command(payload: bytes, said: str) -> None:
+def test_read_rejects_invalid_commands(payload: bytes, said: str) -> None:
     with pytest.raises(urlink.BadValue, match=said):
         read(payload)
 
 
-def test_a_command_expires_by_the_clock_of_the_server() -> None:
+def test_command_expires_by_server_clock() -> None:
     now = [100.0]
     clock, other = ServerClock(lambda: now[0]), ServerClock(lambda: now[0])
     asked = Asked(age=5.0, **clock.described())
     now[0] = 105.0
     clock.check(asked)
-    with pytest.raises(urlink.LocalError, match="gone"):
+    with pytest.raises(urlink.LocalError, match="earlier server"):
         other.check(asked)
     now[0] = 105.1
     with pytest.raises(urlink.LinkTimeout, match=r"5\.1 s after the status"):
         clock.check(asked)
-    for time in (106.0, math.nan):  # of the future, and none
+    for time in (106.0, math.nan):  # a time in the future, and NaN
         with pytest.raises((urlink.LinkTimeout, urlink.BadValue)):
             clock.check(dataclasses.replace(asked, time=time))
 
 
-def test_the_options_of_the_command() -> None:
+def test_command_line_options() -> None:
     parser = argparse.ArgumentParser()
     cli.add_arguments(parser)
     assert not parser.parse_args([]).allow_commands

@@ -1,4 +1,4 @@
-"""Encrypted MQTT: mosquitto with a certificate that is made on the spot."""
+"""Encrypted MQTT: mosquitto with a certificate that the test makes."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from tests.waiting import until
 from urlink.simulator import Controller
 from urlink_mqtt import Broker, Server
 
-#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+#: Marks of the simulated arm of these tests. The limits are long because a busy machine causes silence and delays.
 pytestmark = [
     pytest.mark.urlink(
         model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
     ),
     needs_broker,
-    pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl (apt install openssl)"),
+    pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed (apt install openssl)"),
 ]
 
-#: paho-mqtt leaves the socket of a handshake that failed to the garbage collector.
+#: After a failed handshake, paho-mqtt leaves the socket to the garbage collector.
 handshake_fails = pytest.mark.filterwarnings(
     "ignore:unclosed <ssl:ResourceWarning", "ignore:.*SSLSocket:pytest.PytestUnraisableExceptionWarning"
 )
@@ -38,11 +38,11 @@ HOME = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 
 
 class Encrypted(NamedTuple):
-    """A broker at 127.0.0.1 that takes encrypted connections alone.
+    """Broker at 127.0.0.1 that accepts only encrypted connections.
 
     Attributes:
-        port: of the broker.
-        ca: the certificate by which its own is checked.
+        port: TCP port of the broker.
+        ca: Certificate to check the broker's certificate.
     """
 
     port: int
@@ -66,14 +66,14 @@ def certificates(folder: Path, name: str) -> Path:
 
 @pytest.fixture
 def encrypted(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Encrypted]:
-    """A broker whose certificate is for 127.0.0.1, or for the name that the test gives."""
+    """Broker whose certificate is for 127.0.0.1, or for the name in the parameter of the test."""
     folder = certificates(tmp_path / "certificates", getattr(request, "param", "IP:127.0.0.1"))
     files = f"certfile {folder}/broker.pem\nkeyfile {folder}/broker.key\ntls_version tlsv1.2\n"
     with running(tmp_path, files) as port:
         yield Encrypted(port, str(folder / "ca.pem"))
 
 
-def test_a_client_moves_a_robot_over_tls(encrypted: Encrypted, urlink_robot: urlink.Robot) -> None:
+def test_client_moves_robot_over_tls(encrypted: Encrypted, urlink_robot: urlink.Robot) -> None:
     where = Broker("127.0.0.1", encrypted.port, tls=True, ca=encrypted.ca)
     with Server(urlink_robot, "arm", where, status_rate=20.0, allow_commands=True):
         panel = Panel(encrypted.port, ca=encrypted.ca)
@@ -83,7 +83,7 @@ def test_a_client_moves_a_robot_over_tls(encrypted: Encrypted, urlink_robot: url
     assert urlink_robot.realtime.wait().q_actual.tolist() == pytest.approx(HOME, abs=1e-3)
 
 
-def test_a_lost_client_ends_its_motion_over_tls(encrypted: Encrypted, urlink_robot: urlink.Robot) -> None:
+def test_lost_client_ends_its_motion_over_tls(encrypted: Encrypted, urlink_robot: urlink.Robot) -> None:
     where = Broker("127.0.0.1", encrypted.port, tls=True, ca=encrypted.ca)
     with Server(urlink_robot, "arm", where, status_rate=20.0, allow_commands=True):
         panel = Panel(encrypted.port, ca=encrypted.ca)
@@ -96,36 +96,36 @@ def test_a_lost_client_ends_its_motion_over_tls(encrypted: Encrypted, urlink_rob
 
 
 @handshake_fails
-def test_a_broker_whose_certificate_is_of_another_authority_is_refused(
+def test_certificate_of_other_authority_is_rejected(
     encrypted: Encrypted, urlink_robot: urlink.Robot, tmp_path: Path
 ) -> None:
     other = certificates(tmp_path / "other", "IP:127.0.0.1") / "ca.pem"
     with pytest.raises(urlink.ConnectFailed, match="certificate verify failed"):
         Server(urlink_robot, "arm", Broker("127.0.0.1", encrypted.port, tls=True, ca=str(other)))
-    # Nor do the authorities that this computer trusts know it.
+    # The authorities that this computer trusts do not know it either.
     with pytest.raises(urlink.ConnectFailed, match="certificate verify failed"):
         Server(urlink_robot, "arm", Broker("127.0.0.1", encrypted.port, tls=True))
 
 
 @handshake_fails
 @pytest.mark.parametrize("encrypted", ["DNS:another.local"], indirect=True)
-def test_a_certificate_of_another_name_is_refused(encrypted: Encrypted, urlink_robot: urlink.Robot) -> None:
+def test_certificate_of_other_name_is_rejected(encrypted: Encrypted, urlink_robot: urlink.Robot) -> None:
     with pytest.raises(urlink.ConnectFailed, match=r"not valid for '127\.0\.0\.1'"):
         Server(urlink_robot, "arm", Broker("127.0.0.1", encrypted.port, tls=True, ca=encrypted.ca))
 
 
-def test_without_tls_nothing_is_said_to_an_encrypted_broker(encrypted: Encrypted, urlink_robot: urlink.Robot) -> None:
-    with pytest.raises(urlink.ConnectFailed, match=f"no broker at 127.0.0.1:{encrypted.port}"):
+def test_unencrypted_connection_to_encrypted_broker_fails(encrypted: Encrypted, urlink_robot: urlink.Robot) -> None:
+    with pytest.raises(urlink.ConnectFailed, match=f"the broker at 127.0.0.1:{encrypted.port}"):
         Server(urlink_robot, "arm", Broker("127.0.0.1", encrypted.port))
 
 
-def test_a_file_that_holds_no_certificate_is_named(urlink_robot: urlink.Robot, tmp_path: Path) -> None:
+def test_error_names_file_without_certificate(urlink_robot: urlink.Robot, tmp_path: Path) -> None:
     (tmp_path / "empty.pem").write_text("")
     with socket.create_server(("127.0.0.1", 0)) as nobody, pytest.raises(urlink.BadValue, match=r"empty\.pem"):
         Server(urlink_robot, "arm", Broker("127.0.0.1", nobody.getsockname()[1], tls=True, ca=f"{tmp_path}/empty.pem"))
 
 
-def test_the_command_line_serves_over_tls(encrypted: Encrypted, urlink_controller: Controller) -> None:
+def test_command_line_serves_over_tls(encrypted: Encrypted, urlink_controller: Controller) -> None:
     command = [sys.executable, "-m", "urlink.cli", "serve", "mqtt", f"arm={urlink_controller.address}"]
     where = ["--broker", "127.0.0.1", "--port", str(encrypted.port), "--ca", encrypted.ca]
     process = subprocess.Popen([*command, *where])

@@ -1,7 +1,7 @@
-"""A box is taken from one place of a table and put to another, once for each place that is given.
+"""Take a box from one place of a table and put it at another, once for each given place.
 
-python put.py                        # in the simulator, with table.xml beside this file
-python put.py 192.168.56.101         # the same program on another controller: without a world to look at
+python put.py                        # in the simulator, with table.xml in this folder
+python put.py 192.168.56.101         # the same program on another controller, without a world to inspect
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 import urlink
 
 DOWN = (math.pi, 0.0, 0.0)
-#: m in the base frame: where the box is, and where it goes.
+#: Positions in the base frame, in m: the first place of the box, and the next ones.
 PLACES = ((-0.45, 0.2), (-0.55, -0.2), (-0.35, -0.1))
 ABOVE, AT = 0.15, 0.026
 
@@ -33,14 +33,18 @@ def main(address: str) -> None:
         for place, next_one in pairwise(PLACES):
             go(place, AT)
             held = robot.gripper.close()
-            print(f"between the fingers: {1000 * held.opening():.0f} mm" if held.object_detected else "nothing there")
+            print(
+                f"between the fingers: {1000 * held.opening():.0f} mm"
+                if held.object_detected
+                else "no object between the fingers"
+            )
             go(place, ABOVE)
             go(next_one, ABOVE)
             go(next_one, AT)
             robot.gripper.open()
             go(next_one, ABOVE)
             if world is not None:
-                print("the box is at", world.pose("box")[:3].round(3).tolist())
+                print("position of the box:", world.pose("box")[:3].round(3).tolist())
 
 
 if __name__ == "__main__":

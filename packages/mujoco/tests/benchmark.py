@@ -1,8 +1,8 @@
-"""How much of one processor does a controller at 500 Hz take in a world, and how much of that is MuJoCo?
+"""Benchmark: processor time of a controller at 500 Hz in a world, and the share of MuJoCo.
 
-A UR5e with its gripper moves above a table with ten objects, in cycles of 2 ms. Each figure is processor time per cycle
-of robot time, the best of several runs: the controller alone, the controller in the world, and MuJoCo alone in the same
-state with the same number of steps. Beside it stands how many times faster than real time that is.
+A UR5e with its gripper moves above a table with ten objects, in cycles of 2 ms. Each figure is the processor time per
+cycle of robot time, the best of several runs: of the controller alone, of the controller in the world, and of MuJoCo
+alone in the same state with the same number of steps. The second figure is the speed compared with real time.
 
     python packages/mujoco/tests/benchmark.py
     python packages/mujoco/tests/benchmark.py --quick
@@ -24,12 +24,12 @@ from urlink.simulator import Controller, Demonstration
 from urlink_mujoco import MujocoWorld
 
 OBJECTS = 10
-#: s of a cycle.
+#: Length of a cycle, in s.
 CYCLE = 0.002
 
 
 def scene() -> str:
-    """A table with boxes and cylinders of 6 cm, two rows of five."""
+    """Return a table with boxes and cylinders of 6 cm, in two rows of five."""
     things = (
         f'<body pos="{-0.3 - 0.12 * (i % 5)} {0.1 + 0.15 * (i // 5)} .03"><freejoint/>'
         f'<geom type="{"box" if i % 2 else "cylinder"}" size=".03 .03 .03" mass=".2"/></body>'
@@ -40,7 +40,7 @@ def scene() -> str:
 
 
 def cost(advance: Callable[[int], object], cycles: int, runs: int) -> float:
-    """Processor time of a cycle, s: the least of the runs."""
+    """Return the processor time per cycle, in s, of the fastest run."""
     least = float("inf")
     for _ in range(runs):
         begin = time.thread_time()
@@ -50,7 +50,7 @@ def cost(advance: Callable[[int], object], cycles: int, runs: int) -> float:
 
 
 def measured(cycles: int, runs: int) -> dict[str, float]:
-    """µs of a cycle by what takes them."""
+    """Return the time per cycle, in µs, of each part."""
     alone = Controller("UR5e", noise=False, motion=Demonstration())
     found = {"controller alone": cost(alone.step, cycles, runs)}
     controller = Controller("UR5e", noise=False, motion=Demonstration())
@@ -58,7 +58,7 @@ def measured(cycles: int, runs: int) -> dict[str, float]:
         path = Path(folder) / "objects.xml"
         path.write_text(scene())
         world = MujocoWorld(path, controller)
-    controller.step(250)  # things come to rest on the table
+    controller.step(250)  # objects come to rest on the table
     found["controller in the world"] = cost(controller.step, cycles, runs)
 
     def shown(cycles: int) -> None:
@@ -87,8 +87,8 @@ def main() -> None:
         print(json.dumps({"objects": OBJECTS, "us_per_cycle": found}))
         return
     for name, value in found.items():
-        print(f"{name:24} {value:7.0f} µs a cycle of {1e3 * CYCLE:g} ms, {1e6 * CYCLE / value:6.1f} times real time")
-    print(f"in the world : MuJoCo alone = {found['controller in the world'] / found['MuJoCo alone']:.1f}")
+        print(f"{name:24} {value:7.0f} µs per cycle of {1e3 * CYCLE:g} ms, {1e6 * CYCLE / value:6.1f} times real time")
+    print(f"controller in the world / MuJoCo alone = {found['controller in the world'] / found['MuJoCo alone']:.1f}")
 
 
 if __name__ == "__main__":

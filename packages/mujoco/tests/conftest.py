@@ -14,11 +14,11 @@ FOLDER = Path(__file__).parent
 
 @pytest.fixture
 def table() -> Path:
-    """A box of 5 cm and 0.3 kg on a table, and a camera."""
+    """Scene with a box of 5 cm and 0.3 kg on a table, and a camera."""
     return FOLDER / "table.xml"
 
 
 @pytest.fixture
 def push() -> Path:
-    """A box of 2 kg on a table, a ball far away, and sites of two arms that face each other."""
+    """Scene with a box of 2 kg on a table, a distant ball, and sites for two arms face to face."""
     return FOLDER / "push.xml"

@@ -1,4 +1,4 @@
-"""Arms whose fingers are at a place, and what they feel."""
+"""Arms with their fingers at a given position, and the forces on them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ DOWN = (math.pi, 0.0, 0.0)
 def arm_at(
     place: Sequence[float], *, turned: Sequence[float] = DOWN, firmware: str = "5.11", closed: bool = True
 ) -> Controller:
-    """The controller of an arm whose fingers are at a place, closed or open."""
+    """Return the controller of an arm whose fingers are at a position, closed or open."""
     arm = Arm("UR5e")
     q = arm.inverse([*place, *turned], tcp=TCP, near=HOME)
     controller = Controller(arm.model.name, firmware, noise=False, motion=Still(np.asarray(q).tolist()))
     controller.gripper.exchange({"ACT": 1, "GTO": 1}, [])
-    controller.step(1250)  # as long as activating takes
+    controller.step(1250)  # duration of the activation
     if closed:
         controller.gripper.exchange({"GTO": 1, "POS": 255, "SPE": 255, "FOR": 100}, [])
         controller.step(500)
@@ -32,7 +32,7 @@ def arm_at(
 
 
 def forces(controller: Controller, cycles: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """The force at the TCP in each of the coming cycles, (cycles, 6)."""
+    """Return the force at the TCP in each of the coming cycles, shape (cycles, 6)."""
     rows = []
     for _ in range(cycles):
         controller.step()
@@ -41,6 +41,6 @@ def forces(controller: Controller, cycles: int) -> np.ndarray[tuple[int, int], n
 
 
 def settled(world: MujocoWorld) -> None:
-    """Let everything come to rest: half a second."""
+    """Wait half a second until everything is at rest."""
     for arm in world.arms.values():
         arm.controller.step(250)

@@ -1,4 +1,4 @@
-"""Pushing, pressing, touching: forces as physics asks for, no chatter, and what the controller makes of them."""
+"""Pushing, pressing and touching: physically correct forces, no chatter, and the reactions of the controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from urlink_mujoco import MujocoWorld
 FRICTION = 0.3 * 2.0 * 9.81
 
 
-def test_a_box_that_is_pushed_shows_its_friction_and_no_chatter(push: Path) -> None:
+def test_pushed_box_shows_friction_without_chatter(push: Path) -> None:
     controller = arm_at((-0.45, 0.13, 0.05))
     world = MujocoWorld(push, {"left": controller})
     controller.take("def go():\n  movel(p[-0.45,0.23,0.05,3.14159265,0,0],a=1,v=0.03)\nend\n")
@@ -26,7 +26,7 @@ def test_a_box_that_is_pushed_shows_its_friction_and_no_chatter(push: Path) -> N
 
 
 @pytest.mark.parametrize("wanted", [8.0, 12.0])
-def test_force_mode_pushes_it_without_chatter(push: Path, wanted: float) -> None:
+def test_force_mode_pushes_box_without_chatter(push: Path, wanted: float) -> None:
     controller = arm_at((-0.45, 0.135, 0.06))
     MujocoWorld(push, {"left": controller})
     controller.take(
@@ -38,7 +38,7 @@ def test_force_mode_pushes_it_without_chatter(push: Path, wanted: float) -> None
     assert felt[:, :3].std(0).max() < 0.2
 
 
-def test_force_mode_presses_on_the_table_with_its_force(push: Path) -> None:
+def test_force_mode_presses_on_table_with_wanted_force(push: Path) -> None:
     controller = arm_at((-0.45, -0.2, 0.022))
     MujocoWorld(push, {"left": controller})
     controller.take(
@@ -50,7 +50,7 @@ def test_force_mode_presses_on_the_table_with_its_force(push: Path) -> None:
     assert felt[:, 2].std() < 0.2
 
 
-def test_the_tool_that_is_driven_into_the_table_stops_protectively(push: Path) -> None:
+def test_tool_driven_into_table_causes_protective_stop(push: Path) -> None:
     controller = arm_at((-0.45, -0.2, 0.03))
     MujocoWorld(push, {"left": controller})
     controller.take("def go():\n  movel(p[-0.45,-0.2,-0.05,3.14159265,0,0],a=1,v=0.1)\nend\n")
@@ -59,9 +59,9 @@ def test_the_tool_that_is_driven_into_the_table_stops_protectively(push: Path) -
     assert controller.arm.setpoint.qd == [0.0] * 6
 
 
-def test_a_link_that_is_driven_into_something_stops_protectively(tmp_path: Path) -> None:
+def test_link_driven_into_post_causes_protective_stop(tmp_path: Path) -> None:
     scene = tmp_path / "post.xml"
-    # Beside the forearm, below the elbow, and out of the reach of the tool.
+    # Next to the forearm, below the elbow, and out of reach of the tool.
     scene.write_text(
         '<mujoco><worldbody><geom type="cylinder" pos="-.15 .1 .3" size=".05 .5" euler="0 0 0"/></worldbody></mujoco>'
     )
@@ -84,9 +84,9 @@ FREEDRIVE = "def go():\n  freedrive_mode()\n  sleep(10)\nend\n"
 TORQUE = "def go():\n  while True:\n    direct_torque([0,0,0,0,0,0])\n  end\nend\n"
 
 
-# Under direct torque the joints have the part of their friction that the controller does not make up for.
+# Under direct torque, the joints keep the part of their friction that the controller does not compensate.
 @pytest.mark.parametrize(("program", "firmware", "way"), [(FREEDRIVE, "5.11", 5e-3), (TORQUE, "5.23", 3e-4)])
-def test_a_free_arm_gives_way_to_what_falls_on_it(push: Path, program: str, firmware: str, way: float) -> None:
+def test_free_arm_yields_to_falling_ball(push: Path, program: str, firmware: str, way: float) -> None:
     def after(text: str) -> float:
         controller = arm_at((-0.45, -0.2, 0.3), firmware=firmware)
         world = MujocoWorld(push, {"left": controller})
@@ -101,7 +101,7 @@ def test_a_free_arm_gives_way_to_what_falls_on_it(push: Path, program: str, firm
     assert after("def go():\n  sleep(10)\nend\n") == 0.0
 
 
-def test_two_arms_feel_each_other_through_a_box(push: Path) -> None:
+def test_two_arms_feel_each_other_through_box(push: Path) -> None:
     left, right = arm_at((-0.45, 0.13, 0.05)), arm_at((-0.45, -0.18, 0.05))
     world = MujocoWorld(push, {"left": left, "right": right})
     settled(world)
@@ -109,7 +109,7 @@ def test_two_arms_feel_each_other_through_a_box(push: Path) -> None:
     for _ in range(900):
         left.step()
         right.step()
-    # Each in its own base frame: they face each other. The table takes a part, at most its friction.
+    # Each force is in its own base frame; the arms face each other. The table takes at most its friction.
     assert left.arm.sample.force[1] < -FRICTION - 5.0
     assert right.arm.sample.force[1] == pytest.approx(left.arm.sample.force[1], abs=FRICTION + 0.3)
 
@@ -122,5 +122,5 @@ def run(scene: Path) -> tuple[bytes, list[float], Controller]:
     return world.state().tobytes(), controller.arm.sample.force, controller
 
 
-def test_the_same_calls_give_the_same_states_to_the_last_bit(push: Path) -> None:
+def test_same_calls_give_identical_states(push: Path) -> None:
     assert run(push)[:2] == run(push)[:2]

@@ -1,4 +1,4 @@
-"""A box is grasped and put elsewhere: by a program of urlink, and by ur_rtde as others wrote it."""
+"""A box is grasped and put elsewhere, by a urlink program and by a ur_rtde program."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from urlink_mujoco import MujocoWorld
 WEIGHT = 0.3 * 9.81
 
 
-def test_our_own_program_puts_the_box_elsewhere(table: Path) -> None:
+def test_urlink_program_moves_box(table: Path) -> None:
     with urlink.simulated_time(1):
         controller = Controller("UR5e", noise=False)
         world = MujocoWorld(table, controller)
@@ -45,12 +45,12 @@ def test_our_own_program_puts_the_box_elsewhere(table: Path) -> None:
         assert not controller.gripper.holds_object
 
 
-def test_what_is_taken_out_of_the_grasp_is_missed(table: Path) -> None:
+def test_gripper_detects_removal_of_object(table: Path) -> None:
     controller = Controller("UR5e", noise=False)
     world = MujocoWorld(table, controller)
     controller.gripper.exchange({"ACT": 1}, [])
     controller.step(1250)
-    # Almost as wide as the box, which falls until it is held.
+    # Almost as wide as the box, which falls until the fingers hold it.
     controller.gripper.exchange({"GTO": 1, "POS": 95, "SPE": 255, "FOR": 100}, [])
     controller.step(250)
     world.place("box", (*controller.arm.sample.pose_target[:3], *controller.arm.sample.pose_target[3:]))
@@ -63,7 +63,7 @@ def test_what_is_taken_out_of_the_grasp_is_missed(table: Path) -> None:
     assert controller.gripper.position == 255
 
 
-#: Run in a process of its own, since ur_rtde has threads that outlive a failure.
+#: Run in a separate process, because threads of ur_rtde survive a failure.
 PROGRAM = """
 import socket, sys
 from math import pi
@@ -93,7 +93,7 @@ arm.stopScript()
 
 
 def _free_host() -> str:
-    """An address of this computer on which no controller listens."""
+    """Return an address of this computer on which no controller listens."""
     for last in range(20, 250):
         host = f"127.0.7.{last}"
         try:
@@ -109,8 +109,8 @@ def _free_host() -> str:
 @pytest.mark.skipif(
     find_spec("rtde_control") is None, reason="ur_rtde is not installed; there is no wheel for this Python"
 )
-@pytest.mark.skipif(sys.platform != "linux", reason="needs more loopback addresses than one")
-def test_ur_rtde_puts_the_box_elsewhere(table: Path) -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="needs more than one loopback address")
+def test_ur_rtde_program_moves_box(table: Path) -> None:
     host = _free_host()
     controller = Controller("UR5e", "5.11", noise=False, host=host, ports="standard")
     world = MujocoWorld(table, controller)

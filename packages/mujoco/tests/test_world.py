@@ -1,4 +1,4 @@
-"""What users hold of the world: state, poses, pictures, and what they are told of mistakes."""
+"""Public interface of the world: state, poses, images, and error messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from urlink.simulator import Controller
 from urlink_mujoco import MujocoWorld, mount
 
 
-def test_reset_puts_everything_but_the_arm_back(table: Path) -> None:
+def test_reset_restores_bodies(table: Path) -> None:
     controller = arm_at((-0.45, 0.0, 0.2))
     world = MujocoWorld(table, controller)
     first = world.pose("box")
@@ -36,7 +36,7 @@ def test_reset_puts_everything_but_the_arm_back(table: Path) -> None:
     assert world.pose("box") == pytest.approx(first, abs=1e-9)
 
 
-def test_what_the_gripper_weighs_is_known_to_the_installation(table: Path) -> None:
+def test_mounting_sets_payload_and_tcp_of_gripper(table: Path) -> None:
     controller = Controller("UR5e", noise=False)
     MujocoWorld(table, controller)
     controller.step(5)
@@ -48,7 +48,7 @@ def test_what_the_gripper_weighs_is_known_to_the_installation(table: Path) -> No
     assert controller.arm.sample.force[2] == pytest.approx(-0.925 * 9.82, rel=0.01)
 
 
-def test_without_a_gripper_the_flange_is_the_tool(table: Path) -> None:
+def test_tcp_is_flange_without_gripper(table: Path) -> None:
     controller = Controller("UR5e", noise=False, gripper=False)
     world = MujocoWorld(table, controller)
     controller.step(5)
@@ -56,7 +56,7 @@ def test_without_a_gripper_the_flange_is_the_tool(table: Path) -> None:
     assert not any("finger" in world.model.body(i).name for i in range(world.model.nbody))
 
 
-def test_an_arm_of_each_generation_and_cycle(table: Path) -> None:
+def test_cb3_arm_with_cycle_of_8_ms(table: Path) -> None:
     controller = Controller("UR3", "3.15", noise=False)
     world = MujocoWorld(table, controller)
     controller.step(10)
@@ -64,7 +64,7 @@ def test_an_arm_of_each_generation_and_cycle(table: Path) -> None:
     assert controller.arm.sample.force == [0.0] * 6
 
 
-def test_the_led_arm_is_where_its_controller_has_it(table: Path) -> None:
+def test_arm_follows_set_points_of_controller(table: Path) -> None:
     controller = arm_at((-0.45, 0.0, 0.3))
     world = MujocoWorld(table, controller)
     q = list(controller.arm.setpoint.q)
@@ -103,7 +103,7 @@ def _drawn(table: Path) -> MujocoWorld:
     return world
 
 
-def test_a_camera_sees_what_moves(drawing: MujocoWorld) -> None:
+def test_camera_images_show_moved_body(drawing: MujocoWorld) -> None:
     before = drawing.picture("front", width=160, height=120)
     assert before.shape == (120, 160, 3)
     assert before.dtype == np.uint8
@@ -115,13 +115,13 @@ def test_a_camera_sees_what_moves(drawing: MujocoWorld) -> None:
     assert 0.3 < depth.min() < 2.0
 
 
-def test_pictures_are_drawn_and_freed_wherever_a_thread_asks_or_collects(drawing: MujocoWorld) -> None:
+def test_images_are_equal_from_several_threads(drawing: MujocoWorld) -> None:
     with ThreadPoolExecutor(2) as threads:
         pictures = list(threads.map(lambda _: drawing.picture("front", width=32, height=24), range(4)))
     assert all((each == pictures[0]).all() for each in pictures)
 
 
-def test_what_draws_is_freed_whichever_thread_collects_it(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_renderer_is_freed_when_other_thread_collects(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     failed: list[object] = []
     monkeypatch.setattr(sys, "unraisablehook", failed.append)
     before = set(threading.enumerate())
@@ -139,24 +139,24 @@ def test_what_draws_is_freed_whichever_thread_collects_it(table: Path, monkeypat
     assert not failed
 
 
-def test_mistakes_are_told(table: Path, tmp_path: Path) -> None:
+def test_invalid_arguments_raise_clear_errors(table: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken.xml"
     broken.write_text("<mujoco><worldbody><geom type='lump'/></worldbody></mujoco>")
     with pytest.raises(urlink.LocalError, match=r"broken\.xml: .*lump"):
         Controller("UR5e", scene=broken) if _is_installed() else mount(broken, Controller("UR5e"))
     controller = Controller("UR5e", noise=False)
-    with pytest.raises(urlink.BadValue, match="names such as 'left'"):
+    with pytest.raises(urlink.BadValue, match="identifier such as 'left'"):
         MujocoWorld(table, {"an arm": controller})
     world = MujocoWorld(table, controller)
-    with pytest.raises(urlink.BadValue, match=r"no body is called 'cup'; there are .*box"):
+    with pytest.raises(urlink.BadValue, match=r"no body is named 'cup'; expected one of .*box"):
         world.pose("cup")
     with pytest.raises(urlink.BadValue, match="has no free joint"):
         world.place("arm/wrist_1_link", (0.0,) * 6)
     with pytest.raises(urlink.BadValue, match="six finite numbers"):
         world.place("box", (0.0,) * 5)
-    with pytest.raises(urlink.BadValue, match="no camera is called 'back'; there is front"):
+    with pytest.raises(urlink.BadValue, match="no camera is named 'back'; the file has front"):
         world.picture("back")
-    with pytest.raises(urlink.BadValue, match="a state of this world has"):
+    with pytest.raises(urlink.BadValue, match="a state of this world"):
         world.reset(np.zeros(3))
 
 
@@ -166,8 +166,8 @@ def _is_installed() -> bool:
     return any(entry.name == "xml" for entry in entry_points(group="urlink.scenes"))
 
 
-@pytest.mark.skipif(not _is_installed(), reason="the adapter is not installed, so nothing finds it")
-def test_an_address_finds_it(table: Path) -> None:
+@pytest.mark.skipif(not _is_installed(), reason="the package is not installed, so its entry point is missing")
+def test_address_with_scene_mounts_arm(table: Path) -> None:
     with urlink.simulated_time(1), urlink.connect(f"sim://ur5e?scene={table}") as robot:
         assert robot.controller is not None
         scene = robot.controller.world.scene

@@ -1,4 +1,4 @@
-"""The simulated arm of the tests, served to Prometheus."""
+"""Simulated arm of the tests, served to Prometheus."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from urlink_prometheus import RobotCollector, serve_metrics
 
 @pytest.fixture
 def port(urlink_robot: urlink.Robot) -> Iterator[int]:
-    """At which the arm is served as "arm"."""
+    """Port of the server for the robot "arm"."""
     collector = RobotCollector({"arm": urlink_robot})
     with serve_metrics(collector, port=0) as port:
         urlink_robot.realtime.wait(20.0)

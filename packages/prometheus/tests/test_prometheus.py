@@ -1,4 +1,4 @@
-"""Robots for Prometheus: what the HTTP endpoint answers, read by prometheus_client's own parsers."""
+"""Robots for Prometheus: answers of the HTTP endpoint, read by prometheus_client's own parsers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.waiting import until
 from urlink.simulator import Controller
 from urlink_prometheus import RobotCollector, serve_metrics
 
-#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+#: Marks of the simulated arm of these tests. The limits are long because a busy machine causes silence and delays.
 pytestmark = pytest.mark.urlink(
     model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
 )
@@ -29,7 +29,7 @@ Sample = tuple[str, frozenset[tuple[str, str]]]
 
 
 def scrape(port: int, accept: str = "text/plain") -> dict[Sample, float]:
-    """Every sample, by name and labels."""
+    """Return every sample, by name and labels."""
     request = urllib.request.Request(f"http://127.0.0.1:{port}/metrics", headers={"Accept": accept})
     with urllib.request.urlopen(request, timeout=10.0) as answer:
         text = answer.read().decode()
@@ -44,7 +44,7 @@ def of(found: Mapping[Sample, float], name: str, **labels: str) -> float:
 
 
 @pytest.mark.parametrize("accept", ["text/plain", "application/openmetrics-text; version=1.0.0"])
-def test_a_scrape_has_streams_modes_temperatures_and_the_program(
+def test_scrape_contains_streams_modes_temperatures_and_program(
     port: int, urlink_robot: urlink.Robot, accept: str
 ) -> None:
     until(lambda: of(scrape(port, accept), "urlink_stream_received_total", stream="primary") > 3)
@@ -65,9 +65,7 @@ def test_a_scrape_has_streams_modes_temperatures_and_the_program(
     assert of(found, "urlink_joint_position_radians", joint="wrist_1") == pytest.approx(state.q_actual[3], abs=1e-3)
 
 
-def test_counters_only_grow_and_follow_what_happens(
-    port: int, urlink_robot: urlink.Robot, urlink_controller: Controller
-) -> None:
+def test_counters_grow_and_modes_change(port: int, urlink_robot: urlink.Robot, urlink_controller: Controller) -> None:
     first = scrape(port)
     urlink_controller.faults.protective_stop()
     until(lambda: of(scrape(port), "urlink_safety_mode", urlink_safety_mode="protective_stop") == 1.0)
@@ -80,7 +78,7 @@ def test_counters_only_grow_and_follow_what_happens(
     assert all(last[name] >= first[name] for name in counters)
 
 
-def test_values_of_a_robot_that_is_lost_are_absent(port: int, urlink_controller: Controller) -> None:
+def test_values_of_lost_robot_are_absent(port: int, urlink_controller: Controller) -> None:
     assert any(name == "urlink_joint_position_radians" for name, _ in scrape(port))
     urlink_controller.close()
     until(lambda: of(scrape(port), "urlink_connected") == 0.0)
@@ -90,13 +88,13 @@ def test_values_of_a_robot_that_is_lost_are_absent(port: int, urlink_controller:
 
 
 @pytest.mark.urlink(model="UR5", firmware="1.7")
-def test_an_old_controller_has_what_it_sends(port: int) -> None:
+def test_old_controller_lacks_values_that_it_does_not_send(port: int) -> None:
     found = scrape(port)
     assert of(found, "urlink_motor_temperature_celsius", joint="base") > 0.0
     assert not [name for name, _ in found if name in ("urlink_safety_mode", "urlink_main_voltage_volts")]
 
 
-def test_it_listens_at_this_computer_alone_by_the_command(urlink_controller: Controller) -> None:
+def test_command_line_listens_on_this_computer_only(urlink_controller: Controller) -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port: int = probe.getsockname()[1]
     command = [sys.executable, "-m", "urlink.cli", "serve", "prometheus", f"arm={urlink_controller.address}"]
@@ -119,7 +117,7 @@ def test_it_listens_at_this_computer_alone_by_the_command(urlink_controller: Con
         process.wait()
 
 
-def test_a_port_that_is_taken_is_named(urlink_robot: urlink.Robot) -> None:
+def test_error_names_port_in_use(urlink_robot: urlink.Robot) -> None:
     collector = RobotCollector({"arm": urlink_robot})
     with serve_metrics(collector, port=0) as port:
         taken = re.escape(f"cannot listen at 127.0.0.1:{port}")

@@ -1,4 +1,4 @@
-"""Robots for Prometheus, scraped by Prometheus itself: what it takes in, and the alarms of the documentation."""
+"""Robots for Prometheus, scraped by Prometheus itself: its metrics, and the alarms of the documentation."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from tests.waiting import until
 from urlink.simulator import Controller
 
 PROMETHEUS, PROMTOOL = shutil.which("prometheus"), shutil.which("promtool")
-#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+#: Marks of the simulated arm of these tests. The limits are long because a busy machine causes silence and delays.
 pytestmark = [
     pytest.mark.urlink(
         model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
     ),
-    pytest.mark.skipif(PROMETHEUS is None, reason="there is no prometheus (apt install prometheus)"),
+    pytest.mark.skipif(PROMETHEUS is None, reason="prometheus is not installed (apt install prometheus)"),
 ]
-#: The scrapes come as often as Prometheus can, so that the tests need not wait.
+#: Prometheus scrapes at its shortest interval, so that the tests do not have to wait long.
 CONFIG = """\
 global: {{ scrape_interval: 1s, scrape_timeout: 1s }}
 scrape_configs:
@@ -39,7 +39,7 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "packages" / "prometheus.m
 
 
 class Scraper:
-    """A Prometheus that scrapes a port, and is asked by its HTTP API."""
+    """Prometheus server that scrapes a port, and that tests query with its HTTP API."""
 
     def __init__(self, port: int) -> None:
         self.url = f"http://127.0.0.1:{port}/api/v1"
@@ -50,7 +50,7 @@ class Scraper:
             return json.load(answer)["data"]
 
     def found(self, expression: str) -> list[tuple[dict[str, str], float]]:
-        """Labels and value of each series, now."""
+        """Return labels and current value of each series."""
         return [(each["metric"], float(each["value"][1])) for each in self.asked("query", query=expression)["result"]]
 
     def is_ready(self) -> bool:
@@ -75,7 +75,7 @@ def prometheus(port: int, tmp_path: Path) -> Iterator[Scraper]:
         scraper = Scraper(own)
 
         def is_ready() -> bool:
-            assert process.poll() is None, "prometheus has ended"
+            assert process.poll() is None, "prometheus ended early"
             return scraper.is_ready()
 
         until(is_ready)
@@ -85,10 +85,10 @@ def prometheus(port: int, tmp_path: Path) -> Iterator[Scraper]:
         process.wait()
 
 
-def test_it_takes_in_every_metric_with_its_type_and_value(
+def test_prometheus_stores_every_metric_with_type_and_value(
     prometheus: Scraper, port: int, urlink_robot: urlink.Robot
 ) -> None:
-    # Prometheus asks for this format.
+    # Prometheus requests this format.
     request = urllib.request.Request(f"http://127.0.0.1:{port}/metrics", headers={"Accept": OPENMETRICS})
     with urllib.request.urlopen(request, timeout=10.0) as answer:
         types = dict(re.findall(r"^# TYPE (urlink_\w+) (\w+)$", answer.read().decode(), re.MULTILINE))
@@ -105,7 +105,7 @@ def test_it_takes_in_every_metric_with_its_type_and_value(
     assert rate[1] > 0.0
 
 
-def test_the_alarms_of_the_page_go_off(prometheus: Scraper, urlink_controller: Controller) -> None:
+def test_alarms_of_page_fire(prometheus: Scraper, urlink_controller: Controller) -> None:
     stands, loses = re.findall(r"`([^`]+ (?:== 0|> 1))`", re.sub(r"\s+", " ", PAGE.read_text(encoding="utf-8")))
     assert not prometheus.found(stands)
     urlink_controller.faults.protective_stop()
@@ -113,12 +113,12 @@ def test_the_alarms_of_the_page_go_off(prometheus: Scraper, urlink_controller: C
     assert [each["robot"] for each, _ in prometheus.found(stands)] == ["arm"]
     urlink_controller.faults.clear()
     until(lambda: not prometheus.found(stands))
-    # 500 cycles at least, which is more than 1 a second over five minutes.
+    # At least 500 cycles, which is more than 1 per second over five minutes.
     urlink_controller.faults.stall(2.5)
     until(lambda: prometheus.found(loses), 120.0)
 
 
-def test_a_robot_that_is_lost_has_no_old_values(prometheus: Scraper, urlink_controller: Controller) -> None:
+def test_lost_robot_has_no_old_values(prometheus: Scraper, urlink_controller: Controller) -> None:
     assert prometheus.found("urlink_joint_position_radians")
     urlink_controller.close()
     until(lambda: prometheus.found("urlink_connected == 0"))
@@ -127,8 +127,8 @@ def test_a_robot_that_is_lost_has_no_old_values(prometheus: Scraper, urlink_cont
     assert prometheus.found('urlink_stream_received_total{stream="realtime"}')
 
 
-@pytest.mark.skipif(PROMTOOL is None, reason="there is no promtool (apt install prometheus)")
-def test_its_own_lint_finds_nothing(port: int) -> None:
+@pytest.mark.skipif(PROMTOOL is None, reason="promtool is not installed (apt install prometheus)")
+def test_promtool_reports_no_problems(port: int) -> None:
     assert PROMTOOL is not None
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10.0) as answer:
         text = answer.read()

@@ -1,4 +1,4 @@
-"""A node that moves an arm which `urlink serve ros2` serves: a little aside, and back.
+"""Move an arm that `urlink serve ros2` serves a little, and back.
 
 urlink serve ros2 sim://ur5e
 python follow.py

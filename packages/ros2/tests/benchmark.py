@@ -1,9 +1,9 @@
-"""Latency and losses at 500 Hz, from the arrival of a state here to the callback of a node in another process.
+"""Benchmark: latency and losses at 500 Hz, from the arrival of a state to the callback in another process.
 
     python benchmark.py [SECONDS]
 
-The time is that of this computer's clock, which both processes have. A state is lost that arrived here, between the
-first and the last that the node heard, and not there.
+The latency is measured with the clock of this computer, which both processes share. A state counts as lost if it
+arrived here, between the first and the last state that the node received, but did not arrive at the node.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""A node of ROS 2 in a process of its own, as a user's program is one: it tells on stdout what it hears.
+"""ROS 2 node in a separate process, like the program of a user; it prints received data on stdout.
 
-python driver.py listen SECONDS [NAMESPACE/ | joints]   what comes, and how late; or of the joint states only
-python driver.py follow GOAL ...     sends a goal, or several, and prints feedback and result as JSON lines
-python driver.py give_up GOAL S      sends a goal, and waits S seconds for its acceptance
-python driver.py watch SECONDS       is a client of the action that sends nothing
-python driver.py call SERVICE [on]   calls a service
-python driver.py send TOPIC JSON S   sends a message 50 times a second for S seconds, once a subscriber is there
-python driver.py describe            prints what is in robot_description
+python driver.py listen SECONDS [NAMESPACE/ | joints]   print received values and their delay; or joint states only
+python driver.py follow GOAL ...     send one or several goals, and print feedback and result as JSON lines
+python driver.py give_up GOAL S      send a goal, and wait S seconds for its acceptance
+python driver.py watch SECONDS       be a client of the action that sends nothing
+python driver.py call SERVICE [on]   call a service
+python driver.py send TOPIC JSON S   send a message 50 times per second for S seconds, after a subscriber exists
+python driver.py describe            print a summary of robot_description
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ def seconds(stamp: Any) -> float:
 
 
 def listen(node: Any, duration: str, namespace: str = "") -> None:
-    """What comes on each topic, and of the joint states how late it is, by the clock that both processes have."""
+    """Print the last value of each topic, and the delay of joint states.
+
+    The delay is measured with the clock that both processes share.
+    """
     late: list[float] = []
     stamps: list[float] = []
     last: dict[str, Any] = {}
@@ -74,7 +77,7 @@ def listen(node: Any, duration: str, namespace: str = "") -> None:
         if only_joints:
             break
         node.create_subscription(kind, f"{namespace}{topic}", other(topic.partition("/")[2], value), qos)
-    found = time.monotonic() + 20.0  # that discovery may take
+    found = time.monotonic() + 20.0  # maximum time for discovery
     while not stamps and not last and time.monotonic() < found:
         rclpy.spin_once(node, timeout_sec=0.1)
     end = time.monotonic() + float(duration)
@@ -95,7 +98,7 @@ def listen(node: Any, duration: str, namespace: str = "") -> None:
 
 
 def goal_of(node: Any, wanted: dict[str, Any]) -> Any:
-    """A goal in JSON as a message; `stamp` is its header's, in seconds from now."""
+    """Convert a goal from JSON to a message; `stamp` is the stamp of its header, in s from now."""
     message = FollowJointTrajectory.Goal()
     message.trajectory.joint_names = wanted["joints"]
     for at, q in wanted["points"]:
@@ -112,7 +115,7 @@ def goal_of(node: Any, wanted: dict[str, Any]) -> Any:
 
 
 def several(node: Any, client: Any, wanted: dict[str, Any]) -> None:
-    """Send goals in a row, without waiting for any, and tell how each ended."""
+    """Send several goals without waiting in between, and print the result of each."""
     sent = [client.send_goal_async(goal_of(node, each)) for each in wanted["goals"]]
     results = []
     for future in sent:
@@ -124,7 +127,10 @@ def several(node: Any, client: Any, wanted: dict[str, Any]) -> None:
 
 
 def give_up(node: Any, goal: str, patience: str) -> None:
-    """Send a goal when a line comes on stdin, wait so long for its acceptance, and then stay there without it."""
+    """Send a goal when a line arrives on stdin, and wait `patience` seconds for its acceptance.
+
+    Then stay connected without its result.
+    """
     name = "scaled_joint_trajectory_controller/follow_joint_trajectory"
     client = ActionClient(node, FollowJointTrajectory, name)
     assert client.wait_for_server(30.0)
@@ -143,7 +149,7 @@ def give_up(node: Any, goal: str, patience: str) -> None:
 
 
 def watch(node: Any, duration: str) -> None:
-    """Be a client of the action that sends nothing, as MoveIt is."""
+    """Be a client of the action that sends nothing, like MoveIt."""
     client = ActionClient(node, FollowJointTrajectory, "scaled_joint_trajectory_controller/follow_joint_trajectory")
     assert client.wait_for_server(30.0)
     say(ready=True)
@@ -195,7 +201,7 @@ def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
 
 
 def call(node: Any, service: str, on: str = "") -> None:
-    """Call a service: `Trigger`, or `SetBool` where it is said whether on."""
+    """Call a service: `SetBool` if `on` is given, otherwise `Trigger`."""
     kind = SetBool if on else Trigger
     client = node.create_client(kind, service)
     assert client.wait_for_service(10.0)
@@ -206,7 +212,7 @@ def call(node: Any, service: str, on: str = "") -> None:
 
 
 def send(node: Any, topic: str, value: str, duration: str) -> None:
-    """Send numbers, whether, or a text."""
+    """Send numbers, a Boolean or a text."""
     data = json.loads(value)
     kind = Bool if isinstance(data, bool) else String if isinstance(data, str) else Float64MultiArray
     publisher = node.create_publisher(kind, topic, 10)
@@ -224,7 +230,7 @@ def send(node: Any, topic: str, value: str, duration: str) -> None:
 
 
 def describe(node: Any) -> None:
-    """The arm's URDF, by its length and its joints."""
+    """Print a summary of the URDF: its number of joints, and whether it has a robot."""
     said: list[str] = []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_subscription(String, "robot_description", lambda message: said.append(message.data), latched)

@@ -1,4 +1,4 @@
-"""Robots over ROS 2: the node of the adapter here, and a node of rclpy in another process that reads and drives it."""
+"""Robots over ROS 2: the node of urlink-ros2, and a node of rclpy in another process that reads and commands it."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from urlink_ros2 import JOINT_NAMES
 from urlink_ros2 import serve as serve_nodes
 from urlink_ros2.goals import Late, has_passed, outcome, read_goal, start_of
 
-#: The simulated arm of these tests. What is silent or late here is so because the machine is busy.
+#: Marks of the simulated arm of these tests. The limits are long because a busy machine causes silence and delays.
 pytestmark = [
     pytest.mark.urlink(
         model="UR5e", firmware="5.11", connect={"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
     ),
-    # A driver takes seconds until it can be heard, and some tests need eight.
+    # A driver needs seconds to start, and some tests need eight drivers.
     pytest.mark.timeout(300),
 ]
 
@@ -40,7 +40,7 @@ DRIVER = Path(__file__).parent / "driver.py"
 START = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
 FAR = [0.5, *START[1:]]
 
-#: Nor does a trajectory end because set-points stay away; that is tested where they are made.
+#: With this watchdog, a delayed set-point does not end a trajectory. The tests of set-points cover that case.
 serve = partial(serve_nodes, watchdog=5.0)
 
 Drive = Callable[..., Any]
@@ -54,7 +54,7 @@ def robot(urlink_robot: urlink.Robot) -> urlink.Robot:
 
 @pytest.fixture
 def drive() -> Iterator[Drive]:
-    """Runs the driver, and gives what it says last, or with ``wait=False`` its process."""
+    """Function that runs the driver and returns its last output (its process if not `wait`)."""
     started: list[subprocess.Popen[str]] = []
 
     def run(*argv: str, wait: bool = True) -> Any:
@@ -78,27 +78,27 @@ def goal(*points: tuple[float, list[float]], joints: list[str] | None = None, **
     return json.dumps({"joints": joints or list(JOINT_NAMES), "points": points, **more})
 
 
-def test_a_node_reads_a_robot(robot: urlink.Robot, drive: Drive) -> None:
+def test_node_publishes_states(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         heard = drive("listen", "3")
     names, position, effort = heard["last"]["joints"]
     assert names == list(JOINT_NAMES)
     assert position == pytest.approx(START, abs=1e-2)
     assert len(effort) == 6
-    # In Python, seven topics at 500 Hz are more than a busy machine has time for; `benchmark.py` has figures. Of 50 Hz,
-    # as below, there would be fewer.
+    # In Python, a busy machine has not enough time for seven topics at 500 Hz; `benchmark.py` measures it. With a limit
+    # of 50 Hz, as below, the rate would be lower.
     assert heard["rate"] > 60.0
     state = robot.realtime.wait()
     assert heard["last"]["pose"] == pytest.approx(state.tool_vector_actual[[0, 2]], abs=1e-2)
     assert 0.0 <= heard["last"]["speed_scaling"] <= 100.0
-    # Who comes late hears what changes seldom, too.
+    # A late subscriber receives the values that change seldom too.
     assert heard["last"]["robot_mode"] == "RUNNING"
     assert heard["last"]["safety_mode"] == "NORMAL"
     assert heard["last"]["refusal"] == ""
     assert heard["counts"]["wrench"] > 100
 
 
-def test_a_trajectory_with_feedback_in_another_order_of_joints(robot: urlink.Robot, drive: Drive) -> None:
+def test_trajectory_with_reordered_joints_sends_feedback(robot: urlink.Robot, drive: Drive) -> None:
     turned = list(reversed(JOINT_NAMES))
     with serve({"arm": robot}):
         done = drive("follow", goal((0.5, [0.25, *START[1:]][::-1]), (1.0, FAR[::-1]), joints=turned))
@@ -108,7 +108,7 @@ def test_a_trajectory_with_feedback_in_another_order_of_joints(robot: urlink.Rob
     assert robot.realtime.wait().q_actual == pytest.approx(FAR, abs=0.01)
 
 
-def test_a_trajectory_is_cancelled_by_its_client_and_by_its_death(robot: urlink.Robot, drive: Drive) -> None:
+def test_client_cancels_trajectory_and_its_end_cancels_too(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         done = drive("follow", goal((0.0, START), (8.0, FAR)), "cancel")
         assert done["status"] == 5
@@ -119,14 +119,14 @@ def test_a_trajectory_is_cancelled_by_its_client_and_by_its_death(robot: urlink.
         assert json.loads(process.stdout.readline()) == {"moving": True}
         motion = robot.motion.current
         assert motion is not None
-        # In order: where a process is killed, DDS waits for its lease of 20 s.
+        # SIGINT ends the process normally. After a kill, DDS would wait for its lease of 20 s.
         process.send_signal(signal.SIGINT)
         until(lambda: motion.done, 10.0)
         assert isinstance(motion.error, urlink.Cancelled)
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_a_client_that_is_lost_is_noticed_beside_another_that_is_there(
+def test_lost_client_cancels_goal_while_other_client_exists(
     robot: urlink.Robot, drive: Drive, end: signal.Signals
 ) -> None:
     with serve({"arm": robot}):
@@ -136,16 +136,16 @@ def test_a_client_that_is_lost_is_noticed_beside_another_that_is_there(
         assert json.loads(process.stdout.readline()) == {"moving": True}
         motion = robot.motion.current
         assert motion is not None
-        until(lambda: motion.progress > 0.03, 30.0)  # longer than a client may be silent
+        until(lambda: motion.progress > 0.03, 30.0)  # longer than the allowed silence of a client
         process.send_signal(end)
-        until(lambda: motion.done, 10.0)  # DDS's lease is 20 s
+        until(lambda: motion.done, 10.0)  # shorter than DDS's lease of 20 s
         assert isinstance(motion.error, urlink.Cancelled)
-        # Of one that is dead already, nothing is concluded about the next goal.
+        # A client that is already dead must not affect the next goal.
         here = robot.realtime.wait().q_target.tolist()
         assert drive("follow", goal((0.0, here), (3.0, here)))["code"] == 0
 
 
-def test_the_newest_of_several_goals_wins(robot: urlink.Robot, drive: Drive) -> None:
+def test_newest_of_several_goals_is_followed(robot: urlink.Robot, drive: Drive) -> None:
     targets = [[0.02 * number, *START[1:]] for number in range(1, 8)]
     with serve({"arm": robot}):
         goals = [json.loads(goal((1.0, target))) for target in targets]
@@ -154,7 +154,7 @@ def test_the_newest_of_several_goals_wins(robot: urlink.Robot, drive: Drive) -> 
     assert robot.realtime.wait().q_actual == pytest.approx(targets[-1], abs=0.01)
 
 
-def test_a_goal_begins_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
+def test_goal_starts_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
     moved: list[float] = []
 
     def note(state: urlink.packets.RealtimeState) -> None:
@@ -164,11 +164,12 @@ def test_a_goal_begins_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}), robot.realtime.subscribe(note):
         done = drive("follow", goal((0.0, START), (1.0, FAR), stamp=2.0))
         assert (done["status"], done["code"]) == (4, 0)
-        # In the simulator the arm needs a while for its first thousandth of a rad/s, so this is no luck.
+        # The simulated arm needs a while to reach the first thousandth of a rad/s, so this comparison is reliable.
         assert done["stamp"] < min(moved) < done["stamp"] + 20.0
-        assert done["early"] > 5  # feedback also before; 20 a second where the machine has time
+        assert done["early"] > 5  # feedback arrives before the start too; 20 per second if the machine has time
         moved.clear()
-        # Over before now: rejected. In the midst of it, and the arm is elsewhere: refused. And where it is: followed.
+        # A goal that has ended is rejected. A goal in progress is refused if the arm is elsewhere, and followed
+        # otherwise.
         assert drive("follow", goal((0.0, FAR), (1.0, START), stamp=-2.0)) == {"accepted": False}
         late = drive("follow", goal((0.0, FAR), (30.0, START), stamp=-15.0))
         assert (late["status"], late["code"]) == (6, -3)
@@ -180,13 +181,13 @@ def test_a_goal_begins_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
         assert (rest["status"], rest["code"]) == (4, 0)
 
 
-def test_a_goal_waits_for_its_stamp_without_moving_and_is_cancelled(robot: urlink.Robot, drive: Drive) -> None:
+def test_waiting_goal_preempts_current_and_can_be_cancelled(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         process = drive("follow", goal((0.0, START), (40.0, FAR)), "stay", wait=False)
         assert json.loads(process.stdout.readline()) == {"moving": True}
         motion = robot.motion.current
         assert motion is not None
-        # A newer one takes its place at once, though its time has not come.
+        # A newer goal replaces this goal immediately, although its start time is in the future.
         done = drive("follow", goal((0.0, START), (1.0, FAR), stamp=600.0), "cancel")
         assert motion.done
         assert done["status"] == 5
@@ -198,15 +199,15 @@ def test_a_goal_waits_for_its_stamp_without_moving_and_is_cancelled(robot: urlin
 
 
 def suspend(process: subprocess.Popen[str]) -> None:
-    """Suspend it, and wait until it is: the signal alone takes effect later."""
+    """Suspend a process and wait until it has stopped, because the signal takes effect later."""
     process.send_signal(signal.SIGSTOP)
     os.waitpid(process.pid, os.WUNTRACED)
 
 
-def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
+def test_commands_sent_to_suspended_server_are_rejected(
     robot: urlink.Robot, urlink_controller: Controller, drive: Drive
 ) -> None:
-    """A goal, and a call of a service."""
+    """A goal and a service call that arrive at a suspended server are rejected later."""
     command = "import sys, urlink.cli; sys.exit(urlink.cli.main())"
     server = subprocess.Popen(
         [sys.executable, "-c", command, "serve", "ros2", f"arm={urlink_controller.address}", "--watchdog", "5"],
@@ -232,7 +233,7 @@ def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
         while time.monotonic() < begun + 6.0:
             assert np.abs(robot.realtime.wait().qd_actual).max() < 1e-3
         assert robot.realtime.wait().q_actual == pytest.approx(START, abs=1e-2)
-        # And not for ever.
+        # The rejection is not permanent.
         done = drive("follow", goal((0.0, START), (1.0, FAR)))
         assert (done["status"], done["code"]) == (4, 0)
     finally:
@@ -241,7 +242,7 @@ def test_what_was_given_up_while_the_server_was_suspended_moves_nothing_later(
         server.communicate()
 
 
-def test_what_moves_ends_with_the_serving_and_its_client_is_told(robot: urlink.Robot, drive: Drive) -> None:
+def test_shutdown_cancels_goal_and_sends_its_result(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         process = drive("follow", goal((0.0, START), (40.0, FAR)), "stay", wait=False)
         assert json.loads(process.stdout.readline()) == {"moving": True}
@@ -255,7 +256,9 @@ def test_what_moves_ends_with_the_serving_and_its_client_is_told(robot: urlink.R
     assert told["text"].startswith("CANCELLED: Cancelled: ")
 
 
-def test_goals_that_are_refused_or_fail(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
+def test_invalid_and_failed_goals_report_error_codes(
+    robot: urlink.Robot, drive: Drive, urlink_controller: Controller
+) -> None:
     with serve({"arm": robot}):
         wrong = drive("follow", goal((0.0, START), (1.0, FAR), joints=["a", "b", "c", "d", "e", "f"]))
         assert (wrong["status"], wrong["code"]) == (6, -2)
@@ -273,7 +276,7 @@ def test_goals_that_are_refused_or_fail(robot: urlink.Robot, drive: Drive, urlin
         assert drive("follow", goal((0.0, START), (1.0, FAR))) == {"accepted": False}
 
 
-def test_services(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
+def test_services_command_robot(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
     with serve({"arm": robot}):
         assert drive("call", "io_and_status_controller/set_digital_out_4", "on")["success"]
         assert robot.io.digital_out(4)
@@ -291,7 +294,7 @@ def test_services(robot: urlink.Robot, drive: Drive, urlink_controller: Controll
 
 
 @pytest.mark.urlink(connect={})
-def test_several_robots_in_namespaces_one_of_which_is_lost_and_comes_back(
+def test_robots_in_namespaces_survive_lost_robot(
     robot: urlink.Robot, urlink_controller: Controller, drive: Drive
 ) -> None:
     with urlink.connect("sim://ur10e?firmware=5.11") as other, serve({"left": robot, "right": other}, rate=50.0):
@@ -301,14 +304,14 @@ def test_several_robots_in_namespaces_one_of_which_is_lost_and_comes_back(
         heard = drive("listen", "2", "left/")
         assert heard["last"]["robot_mode"] == "DISCONNECTED"
         assert heard["last"]["refusal"]
-        urlink_controller.faults.stall(0.01)  # in place of the other
+        urlink_controller.faults.stall(0.01)  # replaces the other stall
         until(lambda: robot.safety.refusal is None, 40.0)
         heard = drive("listen", "2", "left/")
         assert (heard["last"]["robot_mode"], heard["last"]["refusal"]) == ("RUNNING", "")
         assert heard["count"] > 50
 
 
-def test_serve_from_the_command_line(drive: Drive) -> None:
+def test_command_line_serves_robot_until_terminated(drive: Drive) -> None:
     options = ("arm=sim://ur5e", "--namespaced", "--prefixed", "--rate", "100")
     process = subprocess.Popen(
         [sys.executable, "-c", "import sys, urlink.cli; sys.exit(urlink.cli.main())", "serve", "ros2", *options],
@@ -347,14 +350,14 @@ def message(
     )
 
 
-def test_a_goal_is_read() -> None:
+def test_read_goal_converts_points_and_tolerances() -> None:
     q = {"positions": FAR}
     here = np.array(START)
     read = read_goal(message([(1.0, q)]), JOINT_NAMES, here)
     assert read.trajectory.time.tolist() == [0.0, 1.0]
     assert read.trajectory.q[0].tolist() == START
     assert (read.path_tolerance, read.goal_tolerance, read.goal_time) == (None, 0.01, 1.0)
-    # Of several the strictest; 0 is the default, and a negative one is none.
+    # The strictest of several tolerances counts; 0 selects the default, and a negative value means no tolerance.
     assert read_goal(message([(1.0, q)], (0.2, 0.1, 0.0)), JOINT_NAMES, here).path_tolerance == 0.1
     assert read_goal(message([(1.0, q)], (-1.0,)), JOINT_NAMES, here).goal_tolerance == 100.0
     velocity = q | {"velocities": [0.0] * 6}
@@ -370,7 +373,7 @@ def test_a_goal_is_read() -> None:
             read_goal(message(bad), JOINT_NAMES, here)
 
 
-def test_a_goal_that_should_have_begun_goes_on_from_where_it_is_by_now() -> None:
+def test_read_goal_continues_late_trajectory() -> None:
     q, far = {"positions": START}, {"positions": FAR}
     here = np.array(START)
     stamped = message([(0.0, q), (2.0, q), (3.0, far)], stamp=100.0)
@@ -383,7 +386,7 @@ def test_a_goal_that_should_have_begun_goes_on_from_where_it_is_by_now() -> None
     assert rest.q[:, 0].tolist() == [0.0, 0.0, 0.5]
     with pytest.raises(Late, match=r"2\.50 s ago, and the arm is 0\.25\d? rad from"):
         read_goal(stamped, JOINT_NAMES, here, 2.5)
-    # It has not passed its first point: to that it goes from where the arm is.
+    # The time of its first point has not passed: the trajectory leads there from the current position.
     ahead = read_goal(message([(2.0, far)], stamp=100.0), JOINT_NAMES, here, 1.0).trajectory
     assert ahead.time.tolist() == [0.0, 1.0]
 
@@ -410,13 +413,13 @@ class _Codes:
         (Late("ago"), -3, "OLD_HEADER_TIMESTAMP"),
     ],
 )
-def test_codes_of_results(error: Exception, code: int, prefix: str) -> None:
+def test_outcome_maps_errors_to_result_codes(error: Exception, code: int, prefix: str) -> None:
     assert outcome(error, _Codes, False, False) == (code, prefix)
     assert outcome(urlink.Cancelled("newer"), _Codes, False, True) == (-103, "PREEMPTED")
     assert outcome(urlink.ToleranceExceeded("far"), _Codes, True, False) == (-5, "GOAL_TOLERANCE_VIOLATED")
 
 
-def test_velocities_move_the_arm_for_as_long_as_they_come(robot: urlink.Robot, drive: Drive) -> None:
+def test_velocity_messages_move_arm_until_silence(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         drive("send", "forward_velocity_controller/commands", "[0, 0, 0, 0, 0, 0.4]", "1.5")
         until(lambda: np.abs(robot.realtime.wait().qd_actual).max() < 1e-3)
@@ -424,14 +427,14 @@ def test_velocities_move_the_arm_for_as_long_as_they_come(robot: urlink.Robot, d
     assert robot.realtime.wait().q_target[5] > 0.1
 
 
-def test_positions_are_gone_to(robot: urlink.Robot, drive: Drive) -> None:
+def test_position_messages_move_arm_to_target(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         drive("send", "forward_position_controller/commands", json.dumps([0.2, *START[1:]]), "3.0")
         until(lambda: robot.motion.current is None)
     assert robot.realtime.wait().q_target[0] == pytest.approx(0.2, abs=0.02)
 
 
-def test_what_a_stop_has_ended_is_not_begun_again_by_who_sends_on(robot: urlink.Robot, drive: Drive) -> None:
+def test_stopped_motion_does_not_restart_without_silence(robot: urlink.Robot, drive: Drive) -> None:
     command = ("send", "forward_velocity_controller/commands", "[0, 0, 0, 0, 0, 0.2]")
     with serve({"arm": robot}):
         process = drive(*command, "12.0", wait=False)
@@ -441,15 +444,15 @@ def test_what_a_stop_has_ended_is_not_begun_again_by_who_sends_on(robot: urlink.
         motion.cancel()
         until(lambda: not robot.realtime.wait().qd_target.any())
         there = robot.realtime.wait().q_target[5]
-        time.sleep(1.0)  # in which fifty more messages come
+        time.sleep(1.0)  # time for fifty more messages
         assert robot.realtime.wait().q_target[5] == there
         process.kill()
         process.communicate()
-        drive(*command, "1.0")  # after a silence
+        drive(*command, "1.0")  # sent after a silence
         until(lambda: robot.realtime.wait().q_target[5] > there + 0.02)
 
 
-def test_numbers_that_are_none_move_nothing(robot: urlink.Robot, drive: Drive) -> None:
+def test_invalid_messages_do_not_move_arm(robot: urlink.Robot, drive: Drive) -> None:
     before = robot.realtime.wait().q_target
     with serve({"arm": robot}):
         drive("send", "forward_position_controller/commands", "[90, 0, 0, 0, 0, 0]", "0.5")
@@ -458,7 +461,7 @@ def test_numbers_that_are_none_move_nothing(robot: urlink.Robot, drive: Drive) -
     assert np.abs(robot.realtime.wait().q_target - before).max() < 1e-3
 
 
-def test_freedrive_is_on_for_as_long_as_it_is_asked_for(robot: urlink.Robot, drive: Drive) -> None:
+def test_freedrive_ends_when_messages_stop(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         process = drive("send", "freedrive_mode_controller/enable_freedrive_mode", "true", "12.0", wait=False)
         until(lambda: robot.motion.current is not None and robot.motion.current.name == "freedrive", 20.0)
@@ -467,13 +470,13 @@ def test_freedrive_is_on_for_as_long_as_it_is_asked_for(robot: urlink.Robot, dri
         until(lambda: robot.motion.current is None, 10.0)
 
 
-def test_a_script_is_run(robot: urlink.Robot, drive: Drive) -> None:
+def test_script_message_is_run(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         drive("send", "urscript_interface/script_command", '"set_standard_digital_out(5, True)"', "0.0")
         until(lambda: robot.io.digital_out(5))
 
 
-def test_the_arm_is_described(robot: urlink.Robot, drive: Drive) -> None:
+def test_description_and_zeroed_force_sensor(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         said = drive("describe")
         zeroed = drive("call", "io_and_status_controller/zero_ftsensor")
@@ -482,12 +485,12 @@ def test_the_arm_is_described(robot: urlink.Robot, drive: Drive) -> None:
     assert zeroed["success"], zeroed["message"]
 
 
-#: A box of 5 cm on a table, by the adapter for MuJoCo, whose gripper is the one of the controller.
+#: A box of 5 cm on a table, from urlink-mujoco, whose gripper is the gripper of the controller.
 TABLE = Path(__file__).parents[2] / "mujoco" / "tests" / "table.xml"
 TCP = (0.0, 0.0, 0.145, 0.0, 0.0, 0.0)
 
-#: What moves the gripper of a UR over ROS 2 without a node of its own: a script that speaks with its URCap. When its
-#: fingers rest, it says so by an output; by the first one, whether something is between them.
+#: Script that moves the gripper of a UR over ROS 2 without a separate node: it communicates with the gripper's URCap.
+#: An output reports that the fingers are at rest, and output 0 reports whether they hold an object.
 GRIP = """def grip():
   def set(name, value):
     socket_set_var(name, value, "gripper")
@@ -510,12 +513,12 @@ end
 """
 
 
-@pytest.mark.skipif(find_spec("urlink_mujoco") is None, reason="the adapter for MuJoCo is not installed")
+@pytest.mark.skipif(find_spec("urlink_mujoco") is None, reason="urlink-mujoco is not installed")
 @pytest.mark.urlink(scene=TABLE)
-def test_a_box_is_grasped_and_put_elsewhere(
+def test_script_and_goals_move_box(
     urlink_robot: urlink.Robot, urlink_controller: Controller, drive: Drive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # MuJoCo, the arm, the node and its client share a machine here: a client that is late is not lost.
+    # MuJoCo, the arm, the node and its client share one machine here, so a late client is not lost.
     monkeypatch.setattr("urlink_ros2.following._SILENT", 20.0)
     q = urlink_robot.realtime.wait().q_target
     scene: Any = urlink_controller.world.scene
@@ -530,7 +533,7 @@ def test_a_box_is_grasped_and_put_elsewhere(
         assert (done["status"], done["code"]) == (4, 0), done["text"]
 
     def grip(position: int, done: int) -> bool:
-        """Whether something is held once the fingers rest."""
+        """Move the fingers; return whether they hold an object when they are at rest."""
         drive("send", "urscript_interface/script_command", json.dumps(GRIP.format(position=position, done=done)), "0")
         outputs = 0
 

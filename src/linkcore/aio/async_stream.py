@@ -27,7 +27,7 @@ _EVENTS = 1e-3
 
 
 class AsyncFeed(StrictAttributes, Generic[T]):
-    """The packets of one class on a stream: iterate, wait for the next, read the newest, or subscribe a callback.
+    """The packets of one class on a stream: iterate, wait, read the newest, or subscribe.
 
     `AsyncStream.of` returns a feed. A stream is itself the feed of its main class. It is for tasks of the loop that
     reads the stream.
@@ -213,10 +213,11 @@ class AsyncFeed(StrictAttributes, Generic[T]):
 
 
 class AsyncStream(AsyncFeed[T]):
-    """The packets of one interface of a robot, for programs that use asyncio: ``async for state in robot.realtime``.
+    """The packets of one interface of a robot, for programs that use asyncio.
 
-    The event loop reads it, without a thread. It connects when it is first used. It reconnects automatically when the
-    connection is lost, and keeps its iterators and subscriptions meanwhile.
+    Example: ``async for state in robot.realtime``. The event loop reads it, without a thread. It connects when it is
+    first used. It reconnects automatically when the connection is lost, and keeps its iterators and subscriptions
+    meanwhile.
 
     Attributes:
         stream: Same stream for other threads, over the connection that the loop reads.
@@ -284,9 +285,9 @@ class AsyncStream(AsyncFeed[T]):
         return self.stream.description()
 
     async def join(self, timeout: float | None = None) -> bool:
-        """Wait until the stream is closed, or has stopped reconnecting; return False after `timeout` seconds.
+        """Wait until the stream is closed, or has stopped reconnecting.
 
-        It returns at once if the stream has not connected yet.
+        Return False after `timeout` seconds. It returns at once if the stream has not connected yet.
 
         Args:
             timeout: Maximum wait in seconds; None for no limit.

@@ -95,7 +95,10 @@ class LoopConnection(Connection):
             )
 
     def start(self, add: Callable[[], object] | None = None) -> None:
-        """Connect as `Connection.start` does. In the thread of the loop, it must already be connected."""
+        """Connect as `Connection.start` does.
+
+        In the thread of the loop, it must already be connected.
+        """
         if not self._is_settled:
             self.refuse_to_wait("connecting")
         super().start(add)
@@ -128,7 +131,10 @@ class LoopConnection(Connection):
             await asyncio.wait({task})
 
     async def joined(self, timeout: float | None) -> bool:
-        """Wait until no more packets will arrive; return False after `timeout` seconds. It is for tasks of the loop."""
+        """Wait until no more packets will arrive; return False after `timeout` seconds.
+
+        It is for tasks of the loop.
+        """
         return self._task is None or await within(timeout, self._task)
 
     def abandon(self) -> None:
@@ -338,7 +344,10 @@ class LoopConnection(Connection):
     # -- back-pressure ---------------------------------------------------------------------------
 
     def hold(self, queue: object) -> None:
-        """Stop reading until `release`, because a queue that drops nothing is full. Call it in the loop's thread."""
+        """Stop reading until `release`, because a queue that drops nothing is full.
+
+        Call it in the loop's thread.
+        """
         self._full.add(queue)
         self._watch_no_more()
 

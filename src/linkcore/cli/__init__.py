@@ -1,1 +1,1 @@
-"""What the command lines of the packages have in common, without knowledge of any robot."""
+"""Common parts of the command lines of all packages, which do not depend on any robot."""

@@ -1,6 +1,7 @@
-"""`completion`: the script with which a shell completes commands, options and the names that they take.
+"""The command `completion`, which prints a shell script for completing commands, options and names.
 
-It is made from the parsers of all commands; a shell that has read it starts no program to complete a word.
+The script is made from the parsers of all commands. A shell that has read it does not start a program to complete a
+word.
 """
 
 from __future__ import annotations
@@ -11,18 +12,18 @@ from collections.abc import Iterable, Iterator
 
 from .options import argument, command, completed_words
 
-#: zsh runs the functions of bash after this.
+#: Lines after which zsh can run the completion functions of bash.
 _ZSH = "autoload -U +X compinit && compinit -u\nautoload -U +X bashcompinit && bashcompinit\n"
 
 
 @command(
     "completion",
     "complete words in bash and zsh",
-    argument("shell", choices=("bash", "zsh"), help="whose lines to print"),
+    argument("shell", choices=("bash", "zsh"), help="shell for which to print the script"),
 )
 def run(args: argparse.Namespace) -> int:
-    """Print the lines by which a shell completes commands, options, and the names that a command takes, such as RTDE
-    variables. They belong into the file that the shell reads when it starts.
+    """Print a script with which a shell completes commands, options and names, such as RTDE variables. Append the
+    script to the file that the shell reads when it starts.
 
     examples:
       {program} completion bash >> ~/.bashrc
@@ -35,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _script(parser: argparse.ArgumentParser) -> str:
-    """The function of bash that completes the commands of a program."""
+    """Return the bash function that completes the commands of a program."""
     commands = next(each.choices for each in parser._actions if isinstance(each, argparse._SubParsersAction))
     function = "_" + re.sub(r"\W", "_", parser.prog)
     lines = [
@@ -57,12 +58,18 @@ def _script(parser: argparse.ArgumentParser) -> str:
 
 
 def _joined(words: Iterable[str]) -> str:
-    """Words that a shell takes as they are; others, with blanks, are left out."""
+    """Join the words that a shell needs no quoting for.
+
+    Other words, such as words with blanks, are left out.
+    """
     return " ".join(word for word in words if re.fullmatch(r"[\w.:/=+-]+", word))
 
 
 def _values(commands: dict[str, argparse.ArgumentParser]) -> Iterator[tuple[str, str, list[str]]]:
-    """Command, option, and the values that the option takes; none for one that takes anything."""
+    """Yield each command, option, and the possible values of the option.
+
+    The list of values is empty if any value is possible.
+    """
     for name, parser in commands.items():
         for action in parser._actions:
             if action.option_strings and action.nargs != 0:
@@ -71,7 +78,7 @@ def _values(commands: dict[str, argparse.ArgumentParser]) -> Iterator[tuple[str,
 
 
 def _words(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """The options of a command, and the words that its other arguments take."""
+    """Yield the options of a command, and the possible words of its other arguments."""
     for action in parser._actions:
         if action.option_strings:
             yield from action.option_strings

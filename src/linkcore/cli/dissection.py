@@ -1,6 +1,6 @@
-"""The bytes of a file or of stdin, shown piece by piece: what the `dissect` of every package does.
+"""Output of the command `dissect` of every package: the bytes of a file or of stdin, piece by piece.
 
-A piece is a packet, or bytes that belong to none. A package cuts the bytes and says what they mean.
+A piece is a packet, or bytes that belong to no packet. Each package cuts the bytes, and describes their meaning.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from .options import argument, positive_int
 
 #: Options of every `dissect`.
 SHOWN = (
-    argument("--count", type=positive_int, metavar="N", help="only the first N packets or stretches of bytes"),
-    argument("--json", action="store_true", help="one JSON object a line, for each packet or stretch"),
+    argument("--count", type=positive_int, metavar="N", help="print only the first N packets or sections of bytes"),
+    argument("--json", action="store_true", help="print a JSON object per line for each packet or section"),
 )
 
 
@@ -25,7 +25,7 @@ class Shown(NamedTuple):
     """A piece as it is printed.
 
     Attributes:
-        is_read: Whether anything in it was decoded.
+        is_read: Whether any part of it was decoded.
         json: The piece as values for JSON.
         text: The piece as lines of text.
     """
@@ -41,7 +41,7 @@ def print_pieces(pieces: Iterable[Shown], args: argparse.Namespace, of: str = ""
     Args:
         pieces: The pieces of the file that `args` names.
         args: The arguments of a command that takes `SHOWN`.
-        of: Where the bytes should come from, used in the error message.
+        of: Expected source of the bytes, used at the end of the error message.
 
     Raises:
         BadRecording: If there is no piece.
@@ -54,10 +54,10 @@ def print_pieces(pieces: Iterable[Shown], args: argparse.Namespace, of: str = ""
         if shown == args.count:
             break
     if not shown:
-        raise BadRecording(f"{named(args.file)} holds no bytes{of}")
+        raise BadRecording(f"{named(args.file)} contains no bytes{of}")
     return 0 if read else 1
 
 
 def ascii_text(data: bytes) -> str:
-    """The bytes as ASCII, with a dot for each byte that is not printable."""
+    """Return the bytes as ASCII, with a dot for each byte that is not printable."""
     return "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in data)

@@ -9,11 +9,11 @@ from pathlib import Path
 from ..errors import BadRecording
 from ..recording.file import MAGIC
 
-#: A file that is not binary, and what may separate hex digits.
+#: Content of a file that is not binary, and separators of hex digits.
 _TEXT = re.compile(rb"[\t\n\f\r\x20-\x7e]*")
 _SEPARATOR = re.compile(rb"0[xX]|\\x|[\s:,;-]")
 _HEX = re.compile(rb"[0-9a-fA-F]*")
-#: A line of a dump begins with its offset, which is not part of the data.
+#: Offset at the beginning of a line of a dump. It is not part of the data.
 _OFFSET = re.compile(rb"^\s*(0x)?[0-9a-fA-F]{4,}:", re.MULTILINE)
 
 
@@ -31,7 +31,7 @@ def input_bytes(name: str) -> bytes:
     except (OSError, ValueError) as error:
         hint = ""
         if isinstance(error, FileNotFoundError) and re.fullmatch("[0-9a-fA-F]{8,}", name):
-            hint = "; hex digits are read from a file, or with - from stdin"
+            hint = "; put hex digits into a file, or pipe them into stdin and use -"
         reason = getattr(error, "strerror", None) or error
         raise BadRecording(f"cannot read {name}: {reason}{hint}") from error
     if name == "-" and data.startswith(MAGIC):
@@ -40,7 +40,7 @@ def input_bytes(name: str) -> bytes:
 
 
 def named(name: str) -> str:
-    """The name of an input in messages."""
+    """Return the name of an input for messages."""
     return "stdin" if name == "-" else name
 
 
@@ -48,8 +48,8 @@ def from_hex(data: bytes, where: str) -> bytes:
     """Convert hex text into bytes; other data is returned unchanged.
 
     Args:
-        data: The data.
-        where: Where it comes from, used in error messages.
+        data: Data of the input.
+        where: Name of the input, used in error messages.
 
     Raises:
         BadRecording: If the number of hex digits is odd.
@@ -63,7 +63,7 @@ def from_hex(data: bytes, where: str) -> bytes:
 
 
 def text_hint(data: bytes) -> str:
-    """The end of an error message about data without a packet: what to do if the data is text; "" otherwise."""
+    """Return the end of an error message about data without a packet: advice if the data is text, or else ""."""
     if not _TEXT.fullmatch(data):
         return ""
     start = data[:20].decode("ascii")

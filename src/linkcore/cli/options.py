@@ -1,4 +1,4 @@
-"""Declaration of a command: its name, help, arguments and function; and the arguments that many commands share."""
+"""Declaration of commands, with their name, help, arguments and function, and arguments of many commands."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from ..recording.file import Progress
 from .progress import ProgressBar
 
-#: What declares arguments at a parser, or at a group of one.
+#: Function that declares arguments at a parser, or at a group of a parser.
 Row = Callable[[Any], None]
-#: The attribute of argparse's own argument with the words that it takes.
+#: Name of the attribute of an argparse action with its possible words.
 _WORDS = "completed_words"
 
 
 def argument(*names: str, words: Callable[[], Iterable[str]] | None = None, trailing: bool = False, **how: Any) -> Row:
-    """One argument.
+    """Return the declaration of one argument.
 
     Args:
-        names, how: those of `argparse.ArgumentParser.add_argument`.
-        words: what a shell completes it from, computed for the script of `completion` only.
-        trailing: takes words that come after an option too, which argparse does not do for a variable number of them.
+        names: See `argparse.ArgumentParser.add_argument`.
+        words: Function that returns the words for the completion by a shell. It is only called by `completion`.
+        trailing: Whether words after an option belong to this argument too. argparse does not support this for a
+            variable number of words.
+        how: See `argparse.ArgumentParser.add_argument`.
     """
 
     def declare(parser: Any) -> None:
@@ -39,7 +41,7 @@ def argument(*names: str, words: Callable[[], Iterable[str]] | None = None, trai
 
 
 def one_of(*rows: Row) -> Row:
-    """Arguments of which one can be given."""
+    """Return the declaration of arguments that exclude each other."""
 
     def declare(parser: Any) -> None:
         group = parser.add_mutually_exclusive_group()
@@ -50,7 +52,7 @@ def one_of(*rows: Row) -> Row:
 
 
 def completed_words(action: argparse.Action) -> Iterable[str]:
-    """The words that a shell completes an argument from."""
+    """Return the words for the completion of an argument by a shell."""
     words: Callable[[], Iterable[str]] = getattr(action, _WORDS, tuple)
     return [*words(), *map(str, action.choices or ())]
 
@@ -59,11 +61,12 @@ class Subcommand(NamedTuple):
     """A command of a program.
 
     Attributes:
-        name: on the command line.
-        summary: its line in the help of the program.
-        rows: its arguments, in the order of its help.
-        run: gets the parsed arguments, and returns the exit status. Its docstring is the help of the command.
-        listing: makes lines that follow the description; called when the command is declared.
+        name: Name on the command line.
+        summary: Line in the help of the program.
+        rows: Arguments, in the order of the help.
+        run: Function that gets the parsed arguments, and returns the exit status. Its docstring is the help of the
+            command.
+        listing: Function that returns lines after the description; it is called when the command is declared.
     """
 
     name: str
@@ -73,8 +76,8 @@ class Subcommand(NamedTuple):
     listing: Callable[[], str] | None = None
 
     def declare(self, subparsers: Any) -> None:
-        """Add its parser to those of the program; `subparsers` is of a class that is argparse's own."""
-        text = inspect.getdoc(self.run) or "No more help: this Python runs without docstrings (option -OO)."
+        """Add the parser of the command to the `subparsers` of the program, whose class is private to argparse."""
+        text = inspect.getdoc(self.run) or "No more help is available: this Python runs without docstrings (-OO)."
         text = text.replace("{program}", subparsers._prog_prefix)
         description, heading, examples = text.partition("\n\nexamples:\n")
         if self.listing is not None:
@@ -98,27 +101,28 @@ class Subcommand(NamedTuple):
 
 def common_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options of every command, which are also accepted before the command."""
-    parser.add_argument("-v", "--verbose", action="count", default=0, help="log events; twice logs everything")
-    parser.add_argument("-q", "--quiet", action="store_true", help="show no progress")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="log events; give twice to log everything")
+    parser.add_argument("-q", "--quiet", action="store_true", help="do not show the progress")
 
 
 def command(
     name: str, summary: str, *rows: Row, listing: Callable[[], str] | None = None
 ) -> Callable[[Callable[[argparse.Namespace], int]], Subcommand]:
-    """Make a command of a function, whose docstring ends with lines of examples below ``examples:``.
+    """Return a decorator that makes a command from a function.
 
-    `program` finds it in its module. The arguments are those of `Subcommand`.
+    The docstring of the function ends with lines of examples below ``examples:``. `program` finds the command in its
+    module. See `Subcommand` for the arguments.
     """
     return lambda run: Subcommand(name, summary, rows, run, listing)
 
 
 def seconds(text: str) -> float:
-    """A positive number of seconds."""
+    """Convert text to a positive number of seconds."""
     return _positive(text, "a positive number of seconds")
 
 
 def positive_number(text: str) -> float:
-    """A positive number."""
+    """Convert text to a positive number."""
     return _positive(text, "a positive number")
 
 
@@ -133,14 +137,14 @@ def _positive(text: str, expected: str) -> float:
 
 
 def positive_int(text: str) -> int:
-    """A whole number from 1 on."""
+    """Convert text to a whole number that is 1 or more."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 1 or more")
     return int(text)
 
 
 def replay_rate(text: str) -> float:
-    """How many times as fast as it was recorded; 0 for ``max``, as fast as possible."""
+    """Convert text to a speed relative to the recording; ``max`` becomes 0, which is as fast as possible."""
     if text == "max":
         return 0.0
     try:
@@ -149,10 +153,10 @@ def replay_rate(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max") from None
 
 
-#: For how long a command runs.
-DURATION = argument("--duration", type=seconds, metavar="S", help="end after S seconds (never)")
-#: The file that a command reads.
-RECORDING = argument("file", metavar="FILE", help="a recording")
+#: Duration of a command.
+DURATION = argument("--duration", type=seconds, metavar="S", help="end after S seconds (default: never)")
+#: Recording that a command reads.
+RECORDING = argument("file", metavar="FILE", help="recording to read")
 
 
 _C = TypeVar("_C")
@@ -162,9 +166,9 @@ def connected(connect: Callable[[str], _C], args: argparse.Namespace, address: s
     """Connect to a robot, and show the progress.
 
     Args:
-        connect: Connects to an address.
-        args: The arguments of a command that takes an address.
-        address: Address of the robot; None for the one in `args`.
+        connect: Function that connects to an address.
+        args: Arguments of a command that has an address.
+        address: Address of the robot; None for the address in `args`.
 
     Raises:
         LinkError: See the `connect` of the package.
@@ -179,7 +183,7 @@ class Exportable(Protocol):
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What could not be read, one text each."""
+        """Texts about data that could not be read."""
 
     def export(
         self,
@@ -189,7 +193,7 @@ class Exportable(Protocol):
         *,
         progress: Progress | None = None,
     ) -> Path:
-        """Write it to a file; the suffix says the format."""
+        """Write it to a file. The suffix determines the format."""
 
 
 _T = TypeVar("_T", bound=Exportable)
@@ -197,41 +201,42 @@ _T_co = TypeVar("_T_co", bound=Exportable, covariant=True)
 
 
 class Load(Protocol[_T_co]):
-    """The `load` of a package."""
+    """Function `load` of a package."""
 
     def __call__(self, path: str, /, *, progress: Progress | None = None) -> _T_co: ...
 
 
 def _formats() -> str:
-    from ..recording.table_files import format_list  # which most commands do without
+    from ..recording.table_files import format_list  # imported here, because most commands do not need it
 
     return format_list()
 
 
-#: The command `export` of a package, made of a function that calls `export`.
+#: Decorator for the command `export` of a package, whose function calls `export`.
 exporting = command(
     "export",
-    "write a recording to a file of another program",
+    "write a recording to a file for another program",
     RECORDING,
-    argument("to", metavar="OUT", help="file to write; its suffix says the format"),
+    argument("to", metavar="OUT", help="file to write; its suffix determines the format"),
     argument("fields", metavar="FIELD", nargs="*", trailing=True, help="write only these fields"),
-    argument("--rate", type=positive_number, metavar="HZ", help="resample to so many rows a second"),
+    argument("--rate", type=positive_number, metavar="HZ", help="resample to HZ rows per second"),
     listing=_formats,
 )
 
 
 def export(args: argparse.Namespace, load: Load[_T], content: Callable[[_T], str], tell: Callable[[str], None]) -> int:
-    """Export, and print what was missing.
+    """Export a recording, and print its missing data.
 
     Args:
-        load: reads a recording, and reports the progress.
-        content: describes what is in it, for the line at the end.
-        tell: prints a line on stderr.
+        args: Arguments of the command.
+        load: Function that reads a recording, and reports its progress.
+        content: Function that describes the content of a recording, for the line at the end.
+        tell: Function that prints a line on stderr.
 
     Raises:
-        BadRecording: no such recording, or the file cannot be written.
-        BadValue: unknown suffix or field.
-        LocalError: the package that writes the format is not installed.
+        BadRecording: If there is no such recording, or the file cannot be written.
+        BadValue: If the suffix or a field is unknown.
+        LocalError: If the package that writes the format is not installed.
     """
     with ProgressBar(f"reading {args.file}", args.quiet) as reading:
         recording = load(args.file, progress=reading)

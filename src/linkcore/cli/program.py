@@ -1,4 +1,4 @@
-"""A program of commands, and what surrounds them: parsing, logging, errors and exit status."""
+"""A program with several commands, with its parsing, logging, errors and exit status."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from .terminal import Interrupted, raise_on_sigterm
 _COMMON = re.compile("-[qv]+|--quiet|--verbose")
 
 
-#: The end of the help of every program.
+#: End of the help of every program.
 _END_OF_HELP = """\
 exit status:
-  0 done, 1 an error of the robot, the file or the address (one line on stderr), 2 wrong usage,
-  130 ended by Ctrl-C, 143 by SIGTERM
+  0 success, 1 error of the robot, the file or the address (one line on stderr), 2 wrong usage,
+  130 ended by Ctrl-C, 143 ended by SIGTERM
 
 `{name} COMMAND --help` explains each command, with examples."""
 
 
 class Plugin(NamedTuple):
-    """A command that a distribution of its own brings.
+    """Command from a separate distribution.
 
     Attributes:
-        distribution: which brings it, with its extra if that is needed.
-        summary: its line in the help of the program while it is not installed.
+        distribution: Distribution that provides the command, with its extra if one is needed.
+        summary: Line in the help of the program while the distribution is not installed.
     """
 
     distribution: str
@@ -50,16 +50,17 @@ class Plugin(NamedTuple):
 def program(
     name: str, commands: Mapping[str, str | Plugin], description: str, epilog: str, argv: Sequence[str] | None = None
 ) -> int:
-    """Run the command line of the package `name`; returns the exit status and never raises.
+    """Run the command line of the package `name`; return the exit status, and never raise.
 
     Args:
-        name: of the package, and of the program.
-        commands: each command -> the module in the package's `cli` that has it, in the order of the help. Only the
-            module of the given command is imported: importing all of them takes longer than most commands. The module
-            of a `Plugin` is named by an entry point of the group `<name>.commands`, in which other distributions may
-            have further commands.
-        description, epilog: of the help, which ends with the exit status.
-        argv: the arguments; those of the process by default.
+        name: Name of the package and of the program.
+        commands: Command -> its module in the `cli` folder of the package, in the order of the help. Only the module of
+            the given command is imported, because importing all modules takes longer than most commands. The module of
+            a `Plugin` is found by an entry point of the group `<name>.commands`. Other distributions may add further
+            commands to this group.
+        description: Description in the help.
+        epilog: Text at the end of the help, before the exit status.
+        argv: Arguments; by default the arguments of the process.
     """
     argv = sys.argv[1:] if argv is None else argv
     parser = argparse.ArgumentParser(
@@ -68,10 +69,10 @@ def program(
         epilog=f"{epilog}\n\n{_END_OF_HELP.format(name=name)}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     common_options(parser)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command", required=True)
-    # A subparser overwrites what the main parser has read, so the options of every command are moved behind it.
+    # A subparser overwrites the values of the main parser, so the common options are moved behind the command.
     leading = list(itertools.takewhile(_COMMON.fullmatch, argv))
     if 0 < len(leading) < len(argv) and not argv[len(leading)].startswith("-"):
         argv = [argv[len(leading)], *leading, *argv[len(leading) + 1 :]]
@@ -105,13 +106,14 @@ def program(
     parser.set_defaults(all_commands=lambda: declare(each for each in every() if each != asked))
     try:
         if asked and asked not in names and argv[0] == asked:
-            parser.error(f"no command {asked!r}{similar(asked, names) or ';'} there are {', '.join(names)}")
+            hint = similar(asked, names) or ";"
+            parser.error(f"unknown command {asked!r}{hint} the commands are {', '.join(names)}")
         if asked not in names and argv and argv[0].startswith("--") and not "--version".startswith(argv[0]):
             behind = next((word for word in argv if word in names), None)
             if behind is not None:
                 parser.error(f"options come after the command: {name} {behind} {argv[0]}")
         args, extra = parser.parse_known_args(argv)
-        # argparse does not assign positional arguments of variable number that come after an option.
+        # argparse does not assign a variable number of positional arguments that come after an option.
         trailing = getattr(args, "trailing", None)
         if extra and trailing is not None and not any(each.startswith("-") for each in extra):
             getattr(args, trailing).extend(extra)
@@ -125,7 +127,7 @@ def program(
     except SystemExit as exit_:  # argparse has printed the error, or the help
         return int(exit_.code or 0)
     for stream in (sys.stdout, sys.stderr):
-        # Text from the wire must not fail on a terminal that is not UTF-8, so what it lacks is escaped.
+        # Printing text from the wire must not fail on a terminal that is not UTF-8, so unknown characters are escaped.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
@@ -140,7 +142,7 @@ def program(
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # The reader of the pipe has closed it, as `head` does. What is left in the buffer would fail again at exit.
+        # The reader of the pipe has closed it, as `head` does. The rest of the buffer would fail again at the exit.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -150,7 +152,10 @@ def program(
 
 
 class _Version(argparse.Action):
-    """Finds the version only when it is printed: that imports more than most commands need."""
+    """Action that prints the version.
+
+    It finds the version only then, because this imports many modules.
+    """
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         import importlib.metadata
@@ -164,7 +169,7 @@ class _Version(argparse.Action):
 
 
 class _SafeFormatter(logging.Formatter):
-    """Log lines quote text from the wire, so control characters in them are escaped."""
+    """Formatter that escapes control characters, because log lines quote text from the wire."""
 
     def format(self, record: logging.LogRecord) -> str:
         text = super().format(record)
@@ -172,7 +177,7 @@ class _SafeFormatter(logging.Formatter):
 
 
 class _Stderr(logging.Handler):
-    """Writes to `sys.stderr` as it is at the time: a live view replaces it, to print lines above its picture."""
+    """Handler that writes to the current `sys.stderr`, which a live view replaces to print lines above its panel."""
 
     def emit(self, record: logging.LogRecord) -> None:
         with contextlib.suppress(BrokenPipeError):

@@ -11,30 +11,30 @@ from typing import Any, ClassVar
 from .. import clock
 from ..text import printable
 
-#: Characters of a bar.
+#: Width of a bar in characters.
 _WIDTH = 30
-#: Columns of a terminal that does not report its size.
+#: Assumed number of columns of a terminal that does not report its size.
 _COLUMNS = 80
 #: Seconds between two drawings on a terminal, and seconds without other output before the first drawing.
 _PERIOD, _CALM = 0.2, 0.5
-#: Seconds until the first plain line. Each pause is twice as long as the one before, up to the longest.
+#: Seconds until the first plain line. Each pause is twice as long as the previous one, up to the longest.
 _FIRST, _LONGEST = 2.0, 60.0
-#: Fraction and seconds from which on the remaining time is estimated.
+#: Minimum fraction and minimum seconds for an estimate of the remaining time.
 _KNOWN, _SETTLED = 0.05, 5.0
 
 
 class ProgressBar:
-    """Shows the progress of work on stderr. A context manager; call it with the fraction that is done.
+    """Progress of work on stderr. It is a context manager; call it with the completed fraction.
 
     On a terminal, one line below the output is redrawn five times a second. It disappears when something is printed,
     and returns when nothing was printed for half a second. Elsewhere a plain line is printed after 2 s and then after
     pauses that double up to a minute. Shorter work shows nothing.
 
-    Within the block of another one, the bar that was called last is shown.
+    If two blocks are nested, the bar that was called last is shown.
 
     Args:
         text: Description of the work, such as "reading run.urlog".
-        quiet: Show nothing.
+        quiet: Whether to show nothing.
     """
 
     _screen: ClassVar[_Screen | None] = None
@@ -48,7 +48,7 @@ class ProgressBar:
         self._outer: ProgressBar | None = None
 
     def __call__(self, part: float | None = None, text: str | None = None) -> None:
-        """Set the fraction that is done, 0 to 1, and the description; None leaves either as it is."""
+        """Set the completed fraction, 0 to 1, and the description; None leaves the value unchanged."""
         if part is not None:
             self.part = part
             self._updated = clock.now()
@@ -58,28 +58,28 @@ class ProgressBar:
         if screen is not None and not self._quiet:
             screen.bar = self
             if text is not None:
-                # A question on the same line was answered, since the program continues.
+                # The program continues, so a question on the same line was answered.
                 screen.is_at_start = True
 
     def next(self, text: str) -> None:
-        """Begin the next part of the work, with a fraction and a duration of its own."""
+        """Begin the next part of the work, with a separate fraction and duration."""
         self._begun = clock.now()
         self(0.0, text)
 
     @property
     def line(self) -> str:
-        """The progress as a line of text."""
+        """Progress as a line of text."""
         words = [f"{min(max(self.part, 0.0), 1.0):.0%}"] if self.part > 0.0 else []
         return f"{printable(self.text)}: {' '.join([*words, 'after', self._elapsed()])}"
 
     def drawn(self, columns: int) -> str:
-        """The progress as a line of a terminal with so many columns."""
+        """Return the progress as a line for a terminal with the given number of columns."""
         bar, part = "", min(max(self.part, 0.0), 1.0)
         if part > 0.0:
             done = round(part * _WIDTH)
             bar = f" [{'=' * done}{' ' * (_WIDTH - done)}] {part:4.0%}"
         end = f"{bar}  {self._elapsed()}"
-        # A line that wraps could not be erased.
+        # The line must not wrap, because a wrapped line could not be erased.
         return f"{printable(self.text)[: max(columns - 1 - len(end), 0)]}{end}"[: columns - 1]
 
     def _elapsed(self) -> str:
@@ -115,7 +115,7 @@ def _duration(seconds: float) -> str:
 
 
 class _Screen:
-    """Draws the current bar until it is closed.
+    """Screen that draws the current bar until it is closed.
 
     Attributes:
         bar: The bar to show.
@@ -130,7 +130,7 @@ class _Screen:
         self._replaced: list[tuple[str, Any]] = []
         self._is_drawn = False
         self._calm_since = clock.now()
-        # A signal handler that prints may interrupt a write.
+        # Re-entrant, because a signal handler that prints might interrupt a write.
         self._lock = threading.RLock()
         self._over = threading.Event()
         self._thread = threading.Thread(
@@ -149,12 +149,12 @@ class _Screen:
                     setattr(sys, name, _Above(stream, self))
 
     def close(self) -> None:
-        """Erase what is drawn, so that the next line of output starts in the first column."""
+        """Erase the bar, so that the next line of output starts in the first column."""
         self._over.set()
         try:
             if self._thread.ident is not None:
                 self._thread.join()
-        finally:  # also after Ctrl-C
+        finally:  # even after Ctrl-C
             for name, stream in self._replaced:
                 setattr(sys, name, stream)
             with self._lock:
@@ -195,7 +195,7 @@ class _Screen:
             pause = min(2.0 * pause, _LONGEST)
 
     def _put(self, text: str) -> None:
-        # A terminal or pipe that was closed ends the command elsewhere.
+        # If the terminal or the pipe was closed, other code ends the command.
         with contextlib.suppress(OSError, ValueError):
             self._stderr.write(text)
             self._stderr.flush()

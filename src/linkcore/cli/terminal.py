@@ -1,4 +1,4 @@
-"""The terminal of a command: lines on stderr, signals that end it, and a view that is drawn repeatedly."""
+"""Use of the terminal by a command: lines on stderr, signals that end the command, and a view that is redrawn."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 
 def tell(program: str, text: str) -> None:
-    """One line on stderr, in the name of a program."""
+    """Print one line on stderr, which begins with the name of the program."""
     print(f"{program}: {printable(text)}", file=sys.stderr)
 
 
 class Interrupted(KeyboardInterrupt):
-    """Raised by a signal that ends the program.
+    """Exception for a signal that ends the program.
 
     Attributes:
-        number: of the signal.
+        number: Number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -50,7 +50,7 @@ def _handled(handler: Callable[[int, FrameType | None], None], *numbers: signal.
 
 
 def raise_on_sigterm() -> contextlib.AbstractContextManager[None]:
-    """A context in which SIGTERM unwinds the program as Ctrl-C does."""
+    """Return a context in which SIGTERM raises an exception, as Ctrl-C does."""
 
     def handler(number: int, frame: FrameType | None) -> None:
         raise Interrupted(number)
@@ -59,13 +59,15 @@ def raise_on_sigterm() -> contextlib.AbstractContextManager[None]:
 
 
 class Interruption:
-    """A context in which Ctrl-C and SIGTERM are only noted, so that no call is interrupted; a second one raises.
+    """Context that only records Ctrl-C and SIGTERM, so that no call is interrupted.
+
+    A second signal raises `Interrupted`.
 
     Args:
-        duration: seconds after which `wait` and `is_over` say that it is over, without a signal; None for never.
+        duration: Seconds after which `wait` and `is_over` return True even without a signal; None for no limit.
 
     Attributes:
-        number: the signal that came, or None.
+        number: Number of the received signal, or None.
     """
 
     def __init__(self, duration: float | None = None) -> None:
@@ -79,23 +81,23 @@ class Interruption:
         self.number = number
 
     def end_after(self, duration: float | None) -> None:
-        """Be over `duration` seconds from now."""
+        """Set the end to `duration` seconds from now; None for no end."""
         self._until = math.inf if duration is None else clock.now() + duration
 
     @property
     def is_over(self) -> bool:
-        """Whether a signal has come, or the duration is over."""
+        """Whether a signal was received, or the duration has passed."""
         return self.number is not None or clock.now() >= self._until
 
     @property
     def status(self) -> int:
-        """The exit status: that of a program which the signal has ended, or 0."""
+        """Exit status of a program that the signal has ended, or 0 without a signal."""
         return 0 if self.number is None else 128 + self.number
 
     def wait(self, seconds: float) -> bool:
-        """Sleep until it is over, at most `seconds`; returns whether it is."""
+        """Sleep for at most `seconds`, or until `is_over` is true; return `is_over`."""
         until = min(clock.now() + seconds, self._until)
-        # A signal that is only noted does not end a sleep, so it sleeps in short steps.
+        # A signal that is only recorded does not end a sleep, so this sleeps in short steps.
         while self.number is None and (left := until - clock.now()) > 0:
             clock.sleep(min(left, 0.05))
         return self.is_over
@@ -115,17 +117,23 @@ _T = TypeVar("_T")
 def drawing(
     plain: bool, tell: Callable[[str], None], line: Callable[[_T], str], panel: Callable[[_T], RenderableType]
 ) -> Iterator[tuple[Callable[[_T], None], float]]:
-    """A context with the function that shows a value, and the seconds between two of them.
+    """Provide a function that shows a value, and the seconds between two values.
 
-    On a terminal the panel of a value is drawn over the one before by rich, ten times a second; elsewhere, and with
-    `plain`, it is one line a second.
+    On a terminal, rich draws the panel of a value over the previous one, ten times a second. Elsewhere, and with
+    `plain`, one line per second is printed.
+
+    Args:
+        plain: Whether to print lines even on a terminal.
+        tell: Function that prints a line on stderr.
+        line: Function that returns a value as a line of text.
+        panel: Function that returns a value as a panel of rich.
     """
     is_drawn = not plain and sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
     if is_drawn:
         try:
             import rich  # noqa: F401
         except ImportError:
-            tell("plain lines, since rich is not installed; pip install 'urlink-robot[cli]' adds it")
+            tell("printing plain lines, because rich is not installed; pip install 'urlink-robot[cli]' installs it")
             is_drawn = False
     if not is_drawn:
         yield lambda value: print(line(value), flush=True), 1.0
@@ -133,7 +141,7 @@ def drawing(
     from rich.console import Console
     from rich.live import Live
 
-    # The last panel stays on the screen, where it can be read and copied.
+    # The last panel stays on the screen, so that it can be read and copied.
     console, to_terminal = Console(), sys.stderr.isatty()
     with Live(console=console, auto_refresh=False, vertical_overflow="crop", redirect_stderr=to_terminal) as live:
         yield lambda value: live.update(panel(value), refresh=True), 0.1

@@ -28,7 +28,10 @@ class AwaitedTransport(Transport, Protocol):
         """Connect like `open`, without blocking the event loop."""
 
     def fileno(self) -> int:
-        """Return the descriptor that becomes readable when bytes arrive; -1 if there is no connection."""
+        """Return the descriptor that becomes readable when bytes arrive.
+
+        Return -1 if there is no connection.
+        """
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
         """Return the bytes that have already arrived, or None; never waits; raises `ConnectionLost`."""
@@ -72,7 +75,10 @@ class AwaitedTcp(TcpTransport):
         return received
 
     async def disconnect(self) -> None:
-        """Disconnect when the peer's kernel has acknowledged all sent data; see `TcpTransport.close`."""
+        """Disconnect when the peer's kernel has acknowledged all sent data.
+
+        See `TcpTransport.close`.
+        """
         try:
             for pause in self.closing():
                 await asyncio.sleep(pause)

@@ -34,13 +34,19 @@ class DialogueProtocol(Protocol):
 
     @property
     def settling(self) -> float | None:
-        """Seconds without further bytes after which an answer is complete; None if its end can be recognised."""
+        """Seconds without further bytes after which an answer is complete.
+
+        It is None if its end can be recognised.
+        """
 
     def ask(self, text: str) -> bytes:
         """Return the bytes of a question."""
 
     def feed(self, data: bytes) -> str | None:
-        """Return the answer when it is complete. `data` is empty if nothing has arrived for `settling` seconds."""
+        """Return the answer when it is complete.
+
+        `data` is empty if nothing has arrived for `settling` seconds.
+        """
 
 
 class Dialogue:
@@ -158,7 +164,10 @@ class Dialogue:
             beside.close()
 
     def close(self) -> None:
-        """Disconnect permanently; a question that waits in another thread ends with `Closed`. Idempotent."""
+        """Disconnect permanently; a question that waits in another thread ends with `Closed`.
+
+        Idempotent.
+        """
         self.is_closed = True
         self._transport.close()
 

@@ -115,7 +115,10 @@ class Slot:
         self._memory[: _SLOT.size] = bytes(_SLOT.size)
 
     def get(self) -> tuple[int, bytes, Stamp] | None:
-        """Return the number of the packet, the packet, and the arrival time of its bytes; None if there is none."""
+        """Return the number of the packet, the packet, and the arrival time of its bytes.
+
+        Return None if there is none.
+        """
         for _ in range(_LOOKS):
             number, length, checksum, monotonic, wall = _SLOT.unpack_from(self._memory)
             if not number:
@@ -219,7 +222,10 @@ def _relay(transport: TcpTransport, pipe: _Pipe, newest: Slot, framer: Framer, p
 
 
 def _is_wanted(parent: int, reads: list[int], writes: list[int]) -> tuple[bool, list[Any]]:
-    """Wait for an event; return whether the parent process still runs, and the readable descriptors."""
+    """Wait for an event.
+
+    Return whether the parent process still runs, and the readable descriptors.
+    """
     ready, _, _ = select.select([*reads, 0], writes, [], _LOOK)
     if (0 in ready and not os.read(0, 1)) or os.getppid() != parent:
         return False, []

@@ -130,7 +130,10 @@ class TcpListener:
         return transport
 
     def close(self) -> None:
-        """Stop listening, and wake a thread that waits in `accept`. Accepted connections stay. Idempotent."""
+        """Stop listening, and wake a thread that waits in `accept`.
+
+        Accepted connections stay. Idempotent.
+        """
         listener, self._socket = self._socket, None
         if listener is None:
             return

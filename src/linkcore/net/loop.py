@@ -141,10 +141,10 @@ class Connection:
     # -- output --------------------------------------------------------------------------------------
 
     def write(self, data: bytes) -> None:
-        """Send `data`: as much as the kernel accepts now, and the rest later. No effect on a closed connection.
+        """Send `data`: as much as the kernel accepts now, and the rest later.
 
-        The connection of a client that does not read is reset if more than `output_limit` bytes of the port would be
-        buffered.
+        No effect on a closed connection. The connection of a client that does not read is reset if more than
+        `output_limit` bytes of the port would be buffered.
         """
         if not self.is_open or self._is_deaf:
             return
@@ -232,7 +232,9 @@ class Connection:
         self._deadline = _NEVER
 
     def close(self, *, reset: bool = False, reason: str = "closed by this side") -> None:
-        """End the connection now. Buffered data is discarded, except for the data in the kernel. Idempotent.
+        """End the connection now.
+
+        Buffered data is discarded, except for the data in the kernel. Idempotent.
 
         Args:
             reset: Whether to discard the data in the kernel too. The client then sees a reset rather than an end.
@@ -412,7 +414,10 @@ class ListeningPort:
         return True
 
     def _has_slot(self) -> bool:
-        """Whether a slot is free for a new client. If not, it takes the slot of the client that is idle for longest."""
+        """Whether a slot is free for a new client.
+
+        If not, it takes the slot of the client that is idle for longest.
+        """
         if len(self.connections) < self._limit:
             return True
         candidates = [connection for connection in self.connections if not connection.handler.is_busy]
@@ -644,7 +649,10 @@ class SelectorLoop:
             self._drop(connection, f"{type(error).__name__} in its handler", reset=True)
 
     def _drop(self, connection: Connection, reason: str, *, reset: bool = False, by_peer: bool = False) -> None:
-        """Close a connection. `connection_lost` of its handler is called after the current events were served."""
+        """Close a connection.
+
+        `connection_lost` of its handler is called after the current events were served.
+        """
         if not connection._is_open:
             return
         connection._is_open = False

@@ -18,9 +18,9 @@ _IN_PROGRESS = {0, errno.EINPROGRESS, errno.EWOULDBLOCK, errno.EALREADY}
 
 
 class PolledConnection:
-    """Connection that starts to connect when the object is made. Its methods never wait or raise `OSError`.
+    """Connection that starts to connect when the object is made.
 
-    It holds a descriptor while it connects and while it is open.
+    Its methods never wait or raise `OSError`. It holds a descriptor while it connects and while it is open.
 
     Args:
         host: Numeric address. Names are not resolved, because this can take seconds.
@@ -71,9 +71,10 @@ class PolledConnection:
         return self._state
 
     def send(self, data: bytes) -> bool:
-        """Send all of `data` at once; return False if it is not open, or if the peer does not accept all of the data.
+        """Send all of `data` at once.
 
-        In the second case the connection is closed.
+        Return False if it is not open, or if the peer does not accept all of the data. In the second case the
+        connection is closed.
         """
         if self.state != "open" or self._socket is None:
             return False
@@ -85,7 +86,10 @@ class PolledConnection:
         return False
 
     def receive(self) -> bytearray:
-        """Read the available bytes from the kernel; return `received`. Earlier bytes stay readable after the end."""
+        """Read the available bytes from the kernel; return `received`.
+
+        Earlier bytes stay readable after the end.
+        """
         room = self._most_waiting - len(self.received)
         if room > 0 and self.state == "open" and self._socket is not None:
             try:

@@ -3,10 +3,10 @@
 A transport is opened, read until it raises, closed, and opened again. It raises only errors of this library. Errors of
 the operating system are converted here and nowhere else.
 
-Data of a failed call must not arrive later. TCP normally does the opposite: data that `send` has passed to the kernel
-is retransmitted for minutes, even after `close` and after the end of the process (Linux: `tcp_retries2`, about 15
-minutes). It arrives when the network is available again. A robot would then execute a motion whose call failed long
-ago. Three settings prevent this:
+Data of a failed call must not arrive later. But normally TCP retransmits data that `send` has passed to the kernel for
+minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15 minutes). The data
+arrives when the network is available again. A robot would then execute a motion whose call failed long ago. Three
+settings prevent this:
 
 - `SO_LINGER` of 0 s is set from the beginning. When the connection ends, by `abort`, a crash of the process or the
   garbage collector, the kernel discards its data and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).
@@ -70,7 +70,10 @@ class Transport(Protocol):
 
     @property
     def round_trip(self) -> float:
-        """Duration of the handshake of the last connection, there and back, in s; `inf` if there was none."""
+        """Duration of the handshake of the last connection, there and back, in s.
+
+        It is `inf` if there was none.
+        """
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds; raises `RemoteError`."""
@@ -85,13 +88,19 @@ class Transport(Protocol):
         """Send all of `data` within `timeout` seconds; raises `RemoteError`."""
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Send the bytes that are accepted at once; return their number. Never waits; raises `ConnectionLost`."""
+        """Send the bytes that are accepted at once; return their number.
+
+        Never waits; raises `ConnectionLost`.
+        """
 
     def wait_for_room(self, timeout: float) -> bool:
         """Wait until `send_some` can send; return False after `timeout` seconds; raises `ConnectionLost`."""
 
     def abort(self) -> None:
-        """Disconnect at once, discard undelivered data, and wake waiting threads. Idempotent, in any thread."""
+        """Disconnect at once, discard undelivered data, and wake waiting threads.
+
+        Idempotent, in any thread.
+        """
 
     def close(self) -> None:
         """Disconnect after the sent data is delivered, within a limited time; then do the same as `abort`."""
@@ -195,7 +204,10 @@ class TcpTransport:
         return data, _new_stamp(Stamp, (clock.read(), time.time()))
 
     def fileno(self) -> int:
-        """Return the descriptor of the socket, to wait for several sockets at once; -1 if there is none."""
+        """Return the descriptor of the socket, to wait for several sockets at once.
+
+        Return -1 if there is none.
+        """
         connection = self._socket
         return -1 if connection is None else connection.fileno()
 
@@ -255,7 +267,9 @@ class TcpTransport:
                 raise LinkTimeout(f"sending to {self.name}: the peer did not accept the data within {timeout:g} s")
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Pass to the kernel as many bytes of `data` as it accepts at once; return their number. Never waits.
+        """Pass to the kernel as many bytes of `data` as it accepts at once; return their number.
+
+        Never waits.
 
         Raises:
             ConnectionLost: If the connection is lost.
@@ -298,7 +312,10 @@ class TcpTransport:
         raise ConnectionLost(f"sending to {self.name}: closed by this program")
 
     def abort(self) -> None:
-        """Disconnect at once, so that the kernel discards unacknowledged data. Wakes threads that receive or send."""
+        """Disconnect at once, so that the kernel discards unacknowledged data.
+
+        Wakes threads that receive or send.
+        """
         connection, self._socket = self._socket, None
         if connection is None:
             return
@@ -413,7 +430,10 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
 
 
 def _interrupt(connection: socket.socket) -> None:
-    """End the wait of another thread that connects this socket; except on Linux, it may last until its timeout."""
+    """End the wait of another thread that connects this socket.
+
+    Except on Linux, it may last until its timeout.
+    """
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)
 
@@ -459,7 +479,10 @@ def _has_room(connection: socket.socket, seconds: float) -> bool:
 
 
 def _unacknowledged(connection: socket.socket) -> int:
-    """Return the number of unacknowledged bytes, the FIN included as one; 0 if the system does not report it."""
+    """Return the number of unacknowledged bytes, the FIN included as one.
+
+    Return 0 if the system does not report it.
+    """
     if sys.platform == "linux":
         # SIOCOUTQ has the number of TIOCOUTQ (linux/sockios.h).
         (count,) = struct.unpack("i", fcntl.ioctl(connection, termios.TIOCOUTQ, bytes(4)))
@@ -497,7 +520,10 @@ def is_unknown_host(error: RemoteError) -> bool:
 
 
 def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: type[RemoteError]) -> RemoteError:
-    """Convert an error of the operating system to an error of this library. No other code does this."""
+    """Convert an error of the operating system to an error of this library.
+
+    No other code does this.
+    """
     if isinstance(error, ValueError):  # a part of the name is too long, or contains an invalid character
         return otherwise(f"{doing}: no such host ({error})")
     if error.errno == errno.ETIMEDOUT and otherwise is ConnectionLost:

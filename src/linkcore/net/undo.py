@@ -47,7 +47,9 @@ C = TypeVar("C", bound=_Closeable)
 
 @dataclass(frozen=True, eq=False)
 class Undo(Generic[C]):
-    """Functions that undo a command. They outlive the object that gave the command, and should not refer to it.
+    """Functions that undo a command.
+
+    They outlive the object that gave the command, and should not refer to it.
 
     Attributes:
         client: Function that returns a new client of the peer. The client connects when it is used, and is closed after
@@ -100,8 +102,8 @@ class PendingUndos:
         for other in known[1:]:
             if other is not undos:
                 undos._take_over(other)
-        # The lock of the module is released first. It is a real lock even in simulated time, where no simulated thread
-        # may wait for it.
+        # The lock of the module is released first. It is a real lock even in simulated time, so no simulated thread may
+        # wait for it.
         with undos._lock:
             assert undos._users is not None
             undos._users.add(user)

@@ -51,7 +51,10 @@ class Column(NamedTuple):
 
 
 def is_continuous(column: Column) -> bool:
-    """Whether values between two rows can be interpolated. Codes, masks, counters and text cannot."""
+    """Whether values between two rows can be interpolated.
+
+    Codes, masks, counters and text cannot.
+    """
     return column.dtype.kind == "f"
 
 
@@ -63,7 +66,10 @@ class Columns(Protocol):
         """All columns by name."""
 
     def read(self, names: Sequence[str], begin: int, end: int) -> dict[str, NDArray[Any]]:
-        """Return the rows `begin` to `end` of some columns. Each array has `end - begin` rows of the column's shape."""
+        """Return the rows `begin` to `end` of some columns.
+
+        Each array has `end - begin` rows of the column's shape.
+        """
 
 
 class ArrayColumns:

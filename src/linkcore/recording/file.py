@@ -177,7 +177,9 @@ class RecordingWriter(StrictAttributes):
             self.write(Kind.EVENT, channel, item.received, event)
 
     def close(self, *, complete: bool = True) -> None:
-        """Close the file; idempotent. If `complete`, write an end record, which shows that nothing is missing.
+        """Close the file; idempotent.
+
+        If `complete`, write an end record, which shows that nothing is missing.
 
         Raises:
             BadRecording: If the end record cannot be written.

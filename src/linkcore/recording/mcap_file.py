@@ -30,7 +30,10 @@ _ENCAPSULATION = b"\x00\x01\x00\x00"
 
 
 class Message:
-    """Builder of `count` messages of one type. The parts are added in the order of the definition."""
+    """Builder of `count` messages of one type.
+
+    The parts are added in the order of the definition.
+    """
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -156,7 +159,9 @@ _STRETCH = 10.0
 
 
 class McapFile:
-    """Writer of messages into an open file. An unfinished file can be read up to its last complete chunk.
+    """Writer of messages into an open file.
+
+    An unfinished file can be read up to its last complete chunk.
 
     Args:
         file: File that is open for writing bytes.
@@ -209,7 +214,10 @@ class McapFile:
 
 
 def write_mcap(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """Write a topic for each table, with a message for each row. Its type has the fields of the table."""
+    """Write a topic for each table, with a message for each row.
+
+    Its type has the fields of the table.
+    """
 
     def topics(start: float, stop: float) -> list[Topic]:
         return [table_topic(name, table.between(start, stop), "recorded_msgs") for name, table in tables.items()]

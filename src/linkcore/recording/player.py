@@ -123,7 +123,10 @@ class ReplayTransport:
         return event["state"], event.get("error")
 
     def _wait(self, stamp: Stamp, most: float = float("inf")) -> bool:
-        """Wait until bytes with this stamp are due; return False if they are not due within `most` seconds."""
+        """Wait until bytes with this stamp are due.
+
+        Return False if they are not due within `most` seconds.
+        """
         delay = self._timeline.delay(stamp)
         if delay > 0:
             clock.wait(self._closed.wait, min(delay, most))

@@ -99,7 +99,10 @@ class Table(StrictAttributes):
 
     @property
     def begins(self) -> list[int]:
-        """First row of each connection, except of the first connection; packets are missing before these rows."""
+        """First row of each connection, except of the first connection.
+
+        Packets are missing before these rows.
+        """
         return list(self._begins)
 
     @cached_property
@@ -116,7 +119,7 @@ class Table(StrictAttributes):
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Texts about recorded data that could not be read, and about packets that are missing by the peer's clock."""
+        """Texts about recorded data that could not be read, and about missing packets."""
         gaps = self.gaps
         if not gaps:
             return self._missing
@@ -137,7 +140,10 @@ class Table(StrictAttributes):
         return isinstance(name, str) and self._found(name) is not None
 
     def _found(self, name: str) -> tuple[str, int | None] | None:
-        """Return the field of a name, and the index if it names one element; None if there is no such field."""
+        """Return the field of a name, and the index if it names one element.
+
+        Return None if there is no such field.
+        """
         if name in self._columns.known:
             return name, None
         element = element_of(name) if isinstance(name, str) else None
@@ -159,7 +165,7 @@ class Table(StrictAttributes):
         return list(dict.fromkeys(fields))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return one column with a row for each packet; ``table["q_actual_3"]`` is one element of a field.
+        """Return one column, or one element of it, such as ``table["q_actual_3"]``.
 
         Raises:
             BadValue: If there is no such field; the message suggests similar names.
@@ -231,9 +237,10 @@ class Table(StrictAttributes):
 
     @property
     def parts(self) -> list[Table]:
-        """Separate tables for the rows of each layout, if the firmware or the recipe changed during the recording.
+        """Separate tables for the rows of each layout.
 
-        Each part has all fields of its layout. This table has only the fields that all layouts have.
+        There are several if the firmware or the recipe changed during the recording. Each part has all fields of its
+        layout. This table has only the fields that all layouts have.
         """
         if not isinstance(self._columns, PacketColumns):
             return [self]
@@ -280,7 +287,9 @@ class Table(StrictAttributes):
         return Table(f"{self.name} at {rate:g} Hz", ArrayColumns(self.fields, arrays), time, wall)
 
     def to_frame(self, *names: str, library: str | None = None) -> Any:
-        """Return a data frame of all columns, or of some. A vector is split into ``q_actual_0`` to ``q_actual_5``.
+        """Return a data frame of all columns, or of some.
+
+        A vector is split into ``q_actual_0`` to ``q_actual_5``.
 
         Args:
             names: Names of fields; without names, all fields.

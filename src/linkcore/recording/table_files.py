@@ -31,9 +31,10 @@ def export(
     about: Mapping[str, str] | None = None,
     writers: Mapping[str, FileWriter] | None = None,
 ) -> Path:
-    """Write tables to a file. When it is complete, it replaces an existing file of the same name.
+    """Write tables to a file.
 
-    The file is first written under another name in the same directory, and then renamed.
+    When it is complete, it replaces an existing file of the same name. The file is first written under another name in
+    the same directory, and then renamed.
 
     Args:
         path: Path of the file.
@@ -120,7 +121,10 @@ def _only(path: Path, tables: Mapping[str, Table], suffix: str) -> Table:
 
 
 def write_csv(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """Write a line for each row. Numbers have all digits, `wall` is in ISO 8601, and `about` is omitted."""
+    """Write a line for each row.
+
+    Numbers have all digits, `wall` is in ISO 8601, and `about` is omitted.
+    """
     table = _only(path, tables, ".csv")
     columns = flat_columns(table)
     with path.open("x", newline="", encoding="utf-8") as file:
@@ -136,7 +140,10 @@ def write_csv(path: Path, tables: Mapping[str, Table], about: Mapping[str, str],
 
 
 def write_parquet(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """Write a column for each number of a row. Units and meanings are column metadata, `about` is file metadata."""
+    """Write a column for each number of a row.
+
+    Units and meanings are column metadata, `about` is file metadata.
+    """
     table = _only(path, tables, ".parquet")
     with needs("parquet", "a .parquet file"):
         import pyarrow
@@ -166,9 +173,9 @@ def write_parquet(path: Path, tables: Mapping[str, Table], about: Mapping[str, s
 
 
 def write_mat(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
-    """Write a structure for each table: ``realtime.q_actual`` is n by 6. `wall` is in seconds since 1970, UTC.
+    """Write a structure for each table: ``realtime.q_actual`` is n by 6.
 
-    `about` becomes a structure too.
+    `wall` is in seconds since 1970, UTC. `about` becomes a structure too.
     """
     with needs("mat", "a .mat file"):
         import scipy.io
@@ -234,7 +241,10 @@ TABLE_FORMATS: Mapping[str, TableFormat] = {
 
 
 def format_of(path: str | os.PathLike[str]) -> TableFormat | None:
-    """Return the format for the suffix of a path; None for any other suffix, such as the suffix of a recording."""
+    """Return the format for the suffix of a path.
+
+    Return None for any other suffix, such as the suffix of a recording.
+    """
     return TABLE_FORMATS.get(Path(path).suffix.lower())
 
 

@@ -45,7 +45,9 @@ _log = logging.getLogger(__name__)
 
 
 class Connection:
-    """A connection and its subscribers, read by a dedicated thread. It connects when it is first used.
+    """A connection and its subscribers, read by a dedicated thread.
+
+    It connects when it is first used.
 
     Args:
         name: Name, used for messages and threads.
@@ -94,13 +96,16 @@ class Connection:
 
     @property
     def failure(self) -> Exception | None:
-        """Error that ended it for good, as a copy that may be raised; None if it was closed on purpose."""
+        """Error that ended it for good, as a copy that may be raised.
+
+        It is None if it was closed on purpose.
+        """
         failure = self._life.failure
         return None if failure is None else unraised(failure)
 
     @property
     def error(self) -> Exception | None:
-        """Error that ended the last connection or the last attempt to connect, as a copy that may be raised."""
+        """Error that ended the last connection or attempt to connect, as a copy that may be raised."""
         error = self._life.error
         return None if error is None else unraised(error)
 
@@ -146,7 +151,10 @@ class Connection:
             raise unraised(attempt.failure)
 
     def start_quietly(self) -> None:
-        """Start to connect if it has not connected yet, without waiting; failures are retried with the back-off."""
+        """Start to connect if it has not connected yet, without waiting.
+
+        Failures are retried with the back-off.
+        """
         if self._life.phase is ConnectionPhase.IDLE:
             with self._changed:
                 self._begin(is_patient=True)
@@ -168,17 +176,20 @@ class Connection:
             raise
 
     def join(self, timeout: float) -> bool:
-        """Wait until no more packets will arrive and all are delivered; return False after `timeout` seconds."""
+        """Wait until no more packets will arrive and all are delivered.
+
+        Return False after `timeout` seconds.
+        """
         until = clock.now() + timeout
         if not self._join_reader(timeout):
             return False
         return all(delivery.join(clock.left(until)) for delivery in self.fan_out.deliveries)
 
     def close(self, timeout: float) -> None:
-        """Disconnect and end every queue and callback, within `timeout` seconds. Idempotent, and safe in any thread.
+        """Disconnect and end every queue and callback, within `timeout` seconds.
 
-        In a forked process this does nothing, because the connection belongs to the parent, and its threads do not
-        exist in the child.
+        Idempotent, and safe in any thread. In a forked process this does nothing, because the connection belongs to the
+        parent, and its threads do not exist in the child.
         """
         if not self._home.is_here:
             return
@@ -239,7 +250,9 @@ class Connection:
                     raise LinkTimeout(f"{self.name} did not accept the sent data within {timeout:g} s")
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Pass to the kernel as many bytes as it accepts at once; return their number. Uses no wait and no lock.
+        """Pass to the kernel as many bytes as it accepts at once; return their number.
+
+        Uses no wait and no lock.
 
         Raises:
             ConnectionLost: If it is not connected.
@@ -267,9 +280,9 @@ class Connection:
     # -- subscribers -----------------------------------------------------------------------------
 
     def open_queue(self, kind: type, policy: Policy, lifespan: float | None = None) -> PacketQueue:
-        """Return a new queue of packets that are or contain a `kind`; connect if it has not connected yet.
+        """Return a new queue of packets that are or contain a `kind`.
 
-        The caller must close the queue with `close_queue`.
+        Connect if it has not connected yet. The caller must close the queue with `close_queue`.
 
         Raises:
             RemoteError, LocalError, Closed: See `start`.
@@ -381,7 +394,9 @@ class Connection:
             self._changed.notify_all()
 
     def _next_try(self, error: Exception | None) -> float | None:
-        """Handle the end of a connection, or a failure to connect; return the seconds until the next try.
+        """Handle the end of a connection, or a failure to connect.
+
+        Return the seconds until the next try.
 
         Args:
             error: Error that ended the connection; None if it was closed while it was connecting.
@@ -460,12 +475,12 @@ class Connection:
 
     @property
     def is_running(self) -> bool:
-        """A reader has been started, and has not ended."""
+        """Whether a reader was started, and has not ended."""
         reader = self._reader
         return reader is not None and reader.is_alive()
 
     def reads_here(self) -> bool:
-        """The current thread is the one that reads."""
+        """Whether the current thread is the reader."""
         return threading.current_thread() is self._reader
 
     def refuse_to_wait(self, what: str) -> None:

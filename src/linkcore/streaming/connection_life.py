@@ -281,7 +281,10 @@ class ConnectionLife:
         return self.fire(LifeEvent.FINISH if failure is None else LifeEvent.GIVE_UP)
 
     def lose(self, error: Exception | None) -> ConnectionState | None:
-        """Record that a connection has ended, or could not be made; return the state that subscribers must get."""
+        """Record that a connection has ended, or could not be made.
+
+        Return the state that subscribers must get.
+        """
         self.error = None if error is None else unraised(error)
         return self.fire(LifeEvent.LOSE)
 

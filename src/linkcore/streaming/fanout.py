@@ -212,7 +212,10 @@ class FanOut:
         return sorted(self._routes, key=lambda route: route.sink.is_inline)
 
     def _update(self) -> None:
-        """Make the tuples of the reader from the routes; repeat it if a signal handler changes the routes meanwhile."""
+        """Make the tuples of the reader from the routes.
+
+        Repeat it if a signal handler changes the routes meanwhile.
+        """
         routes: list[_Route] | None = None
         while routes != (routes := self._now()):
             offered = [route for route in routes if route.group is object]

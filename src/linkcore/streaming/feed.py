@@ -242,7 +242,9 @@ class Feed(StrictAttributes, Generic[T]):
         return History(self._kind, seconds, lambda keep: self.subscribe(keep, inline=True))
 
     def plot(self, *fields: str, seconds: float = 10.0, window: float = 10.0, period: float = 0.2) -> None:
-        """Plot fields while they arrive, below the cell of a notebook or in a window. Returns after `seconds`.
+        """Plot fields while they arrive, below the cell of a notebook or in a window.
+
+        Returns after `seconds`.
 
         Args:
             fields: Names of the fields. Each has its own panel, and a vector has a line for each element.
@@ -276,9 +278,10 @@ class Feed(StrictAttributes, Generic[T]):
             live.close()
 
     def _pictures(self, history: History, fields: Sequence[str], end: float) -> Iterator[Plot | None]:
-        """Yield the next plot until the monotonic time `end`, in s; yield None if nothing has arrived yet.
+        """Yield the next plot until the monotonic time `end`, in s.
 
-        The last plot is made after `end`. It shows every state, even if drawing takes longer than receiving.
+        Yield None if nothing has arrived yet. The last plot is made after `end`. It shows every state, even if drawing
+        takes longer than receiving.
         """
         from ..plotting import Curves, Plot
 
@@ -335,7 +338,10 @@ class Feed(StrictAttributes, Generic[T]):
 
 
 def _taking(queue: PacketQueue) -> Callable[[float | None], Any]:
-    """Return `queue.next`; if this thread makes a pending call, abandoning the call ends the wait."""
+    """Return `queue.next`.
+
+    If this thread makes a pending call, abandoning the call ends the wait.
+    """
     if pending_call() is None:
         return queue.next
 

@@ -107,7 +107,10 @@ class History(StrictAttributes, Closing):
         return found
 
     def _found(self, name: str) -> tuple[str, int | None] | None:
-        """Return the field of a name, and the index if it names one element; None if there is no such field."""
+        """Return the field of a name, and the index if it names one element.
+
+        Return None if there is no such field.
+        """
         fields = self._kind.FIELDS
         element = None if name in fields else element_of(name)
         if element is None:

@@ -110,7 +110,10 @@ def check_lifespan(value: Any) -> float | None:
 
 
 def is_older(packet: Any, lifespan: float) -> bool:
-    """Whether a packet arrived more than `lifespan` seconds ago; False for a packet without a stamp."""
+    """Whether a packet arrived more than `lifespan` seconds ago.
+
+    Return False for a packet without a stamp.
+    """
     received = packet.received
     return received is not None and clock.now() - received.monotonic > lifespan
 

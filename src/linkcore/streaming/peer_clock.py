@@ -160,7 +160,10 @@ class OffsetEstimator:
         self.due = arrival + _STEP if self._seconds and not self._is_new else 0.0
 
     def _is_another(self, moment: float, way: float) -> bool:
-        """Whether this is the second packet by a different clock. A single such packet might have a wrong time."""
+        """Whether this is the second packet by a different clock.
+
+        A single such packet might have a wrong time.
+        """
         suspect = self._suspect
         if not math.isfinite(way):
             return False
@@ -172,9 +175,9 @@ class OffsetEstimator:
         return True
 
     def _recognise(self) -> None:
-        """Check whether the clock of a new connection continues the previous one; restart if it does not.
+        """Check whether the clock of a new connection continues the previous one.
 
-        It does not if the peer was switched off meanwhile.
+        Restart if it does not. It does not if the peer was switched off meanwhile.
         """
         self._is_new = False
         if self._seconds:
@@ -237,7 +240,9 @@ def _line(seconds: Sequence[_Second], round_trip: float) -> OffsetEstimate:
 
 
 def lowest_edge(points: Iterable[_Point], at: float) -> tuple[_Point, _Point]:
-    """Return the edge of the lower convex hull at x = `at`. No point is below the line through this edge.
+    """Return the edge of the lower convex hull at x = `at`.
+
+    No point is below the line through this edge.
 
     Args:
         points: Two or more points (x, y) with increasing x.

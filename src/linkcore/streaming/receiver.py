@@ -44,7 +44,9 @@ class Receiver:
         return self._protocol.framer.rest
 
     def feed(self, data: bytes, stamp: Stamp) -> Sequence[Any]:
-        """Return the typed packets that `data` completes. An invalid packet does not affect the others.
+        """Return the typed packets that `data` completes.
+
+        An invalid packet does not affect the others.
 
         Raises:
             WrongPeer: If the bytes do not belong to such a stream.

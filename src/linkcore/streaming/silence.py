@@ -29,7 +29,9 @@ class _Watch:
 
 
 class SilenceMonitor:
-    """Sum of the silence of a peer. One thread reports to it; any thread may add and remove watches.
+    """Sum of the silence of a peer.
+
+    One thread reports to it; any thread may add and remove watches.
 
     Args:
         name: Name of the stream, used in messages.

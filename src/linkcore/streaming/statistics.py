@@ -130,7 +130,9 @@ class Loop(Protocol):
 
 
 class StreamCounters:
-    """Counters of the reader. Only the reader changes them, so they need no lock; the queues of loops have a lock.
+    """Counters of the reader.
+
+    Only the reader changes them, so they need no lock; the queues of loops have a lock.
 
     Attributes:
         received, decoded, failed, slow_inline, bytes: See `StreamStatistics`.
@@ -191,7 +193,7 @@ class StreamCounters:
             self._duplicates += _duplicates(protocol)
 
     def loop_began(self, queue: Loop) -> None:
-        """Record that a loop takes packets from a queue, so that dropped packets are counted for the stream."""
+        """Record that a loop takes packets from a queue, to count its dropped packets for the stream."""
         with self._changing_loops:
             self._loops = (*self._loops, queue)
 

@@ -107,7 +107,9 @@ class Stream(Feed[T]):
         )
 
     def join(self, timeout: float | None = None) -> bool:
-        """Wait until a recording has ended and all of it is delivered; return False after `timeout` seconds.
+        """Wait until a recording has ended and all of it is delivered.
+
+        Return False after `timeout` seconds.
 
         Args:
             timeout: Maximum wait in seconds; None for no limit.

@@ -105,7 +105,10 @@ class Delivery:
         raise NotImplementedError
 
     def finish(self, timeout: float = 5.0) -> bool:
-        """Stop accepting packets, and deliver queued ones; return False if this takes longer than `timeout`."""
+        """Stop accepting packets, and deliver queued ones.
+
+        Return False if this takes longer than `timeout`.
+        """
         self.sink.end()
         return self.join(timeout)
 
@@ -171,8 +174,8 @@ def _for_each(callback: Callable[[Any], object], expand: Callable[[Any], Iterabl
 class ThreadedDelivery(Delivery):
     """Delivery that takes packets out of a queue in a dedicated thread.
 
-    A callback that raises loses only this packet, whatever it raises. This includes `SystemExit` from ``sys.exit()``,
-    which would otherwise end the thread without a message.
+    If a callback raises any exception, only this packet is lost. This includes `SystemExit` from ``sys.exit()``, which
+    would otherwise end the thread without a message.
 
     Args:
         queue: Queue that only this callback uses.
@@ -343,7 +346,7 @@ class InlineDelivery(Delivery):
 
 
 class Subscription(StrictAttributes, Closing):
-    """Subscription of a callback, which gets packets in order and one at a time until the subscription is closed.
+    """Subscription of a callback, which gets packets in order, one at a time, until closed.
 
     `Stream.subscribe` returns it. It is a context manager that closes itself. You do not have to keep the object: the
     callback is called for as long as the stream is open.
@@ -365,9 +368,10 @@ class Subscription(StrictAttributes, Closing):
         return self._delivery.statistics
 
     def close(self, timeout: float = 1.0) -> None:
-        """Stop delivering; queued packets are dropped and counted. Idempotent; may be called from the callback.
+        """Stop delivering; queued packets are dropped and counted.
 
-        Waits up to `timeout` seconds for a running callback. After that, the callback is left to end on its own.
+        Idempotent; may be called from the callback. Waits up to `timeout` seconds for a running callback. After that,
+        the callback is left to end on its own.
 
         Raises:
             BadValue: If `timeout` is not a number of seconds.
@@ -377,7 +381,9 @@ class Subscription(StrictAttributes, Closing):
         self._delivery.close(timeout)
 
     def finish(self, timeout: float = 5.0) -> bool:
-        """Accept no more packets, and deliver the queued ones; return False if this takes longer than `timeout`.
+        """Accept no more packets, and deliver the queued ones.
+
+        Return False if this takes longer than `timeout`.
 
         Raises:
             BadValue: If `timeout` is not a number of seconds.

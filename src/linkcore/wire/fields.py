@@ -205,7 +205,10 @@ class Raw(Shape):
 
 
 class Text(Raw):
-    """UTF-8 text. Bytes that are not UTF-8 become backslash escapes, so that reading never fails."""
+    """UTF-8 text.
+
+    Bytes that are not UTF-8 become backslash escapes, so that reading never fails.
+    """
 
     @staticmethod
     def read(raw: bytes) -> str:

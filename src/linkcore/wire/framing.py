@@ -143,7 +143,10 @@ class Framer:
         return frames
 
     def _cut(self, buffer: bytes | bytearray, at: int, frames: list[bytes]) -> int:
-        """Append the packets that begin at `at` or later to `frames`; return the start of the undecided rest."""
+        """Append the packets that begin at `at` or later to `frames`.
+
+        Return the start of the undecided rest.
+        """
         boundary, end = self._boundary, len(buffer)
         self._has_framed = self._has_framed or bool(frames)
         while at < end:

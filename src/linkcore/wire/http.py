@@ -96,7 +96,9 @@ def _encoded(start: str, headers: Mapping[str, str], body: bytes) -> bytes:
 
 
 class HttpParser:
-    """Parser of one message that arrives in parts. Its time is proportional to the number of bytes.
+    """Parser of one message that arrives in parts.
+
+    Its time is proportional to the number of bytes.
 
     Args:
         kind: Kind of the message: the request of a client, or the response of a server.
@@ -112,7 +114,9 @@ class HttpParser:
         self._reading = self._request() if kind == "request" else self._response()
 
     def feed(self, data: bytes) -> HttpRequest | HttpResponse | None:
-        """Return the message when it is complete, or else None. Bytes after the message are discarded.
+        """Return the message when it is complete, or else None.
+
+        Bytes after the message are discarded.
 
         Raises:
             PacketError: If this is not such a message, or if it is too large.

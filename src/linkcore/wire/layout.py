@@ -184,9 +184,9 @@ class Layout:
             raise self.too_short(data) from None
 
     def stretches(self, data: bytes) -> Iterator[tuple[Place, int, int, Sequence[Any]]]:
-        """Yield each place, the start and end of its bytes in `data`, and their values. Text may have any length.
+        """Yield each place, the start and end of its bytes in `data`, and their values.
 
-        This is only for layouts without interleaved fields.
+        Text may have any length. This is only for layouts without interleaved fields.
 
         Raises:
             PacketError: If a field runs past the end, or has too few bytes.
@@ -258,9 +258,9 @@ class Layout:
             raise BadValue(f"{self.name}: no value for {', '.join(missing)}")
 
     def _encode_at_once(self, values: Mapping[str, Any]) -> bytes | None:
-        """Encode all fields with one precompiled struct; return None if there is text, or a value does not fit.
+        """Encode all fields with one precompiled struct.
 
-        `_encode_runs` then finds the value that does not fit.
+        Return None if there is text, or a value does not fit. `_encode_runs` then finds the value that does not fit.
         """
         if self.struct is None:
             return None
@@ -323,8 +323,8 @@ class Layout:
     def dtype(self) -> np.dtype[Any]:
         """The numpy dtype of the packet on the wire, header included.
 
-        Interleaved fields are in a nested dtype under the name of their group. Masks and codes stay numbers. Of the
-        header, only the size is included, as `message_size`.
+        Interleaved fields are in a nested dtype under the name of their group. Masks and codes stay numbers. The header
+        is omitted except for its size, which is `message_size`.
 
         Raises:
             BadValue: If the packet contains text, so that its size varies.

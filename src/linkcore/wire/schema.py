@@ -2,7 +2,7 @@
 
 The schemas are made from the same declarations as the fast decoders, but only construct reads them. So a property test
 can check on random bytes that both are equal, for every layout. `dissect` gets the meaning of each byte from a schema.
-Only this module imports construct, because the import takes longer than that of all other modules.
+Only this module imports construct, because importing it takes longer than importing all other modules.
 
 `compile()` of construct is not used, because it omits the checks of sizes. `Optional` and `Select` are not used,
 because they interpret a broken field as the end of the data.
@@ -22,7 +22,10 @@ from .schema_text import PacketStruct, SizedPacket
 
 
 def as_construct(shape: Shape) -> Any:
-    """Return the construct of one shape. Its values are the values that users hold; arrays are lists."""
+    """Return the construct of one shape.
+
+    Its values are the values that users hold; arrays are lists.
+    """
     if isinstance(shape, Number):
         return getattr(construct, shape.name)
     if isinstance(shape, Array):
@@ -44,7 +47,9 @@ def as_construct(shape: Shape) -> Any:
 
 
 def fields_of(layout: Layout, wrap: Callable[[Field, Any], Any]) -> Iterator[Any]:
-    """Yield the fields of a layout in wire order. Interleaved fields are an array of structs, as on the wire.
+    """Yield the fields of a layout in wire order.
+
+    Interleaved fields are an array of structs, as on the wire.
 
     Args:
         layout: Layout.
@@ -64,7 +69,10 @@ def _named(field: Field, shape: Any) -> Any:
 
 
 def checked_fields(layout: Layout) -> Iterator[Any]:
-    """Yield the fields of a layout; fields that identify the packet are constants, and blocks are optional."""
+    """Yield the fields of a layout.
+
+    Fields that identify the packet are constants, and blocks are optional.
+    """
 
     def checked(field: Field, shape: Any) -> Any:
         if field.name in layout.constants:
@@ -140,7 +148,9 @@ def header_rows(header: Header, data: bytes) -> Iterator[Row]:
 
 
 def dissect(layout: Layout, data: bytes) -> Iterator[Row]:
-    """Yield each section of `data` with its meaning, in wire order; the unknown tail is the last.
+    """Yield each section of `data` with its meaning, in wire order.
+
+    The unknown tail is the last.
 
     Args:
         layout: Layout of the packet.

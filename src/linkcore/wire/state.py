@@ -94,13 +94,19 @@ class State:
         return self
 
     def dissect(self) -> Iterator[Row]:
-        """Return each section of the packet's bytes with offset, name, value and unit; the unknown tail is the last."""
+        """Return each section of the packet's bytes with offset, name, value and unit.
+
+        The unknown tail is the last.
+        """
         from .schema import dissect  # imported here, because it imports construct, which takes long
 
         return dissect(self._layout, self._data)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return name -> plain Python value of each sent field: numbers, lists and text; codes are given by name."""
+        """Return name -> plain Python value of each sent field: numbers, lists and text.
+
+        Codes are given by name.
+        """
         return {name: plain(getattr(self, name)) for name in self._layout.places}
 
     def __str__(self) -> str:

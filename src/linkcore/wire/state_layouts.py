@@ -173,7 +173,10 @@ def _unpacker(form: str) -> Callable[[bytes, int], Any]:
 
 @cache
 def _meaning(shape: Shape) -> Callable[[Any], Any] | None:
-    """Return a function from the numbers or bytes of a field to the user's value; None if they are the same."""
+    """Return a function from the numbers or bytes of a field to the user's value.
+
+    Return None if they are the same.
+    """
     read, number = shape.read, shape.number
     if shape.count is None:
         return read
@@ -190,7 +193,9 @@ def _read_only(array: Any) -> Any:
 
 
 class StateLayouts:
-    """All distinct orders of fields that any version sends. The layouts are made at the first use, and only once.
+    """All distinct orders of fields that any version sends.
+
+    The layouts are made at the first use, and only once.
 
     Args:
         packet: Packet class, derived from `linkcore.wire.state.State`.

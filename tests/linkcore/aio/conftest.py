@@ -1,4 +1,4 @@
-"""Every test of this folder compares what a lock guards with the lock."""
+"""Every test of this folder checks that guarded attributes are used only with their lock held."""
 
 from tests.worlds.guarded import guards
 

@@ -1,4 +1,4 @@
-"""A stream that an event loop reads, on real sockets: nothing lost, nothing left behind."""
+"""Streams that an event loop reads, over real sockets: they lose no packets and leave no tasks or threads."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from tests.fakes.link import AT_ONCE, BAD, Count, CountProtocol, counts
 
 pytestmark = pytest.mark.real_time
 
-#: Seconds within which everything has to have happened; on a busy machine too.
+#: Time limit of a test, in seconds, even on a busy machine.
 SOON = 20.0
 
 Test = Callable[[], Coroutine[Any, Any, None]]
 
 
 def awaited(test: Test) -> Callable[[], None]:
-    """Run a test in a loop of its own, in bounded time; it must leave no task and no thread."""
+    """Run a test in its own loop with a time limit, and check that it leaves no task and no thread."""
 
     @functools.wraps(test)
     def run() -> None:
@@ -50,7 +50,7 @@ def awaited(test: Test) -> Callable[[], None]:
 
 
 class Peer:
-    """Takes connections one after the other, and says what the test says."""
+    """Server that accepts connections one after the other. The test writes to them."""
 
     def __init__(self) -> None:
         self._connections: asyncio.Queue[asyncio.StreamWriter] = asyncio.Queue()
@@ -78,7 +78,7 @@ async def listening() -> AsyncIterator[Peer]:
         server.close()
         for writer in peer.writers:
             writer.close()
-        await asyncio.sleep(0)  # which closes them
+        await asyncio.sleep(0)  # the loop closes the connections in this step
 
 
 def stream_to(peer: Peer, *, silence: float | None = None, backoff: Backoff = AT_ONCE) -> AsyncStream[Count]:
@@ -105,7 +105,7 @@ async def numbers(packets: AsyncIterator[Count], count: int) -> list[int]:
 
 
 @awaited
-async def test_everything_comes_in_order_and_is_counted() -> None:
+async def test_packets_arrive_in_order_and_are_counted() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         assert stream.latest is None
         seen: list[int] = []
@@ -125,7 +125,7 @@ async def test_everything_comes_in_order_and_is_counted() -> None:
 
 
 @awaited
-async def test_a_deadline_is_missed_in_the_thread_of_the_loop() -> None:
+async def test_on_deadline_is_called_in_the_loop_thread() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         late: asyncio.Queue[tuple[float, int]] = asyncio.Queue()
         thread = threading.get_ident()
@@ -147,7 +147,7 @@ async def test_a_deadline_is_missed_in_the_thread_of_the_loop() -> None:
 @awaited
 async def test_join_waits_for_the_end() -> None:
     async with listening() as peer, stream_to(peer) as stream:
-        assert await stream.join()  # nothing has begun
+        assert await stream.join()  # returns at once, because the stream was not started
         await stream.start()
         await peer.accepted()
         assert not await stream.join(0.01)
@@ -160,7 +160,7 @@ async def test_join_waits_for_the_end() -> None:
 
 
 @awaited
-async def test_what_is_unknown_is_an_error() -> None:
+async def test_unknown_attribute_raises_attribute_error() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         for held in (stream, stream.of(Count)):
             with pytest.raises(AttributeError):
@@ -169,7 +169,7 @@ async def test_what_is_unknown_is_an_error() -> None:
 
 
 @awaited
-async def test_who_falls_behind_loses_the_oldest_and_is_told_how_many() -> None:
+async def test_slow_iterator_drops_the_oldest_and_counts_drops() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         some, newest = stream.iterate(drop_oldest(3)), stream.iterate(latest)
         await some.open()
@@ -183,7 +183,7 @@ async def test_who_falls_behind_loses_the_oldest_and_is_told_how_many() -> None:
         await some.aclose()
         peer.writers[0].write(counts(10, 11))
         await come(lambda: stream.stats.received == 12)
-        # The one that waits when the loop ends was not passed over.
+        # A packet that is still queued when the iterator is closed counts as dropped.
         await newest.aclose()
         assert stream.stats.dropped == 7 + 9 + 1
         assert stream.stream._connection.counters._loops == ()
@@ -191,15 +191,15 @@ async def test_who_falls_behind_loses_the_oldest_and_is_told_how_many() -> None:
 
 
 @awaited
-async def test_under_block_nothing_is_read_while_the_task_is_behind() -> None:
-    numbered = range(1000, 16_000)  # 75 kB, of which at most 64 KiB are read at a time
+async def test_block_policy_pauses_reading_while_the_task_is_behind() -> None:
+    numbered = range(1000, 16_000)  # 75 kB; one read returns at most 64 KiB
     async with listening() as peer, stream_to(peer, silence=0.3) as stream:
         packets = stream.iterate(Policy(100, drop=None))
         await packets.open()
         (await peer.accepted()).write(counts(*numbered))
         await come(lambda: packets.stats.waiting >= 100)
         waiting = packets.stats.waiting
-        await asyncio.sleep(0.4)  # longer than `silence`: who does not read hears of none
+        await asyncio.sleep(0.4)  # longer than `silence`, which is not measured while reading is paused
         assert packets.stats.waiting == waiting <= 100 + 65536 // 5
         assert stream.stats.received == waiting < len(numbered)
         assert await numbers(packets, len(numbered)) == list(numbered)
@@ -207,7 +207,7 @@ async def test_under_block_nothing_is_read_while_the_task_is_behind() -> None:
 
 
 @awaited
-async def test_it_connects_again_and_goes_on() -> None:
+async def test_stream_reconnects_and_delivers_again() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         events = stream.of(ConnectionEvent).iterate()
         await events.open()
@@ -220,7 +220,7 @@ async def test_it_connects_again_and_goes_on() -> None:
             writer.close()
         await peer.accepted()
         await come(lambda: stream.stats.reconnects == 3)
-        assert stream.latest is None  # of the connection before
+        assert stream.latest is None  # the packet of the previous connection was dropped
         states = [(await anext(events)).state for _ in range(6)]
         again = [ConnectionState.LOST, ConnectionState.CONNECTING, ConnectionState.CONNECTED]
         assert [state for state in states if state in again][-3:] in (
@@ -231,27 +231,27 @@ async def test_it_connects_again_and_goes_on() -> None:
 
 
 @awaited
-async def test_silence_ends_a_connection_and_a_loop_that_is_held_up_does_not() -> None:
+async def test_silence_ends_the_connection_but_a_blocked_loop_does_not() -> None:
     async with listening() as peer, stream_to(peer, silence=0.3) as stream:
         packets = stream.iterate(block)
         await packets.open()
         writer = await peer.accepted()
         writer.write(counts(1))
         assert await numbers(packets, 1) == [1]
-        writer.write(counts(2))  # it is in the kernel now
+        writer.write(counts(2))  # this packet waits in the kernel while the loop is blocked
         time.sleep(0.7)
         assert await numbers(packets, 1) == [2]
         assert stream.stats.reconnects == 0
         with pytest.raises(LinkTimeout, match=r"no Count from script within 0\.1 s"):
             await stream.wait(0.1)
-        again = await peer.accepted()  # nothing came for 0.3 s
+        again = await peer.accepted()  # reconnected after 0.3 s of silence
         await come(lambda: stream.stats.reconnects == 1)
         again.write(counts(3))
         assert await numbers(packets, 1) == [3]
 
 
 @awaited
-async def test_who_gives_up_waiting_loses_no_packet_and_leaves_nothing() -> None:
+async def test_cancelled_wait_loses_no_packet_and_no_queue() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         packets = stream.iterate(block)
         await packets.open()
@@ -274,12 +274,12 @@ async def test_who_gives_up_waiting_loses_no_packet_and_leaves_nothing() -> None
         with pytest.raises(LinkTimeout, match="the condition was true for none of 1 Count"):
             await stream.wait_until(lambda packet: packet.number == 99, 0.3)
         assert stream.latest == Count(number=24)
-        # A loop that was left takes its queue with it.
+        # The queues of the ended waits are removed.
         assert len(stream.stream._connection.fan_out._routes) == 1
 
 
 @awaited
-async def test_nobody_there_is_an_error_and_the_next_use_tries_again() -> None:
+async def test_refused_connection_raises_and_the_next_use_retries() -> None:
     async with listening() as peer:
         port = peer.port
     nobody = Peer()
@@ -293,7 +293,7 @@ async def test_nobody_there_is_an_error_and_the_next_use_tries_again() -> None:
 
 
 @awaited
-async def test_closing_ends_loops_and_does_not_wait_for_a_connection() -> None:
+async def test_close_ends_iteration_and_pending_connects() -> None:
     class Never(AwaitedTcp):
         async def connect(self, timeout: float) -> None:
             await asyncio.Event().wait()
@@ -315,7 +315,7 @@ async def test_closing_ends_loops_and_does_not_wait_for_a_connection() -> None:
 
 
 @awaited
-async def test_other_threads_wait_send_and_abort_and_the_loop_is_refused() -> None:
+async def test_threads_can_block_but_the_loop_thread_cannot() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         threaded, connection = stream.stream, stream.stream._connection
         with pytest.raises(LocalError, match=r"thread of the event loop.*await the call instead"):
@@ -323,7 +323,7 @@ async def test_other_threads_wait_send_and_abort_and_the_loop_is_refused() -> No
         waiting = asyncio.create_task(asyncio.to_thread(threaded.wait, SOON))
         writer = await peer.accepted()
         await come(lambda: connection.fan_out._routes)
-        with pytest.raises(LocalError, match="await it"):
+        with pytest.raises(LocalError, match="await the call instead"):
             threaded.wait()
         writer.write(counts(5))
         assert (await waiting).number == 5
@@ -332,15 +332,15 @@ async def test_other_threads_wait_send_and_abort_and_the_loop_is_refused() -> No
         await asyncio.to_thread(connection.abort)
         await peer.accepted()
         await come(lambda: stream.stats.reconnects == 1)
-        # A thread that closes it waits until the loop has done so.
+        # A thread that closes the stream waits until the loop has closed it.
         await asyncio.to_thread(threaded.close, SOON)
         assert stream.connection is ConnectionState.CLOSED
-    # The pool of the loop, which only this test has used.
+    # Only this test uses the thread pool of the loop.
     await asyncio.get_running_loop().shutdown_default_executor()
 
 
 class _Connection:
-    """What a queue asks of its connection."""
+    """Part of a connection that a queue uses."""
 
     def __init__(self) -> None:
         self.is_held = False
@@ -358,7 +358,7 @@ class _Connection:
     st.booleans(),
     st.lists(st.one_of(st.integers(1, 8), st.just("take"), st.just("close")), max_size=30),
 )
-def test_every_packet_of_a_queue_is_accounted_for(limit: int, drops: bool, steps: list[int | str]) -> None:
+def test_queue_counts_every_packet(limit: int, drops: bool, steps: list[int | str]) -> None:
     connection: Any = _Connection()
     queue = LoopQueue((drop_oldest(limit) if drops else Policy(limit, drop=None)), connection)
     given_number, is_closed, taken = 0, False, []

@@ -1,4 +1,4 @@
-"""How a stream that an event loop reads ends, and what other threads and tasks do meanwhile."""
+"""Ends of streams that an event loop reads, while other threads and tasks use them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from tests.linkcore.aio.test_async_stream import awaited, come, listening, strea
 
 pytestmark = pytest.mark.real_time
 
-#: s that an ending may take on a busy machine; a wait that nobody ends takes longer.
+#: Maximum duration of an ending on a busy machine, in s. A wait that is not ended takes longer.
 _AT_ONCE = 3.0
 
 
 @awaited
-async def test_closed_iterator_gets_nothing_more() -> None:
+async def test_closed_iterator_gets_no_more_packets() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         packets, other = stream.iterate(block), stream.iterate(block)
         await packets.open()
@@ -39,7 +39,7 @@ async def test_closed_iterator_gets_nothing_more() -> None:
 
 
 @awaited
-async def test_stream_goes_on_when_a_full_iterator_is_closed() -> None:
+async def test_stream_continues_when_a_full_iterator_is_closed() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         full, other = stream.iterate(Policy(2, drop=None)), stream.iterate(drop_oldest(100))
         await full.open()
@@ -54,7 +54,7 @@ async def test_stream_goes_on_when_a_full_iterator_is_closed() -> None:
 
 
 @awaited
-async def test_iterator_of_two_tasks_gets_each_packet_once() -> None:
+async def test_iterator_of_two_tasks_counts_each_packet_once() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         packets = stream.iterate(block)
         first, second = (asyncio.ensure_future(packets.next(None)) for _ in range(2))
@@ -71,7 +71,7 @@ async def test_iterator_of_two_tasks_gets_each_packet_once() -> None:
 
 
 @awaited
-async def test_stream_closed_by_a_thread_before_it_reads_has_ended() -> None:
+async def test_join_returns_when_a_thread_closes_an_unread_stream() -> None:
     async with listening() as peer:
         stream = stream_to(peer)
         connection = stream._loop_connection
@@ -81,7 +81,7 @@ async def test_stream_closed_by_a_thread_before_it_reads_has_ended() -> None:
             connection._stop()
 
         thread = asyncio.get_running_loop().run_in_executor(None, begin_and_close)
-        while not connection._life.is_closed:  # the loop reads nothing meanwhile
+        while not connection._life.is_closed:  # block the loop, so that it does not read
             time.sleep(0.001)
         await thread
         begun = clock.now()
@@ -91,7 +91,7 @@ async def test_stream_closed_by_a_thread_before_it_reads_has_ended() -> None:
 
 
 @awaited
-async def test_thread_that_aborts_waits_for_the_loop_only() -> None:
+async def test_abort_in_a_thread_waits_for_the_loop_only() -> None:
     handover, loop_connection._HANDOVER = loop_connection._HANDOVER, 2 * _AT_ONCE
     try:
         async with listening() as peer, stream_to(peer) as stream:
@@ -107,7 +107,7 @@ async def test_thread_that_aborts_waits_for_the_loop_only() -> None:
 
 
 @awaited
-async def test_thread_closes_a_stream_that_connects() -> None:
+async def test_thread_can_close_a_connecting_stream() -> None:
     async with listening() as peer:
         stream = stream_to(peer)
         connection = stream._loop_connection
@@ -132,6 +132,6 @@ async def test_thread_closes_a_stream_that_connects() -> None:
 
 
 async def _without_threads(stream: AsyncStream[Count]) -> None:
-    """End the threads that tests used."""
+    """Close the stream, and end the threads that the test used."""
     await stream.close()
     await asyncio.get_running_loop().shutdown_default_executor()

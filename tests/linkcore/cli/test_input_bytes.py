@@ -1,4 +1,4 @@
-"""Input of a person: files, hex text and stdin."""
+"""Bytes that a person enters: files, hex text and stdin."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def test_input_bytes_reads_stdin_for_a_hyphen(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_text_without_hex_digits_is_kept_and_explained() -> None:
-    # Without its column of text, a dump consists of hex digits, and its offsets would be taken for data.
+    # A dump without its text column consists of hex digits only, so its offsets would be read as data.
     for dump in (b"00000000: 0000 0037", b"\t0x0000:  4500 0034", b"00000000: 0000 0037  ...7"):
         assert from_hex(dump, "stdin") == dump
     assert "it is text that begins with '00000000: 0000 0037 '; expected hex digits" in text_hint(dump)
     assert text_hint(b"\x00" + dump) == ""
 
 
-def test_input_bytes_explains_what_it_rejects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_input_bytes_errors_explain_the_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(MAGIC)))
     with pytest.raises(BadRecording, match="stdin is a recording; give the path"):
         input_bytes("-")
     (tmp_path / "dump").write_text("00 0")
     with pytest.raises(BadRecording, match="has 3 hex digits; expected two for each byte"):
         input_bytes(str(tmp_path / "dump"))
-    with pytest.raises(BadRecording, match=r"cannot read 0000003714: .*with - from stdin"):
+    with pytest.raises(BadRecording, match=r"cannot read 0000003714: .*pipe them into stdin"):
         input_bytes("0000003714")

@@ -1,4 +1,4 @@
-"""The progress of a command: on a terminal, elsewhere, nested and beside other output."""
+"""Progress bars of commands: on a terminal, on other streams, nested, and together with other output."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tests.waiting import until
 
 
 class Terminal(io.StringIO):
-    """What stdout and stderr have in common if both are the same terminal."""
+    """Terminal that is both stdout and stderr."""
 
     def isatty(self) -> bool:
         return True
 
     @property
     def screen(self) -> str:
-        """The visible text, as a terminal with one line of history for each line break shows it."""
+        """Visible text; each line shows the text after its last carriage return."""
         lines = []
         for line in self.getvalue().split("\n"):
             lines.append(re.split("\r", line.replace("\x1b[K", ""))[-1])
@@ -79,7 +79,7 @@ def test_output_appears_above_the_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     assert terminal.screen == "line 0\nline 1\nline 2\nlogged\n"
 
 
-def test_nothing_is_drawn_behind_a_question(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bar_is_not_drawn_after_an_unfinished_line(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
     with ProgressBar("working") as progress:
         until(lambda: "working" in terminal.getvalue())
@@ -93,7 +93,7 @@ def test_nothing_is_drawn_behind_a_question(monkeypatch: pytest.MonkeyPatch) -> 
         until(lambda: "the next step" in terminal.getvalue())
 
 
-def test_the_bar_that_was_called_last_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_last_called_bar_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
     with ProgressBar("outer") as outer:
         with ProgressBar("inner") as inner:
@@ -116,7 +116,7 @@ def test_other_streams_get_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "\x1b" not in lines.getvalue()
 
 
-def test_short_work_and_quiet_work_show_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_short_and_quiet_work_show_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = with_lines(monkeypatch)
     monkeypatch.setattr(module, "_FIRST", 60.0)
     with ProgressBar("reading", quiet=True) as progress:

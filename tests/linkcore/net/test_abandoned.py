@@ -1,7 +1,7 @@
-"""What was given up does not arrive later, and what was closed in good order arrives.
+"""Abandoned data does not arrive later, but data sent before an orderly close arrives.
 
-The peers here have a small receive buffer and do not read, so that what is sent stays in this side's kernel: as it does
-where the network is away, but without needing one.
+The peers in this module have a small receive buffer and do not read. So sent data stays in the kernel of this side, as
+it does when the network is down, but the tests need no network for that.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
 
-#: Seconds that a test waits for what must come at once.
+#: Time limit for events that must happen at once, in seconds.
 TIMEOUT = 10.0
 BLOCK = b"movej" * 1000
 
@@ -57,7 +57,7 @@ def transport(listener: socket.socket) -> Iterator[TcpTransport]:
 
 
 def fill(transport: TcpTransport) -> int:
-    """Send until the kernel takes no more; how many bytes it took."""
+    """Send until the kernel accepts no more; return the number of accepted bytes."""
     taken = 0
     while (sent := transport.send_some(BLOCK)) or transport.wait_for_room(0.05):
         taken += sent
@@ -65,7 +65,7 @@ def fill(transport: TcpTransport) -> int:
 
 
 def drained(connection: socket.socket) -> tuple[int, bool]:
-    """How many bytes arrive until the connection ends, and whether it ends in good order."""
+    """Read to the end of the connection; return the number of bytes, and whether the end was orderly."""
     total = 0
     try:
         while data := connection.recv(1 << 16):
@@ -75,7 +75,7 @@ def drained(connection: socket.socket) -> tuple[int, bool]:
     return total, True
 
 
-def test_what_the_kernel_holds_is_discarded(transport: TcpTransport, peer: socket.socket) -> None:
+def test_abort_discards_data_in_the_kernel(transport: TcpTransport, peer: socket.socket) -> None:
     taken = fill(transport)
     transport.abort()
     arrived, in_order = drained(peer)
@@ -83,7 +83,7 @@ def test_what_the_kernel_holds_is_discarded(transport: TcpTransport, peer: socke
     assert not in_order
 
 
-def test_abort_takes_effect_although_another_thread_waits_to_send(transport: TcpTransport, peer: socket.socket) -> None:
+def test_abort_takes_effect_while_another_thread_sends(transport: TcpTransport, peer: socket.socket) -> None:
     errors: list[Exception] = []
     taken = fill(transport)
 
@@ -104,7 +104,7 @@ def test_abort_takes_effect_although_another_thread_waits_to_send(transport: Tcp
     assert drained(peer)[0] < taken
 
 
-def test_abort_takes_effect_although_another_thread_receives(transport: TcpTransport, peer: socket.socket) -> None:
+def test_abort_takes_effect_while_another_thread_receives(transport: TcpTransport, peer: socket.socket) -> None:
     errors: list[Exception] = []
 
     def receive() -> None:
@@ -122,7 +122,7 @@ def test_abort_takes_effect_although_another_thread_receives(transport: TcpTrans
     assert drained(peer)[0] < taken
 
 
-def test_close_delivers_what_was_sent(transport: TcpTransport, peer: socket.socket) -> None:
+def test_close_delivers_sent_data(transport: TcpTransport, peer: socket.socket) -> None:
     taken = fill(transport)
     closing = threading.Thread(target=transport.close, args=(TIMEOUT,))
     closing.start()
@@ -131,7 +131,7 @@ def test_close_delivers_what_was_sent(transport: TcpTransport, peer: socket.sock
     assert not closing.is_alive()
 
 
-def test_close_waits_no_longer_than_it_was_told(transport: TcpTransport, peer: socket.socket) -> None:
+def test_close_stops_waiting_after_its_timeout(transport: TcpTransport, peer: socket.socket) -> None:
     taken = fill(transport)
     began = time.monotonic()
     transport.close(0.1)
@@ -141,7 +141,7 @@ def test_close_waits_no_longer_than_it_was_told(transport: TcpTransport, peer: s
     assert not in_order
 
 
-def test_close_with_nothing_left_to_deliver_is_quick(transport: TcpTransport, peer: socket.socket) -> None:
+def test_close_is_quick_when_all_data_is_delivered(transport: TcpTransport, peer: socket.socket) -> None:
     transport.send(b"set_digital_out(0, True)\n", TIMEOUT)
     began = time.monotonic()
     transport.close(TIMEOUT)
@@ -149,7 +149,7 @@ def test_close_with_nothing_left_to_deliver_is_quick(transport: TcpTransport, pe
     assert drained(peer) == (25, True)
 
 
-def test_abort_ends_a_close_that_waits(transport: TcpTransport, peer: socket.socket) -> None:
+def test_abort_ends_a_waiting_close(transport: TcpTransport, peer: socket.socket) -> None:
     taken = fill(transport)
     closing = threading.Thread(target=transport.close, args=(TIMEOUT,))
     closing.start()
@@ -160,7 +160,7 @@ def test_abort_ends_a_close_that_waits(transport: TcpTransport, peer: socket.soc
     assert drained(peer)[0] < taken
 
 
-def test_nothing_can_be_sent_after_close_has_begun(transport: TcpTransport, peer: socket.socket) -> None:
+def test_send_raises_after_close_has_begun(transport: TcpTransport, peer: socket.socket) -> None:
     fill(transport)
     closing = threading.Thread(target=transport.close, args=(TIMEOUT,))
     closing.start()
@@ -178,9 +178,9 @@ def test_nothing_can_be_sent_after_close_has_begun(transport: TcpTransport, peer
 
 
 @pytest.mark.skipif(
-    sys.platform != "linux", reason="how other systems end the connections of a killed process is theirs"
+    sys.platform != "linux", reason="other systems may end the connections of a killed process in another way"
 )
-def test_a_killed_process_sends_nothing_any_more(listener: socket.socket) -> None:
+def test_killed_process_sends_no_more_data(listener: socket.socket) -> None:
     source = (
         "import sys, time\n"
         "from linkcore.net.transport import TcpTransport\n"
@@ -205,8 +205,8 @@ def test_a_killed_process_sends_nothing_any_more(listener: socket.socket) -> Non
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="this system has no TCP_USER_TIMEOUT")
-def test_the_kernel_gives_up_by_itself_what_is_not_acknowledged(listener: socket.socket) -> None:
-    """As it has to while this process is suspended: nothing here calls `abort` or `close`."""
+def test_kernel_discards_unacknowledged_data_after_silence(listener: socket.socket) -> None:
+    """The kernel must do so while this process is suspended, so the test calls neither `abort` nor `close`."""
     transport = TcpTransport("127.0.0.1", listener.getsockname()[1], silence=0.3)
     transport.open(TIMEOUT)
     connection, _ = listener.accept()
@@ -220,8 +220,8 @@ def test_the_kernel_gives_up_by_itself_what_is_not_acknowledged(listener: socket
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
-def test_a_forked_child_cannot_end_the_connection(listener: socket.socket) -> None:
-    """In a process of its own, which has one thread: forking one with more is asking for trouble."""
+def test_forked_child_cannot_end_the_connection(listener: socket.socket) -> None:
+    """The fork happens in a separate process with one thread, because forking a process with more is unsafe."""
     source = (
         "import os, sys\n"
         "from linkcore.net.transport import TcpTransport\n"
@@ -247,12 +247,12 @@ def test_a_forked_child_cannot_end_the_connection(listener: socket.socket) -> No
         connection, _ = listener.accept()
         with connection:
             connection.settimeout(TIMEOUT)
-            assert connection.recv(10) == b"0", "the child was told that it is not connected"
+            assert connection.recv(10) == b"0", "the forked child must get LocalError from receive()"
             connection.sendall(b"still here")
             assert process.communicate(timeout=TIMEOUT)[0] == "still here\n"
 
 
-# -- a network that goes away ----------------------------------------------------------------------------
+# -- loss of the network ---------------------------------------------------------------------------------
 
 _CUT = """
 import socket, subprocess, sys, time
@@ -281,34 +281,38 @@ with socket.create_server(("127.0.0.1", 0)) as server:
 
 
 def cut(doing: str, seconds: float) -> str:
-    """Take the network away, send, do that, bring the network back; what arrives within so many seconds."""
+    """Cut the network, send, call the method `doing` (or "keep"), and restore the network.
+
+    Returns:
+        Report of the data that arrives within `seconds`.
+    """
     if sys.platform != "linux" or shutil.which("unshare") is None or shutil.which("ip") is None:
-        pytest.skip("a network of its own takes Linux with unshare and ip")
+        pytest.skip("a separate network needs Linux with unshare and ip")
     alone = ["unshare", "--net"] if os.geteuid() == 0 else ["unshare", "--net", "--map-root-user"]
     if subprocess.run([*alone, "true"], capture_output=True, check=False).returncode:
-        pytest.skip("this user may not make a network of its own")
+        pytest.skip("this user may not create a separate network")
     command = [*alone, sys.executable, "-c", _CUT, doing, str(seconds)]
     return subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout.strip()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("doing", ["abort", "close"])
-def test_a_network_that_comes_back_brings_nothing_that_was_given_up(doing: str) -> None:
-    # Linux sends again after 0.2, 0.6 and 1.4 s, so that what is not given up arrives in that time: see below.
+def test_abandoned_data_is_lost_when_the_network_returns(doing: str) -> None:
+    # Linux sends again after 0.2, 0.6 and 1.4 s, so data that is not abandoned arrives in that time (see below).
     assert cut(doing, 2.0).startswith("nothing")
 
 
 @pytest.mark.slow
-def test_a_network_that_comes_back_brings_what_was_not_given_up() -> None:
-    """The test above would see it."""
+def test_kept_data_arrives_when_the_network_returns() -> None:
+    """Control for the test above: it would detect the data."""
     assert cut("keep", 10.0) == "arrived: b'movej'"
 
 
 # -- options of the socket -----------------------------------------------------------------------------
 
 
-def test_times_of_either_width() -> None:
-    """Two words of 4 bytes, or of 8 where time_t has 64 bits, on 32-bit systems too."""
+def test_timeval_supports_32_and_64_bit_times() -> None:
+    """A timeval has two words of 4 bytes, or of 8 bytes if time_t has 64 bits (even on 32-bit systems)."""
     little = sys.byteorder == "little"
     assert module._timeval(2.5, 8).hex() == ("0200000020a10700" if little else "000000020007a120")
     assert module._timeval(2.5, 16).hex() == (
@@ -316,11 +320,11 @@ def test_times_of_either_width() -> None:
     )
 
 
-def test_a_timeout_of_nothing_is_not_for_ever(transport: TcpTransport, peer: socket.socket) -> None:
+def test_timeval_of_zero_is_not_an_endless_timeout(transport: TcpTransport, peer: socket.socket) -> None:
     assert module._timeval(0.0, 16) != bytes(16)
 
 
-def test_the_kernel_is_told_to_discard_and_when_to_give_up(transport: TcpTransport, peer: socket.socket) -> None:
+def test_socket_options_discard_data_and_limit_retries(transport: TcpTransport, peer: socket.socket) -> None:
     assert transport._socket is not None
     size = module._LINGER.size
     assert transport._socket.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, size) == module._LINGER.pack(1, 0)
@@ -328,8 +332,8 @@ def test_the_kernel_is_told_to_discard_and_when_to_give_up(transport: TcpTranspo
         assert transport._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == TIMEOUT * 1000
 
 
-def test_a_peer_that_only_sends_no_more_ends_a_send_that_waits(transport: TcpTransport, peer: socket.socket) -> None:
-    """It has half-closed and does not read: `receive` would say that it closed the connection."""
+def test_half_closed_peer_ends_a_waiting_send(transport: TcpTransport, peer: socket.socket) -> None:
+    """The peer has closed its sending side and does not read; `receive` would report a closed connection."""
     fill(transport)
     peer.shutdown(socket.SHUT_WR)
     assert transport._socket is not None

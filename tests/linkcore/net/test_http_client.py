@@ -1,4 +1,4 @@
-"""A client of HTTP against a server whose every byte the test decides: redirects, deadlines, and ends."""
+"""HTTP client with a server that sends the bytes of the test: redirects, deadlines, and ends."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ Say = Callable[[HttpRequest], Iterator[bytes]]
 
 
 class WebServer(OneAfterAnother):
-    """Answers each request with the pieces that `say` yields, and closes the connection.
+    """Server that answers each request with the pieces that `say` yields, and closes the connection.
 
     Attributes:
-        asked: the requests.
+        asked: Received requests.
     """
 
     def __init__(self, say: Say) -> None:
@@ -63,7 +63,7 @@ def once(response: HttpResponse) -> Say:
     return lambda request: iter([response.encode()])
 
 
-def test_a_redirect_is_followed_with_method_and_body(serve: Serve) -> None:
+def test_redirect_keeps_method_and_body(serve: Serve) -> None:
     there = serve(once(HttpResponse(200, "OK", {}, b"there")))
 
     def say(request: HttpRequest) -> Iterator[bytes]:
@@ -86,13 +86,13 @@ def test_a_redirect_is_followed_with_method_and_body(serve: Serve) -> None:
         ("http://[", "is not a valid address"),
     ],
 )
-def test_where_a_redirect_is_not_followed(serve: Serve, location: str, error: str) -> None:
+def test_invalid_redirect_raises_wrong_peer(serve: Serve, location: str, error: str) -> None:
     server = serve(once(HttpResponse(302, "Found", {"Location": location})))
     with pytest.raises(WrongPeer, match=error):
         HttpClient("127.0.0.1", server.port).ask(HttpRequest("GET", "/"), TIMEOUT)
 
 
-def test_the_deadline_is_for_all_of_the_answer(serve: Serve) -> None:
+def test_timeout_covers_the_whole_response(serve: Serve) -> None:
     def drip(request: HttpRequest) -> Iterator[bytes]:
         yield b"HTTP/1.1 200 OK\r\n"
         while True:
@@ -106,7 +106,7 @@ def test_the_deadline_is_for_all_of_the_answer(serve: Serve) -> None:
     assert time.monotonic() - began < TIMEOUT / 2
 
 
-def test_what_answers_otherwise(serve: Serve) -> None:
+def test_response_that_is_not_http_or_incomplete_raises(serve: Serve) -> None:
     other = serve(lambda request: iter([b"Connected: Universal Robots Dashboard Server\r\n"]))
     with pytest.raises(WrongPeer, match="does not respond like a web server"):
         HttpClient("127.0.0.1", other.port).ask(HttpRequest("GET", "/"), TIMEOUT)
@@ -117,14 +117,14 @@ def test_what_answers_otherwise(serve: Serve) -> None:
     assert HttpClient("127.0.0.1", open_end.port).ask(HttpRequest("GET", "/"), TIMEOUT).body == b"all of it"
 
 
-def test_who_is_refused_is_told_what_may_be_the_cause() -> None:
+def test_refused_connection_error_names_the_possible_cause() -> None:
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
     with pytest.raises(ConnectFailed, match=r"refused.*; it may be switched off"):
         HttpClient("127.0.0.1", port, refused=lambda: "it may be switched off").ask(HttpRequest("GET", "/"), 5)
 
 
-def test_closing_ends_what_waits(serve: Serve) -> None:
+def test_close_ends_a_waiting_request(serve: Serve) -> None:
     is_over = threading.Event()
 
     def wait(request: HttpRequest) -> Iterator[bytes]:

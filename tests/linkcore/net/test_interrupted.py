@@ -1,4 +1,4 @@
-"""Exchanges of a call whose task is cancelled: the wait ends at once, and a command that was sent is undone."""
+"""Exchanges of a call whose task is cancelled: the wait ends at once, and a sent command is undone."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TIMEOUT = 60.0
 
 
 class Server:
-    """A server that accepts connections, and answers when it is told to."""
+    """Server that accepts connections, and answers if `answer` is set."""
 
     def __init__(self) -> None:
         self.listener = socket.create_server(("127.0.0.1", 0))
@@ -61,7 +61,7 @@ def server() -> Iterator[Server]:
 
 
 class Lines:
-    """Lines without a greeting; may do something before an answer is known."""
+    """Protocol of lines without a greeting, which calls a function before it returns an answer."""
 
     settling = None
     is_greeted = True
@@ -79,7 +79,7 @@ class Lines:
 
 
 class Made:
-    """A call that is made in a thread, and abandoned in another one."""
+    """Call that runs in one thread, and is abandoned by another thread."""
 
     def __init__(self, function: Callable[[], object], call: PendingCall | None = None) -> None:
         self.call = call or PendingCall()
@@ -105,7 +105,7 @@ def dialogue(server: Server, before_answer: Callable[[], object] = lambda: None)
     return Dialogue(transport, lambda: Lines(before_answer), "server", TIMEOUT)
 
 
-def test_dialogue_ends_without_an_answer(server: Server) -> None:
+def test_abandoned_dialogue_ends_without_an_answer(server: Server) -> None:
     given_up = threading.Event()
     asking = dialogue(server)
     made = Made(lambda: asking.ask("play", TIMEOUT, given_up=given_up.set))
@@ -117,7 +117,7 @@ def test_dialogue_ends_without_an_answer(server: Server) -> None:
     assert asking.ask("stop", TIMEOUT) == "ok"
 
 
-def test_dialogue_undoes_what_is_answered_as_it_is_abandoned(server: Server) -> None:
+def test_dialogue_undoes_a_command_answered_during_abandonment(server: Server) -> None:
     given_up, call = threading.Event(), PendingCall()
     asking = dialogue(server, before_answer=call.give_up)
     server.answer = b"ok"
@@ -126,7 +126,7 @@ def test_dialogue_undoes_what_is_answered_as_it_is_abandoned(server: Server) -> 
     assert given_up.is_set()
 
 
-def test_dialogue_ends_while_another_thread_has_its_turn(server: Server) -> None:
+def test_abandoned_dialogue_ends_while_another_thread_asks(server: Server) -> None:
     asking = dialogue(server)
     first = Made(lambda: asking.ask("first", TIMEOUT))
     until(lambda: bool(server.received))
@@ -138,7 +138,7 @@ def test_dialogue_ends_while_another_thread_has_its_turn(server: Server) -> None
     assert server.received == [b"first\n"]
 
 
-def test_http_request_ends_without_an_answer(server: Server) -> None:
+def test_abandoned_http_request_ends_without_an_answer(server: Server) -> None:
     given_up = threading.Event()
     client = HttpClient("127.0.0.1", server.port)
     made = Made(lambda: client.ask(HttpRequest("PUT", "/play", {}, b""), TIMEOUT, given_up.set))
@@ -150,8 +150,8 @@ def test_http_request_ends_without_an_answer(server: Server) -> None:
 
 @pytest.mark.real_time
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the wait lasts until its timeout")
-def test_connecting_ends() -> None:
-    """The queue of the listener is full, so the kernel does not answer."""
+def test_abandoned_connect_ends() -> None:
+    """The kernel does not answer, because the queue of the listener is full."""
     with socket.create_server(("127.0.0.1", 0), backlog=0) as listener:
         port = listener.getsockname()[1]
         waiting = [socket.socket() for _ in range(4)]
@@ -172,7 +172,7 @@ class Closeable:
         pass
 
 
-def test_answered_command_is_undone_if_nobody_has_the_result() -> None:
+def test_answered_command_is_undone_when_its_call_is_abandoned() -> None:
     undos, undone, call = PendingUndos("robot"), threading.Event(), PendingCall()
     undo = Undo(Closeable, lambda client, is_wanted: undone.set())
 

@@ -1,4 +1,4 @@
-"""Peers that connect to this side."""
+"""Listening ports, and the connections that peers open to them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TIMEOUT = 10.0
 
 @pytest.fixture(autouse=True)
 def leaks_no_socket() -> Iterator[None]:
-    """A socket that nobody closed warns when it is collected: here, rather than in some later test."""
+    """Collect unclosed sockets here, so that their warnings appear in this test rather than in a later one."""
     yield
     gc.collect()
 
@@ -33,13 +33,13 @@ def listener() -> Iterator[TcpListener]:
         yield listener
 
 
-def test_a_free_port_is_found_and_named(listener: TcpListener) -> None:
+def test_listener_reports_its_free_port(listener: TcpListener) -> None:
     host, port = listener.address
     assert host == "127.0.0.1"
     assert 0 < port < 65536
 
 
-def test_talks_both_ways_with_whoever_connects(listener: TcpListener) -> None:
+def test_accepted_connection_sends_and_receives(listener: TcpListener) -> None:
     with socket.create_connection(listener.address, TIMEOUT) as peer:
         link = listener.accept(TIMEOUT)
         assert link.name == "{}:{}".format(*peer.getsockname())
@@ -52,7 +52,7 @@ def test_talks_both_ways_with_whoever_connects(listener: TcpListener) -> None:
         assert peer.recv(100) == b""
 
 
-def test_the_connection_does_not_delay_small_packets(listener: TcpListener) -> None:
+def test_accepted_connection_has_nodelay(listener: TcpListener) -> None:
     with socket.create_connection(listener.address, TIMEOUT):
         link = listener.accept(TIMEOUT)
         assert link._socket is not None
@@ -60,14 +60,14 @@ def test_the_connection_does_not_delay_small_packets(listener: TcpListener) -> N
         link.close()
 
 
-def test_nobody_comes(listener: TcpListener) -> None:
+def test_accept_times_out_without_a_peer(listener: TcpListener) -> None:
     with pytest.raises(LinkTimeout, match="yet"):
         listener.accept(0)
     with pytest.raises(LinkTimeout, match=r"127\.0\.0\.1:\d+ within 0\.01 s"):
         listener.accept(0.01)
 
 
-def test_silence_of_an_accepted_connection(listener: TcpListener, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_receive_of_accepted_connection_times_out(listener: TcpListener, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(linkcore.net.listener, "_SILENCE", 0.01)
     with socket.create_connection(listener.address, TIMEOUT):
         link = listener.accept(TIMEOUT)
@@ -76,7 +76,7 @@ def test_silence_of_an_accepted_connection(listener: TcpListener, monkeypatch: p
         link.close()
 
 
-def test_who_resets_at_once_is_lost_and_the_next_is_taken(listener: TcpListener) -> None:
+def test_next_peer_is_accepted_after_a_reset_one(listener: TcpListener) -> None:
     peer = socket.create_connection(listener.address, TIMEOUT)
     peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     peer.close()
@@ -87,7 +87,7 @@ def test_who_resets_at_once_is_lost_and_the_next_is_taken(listener: TcpListener)
         listener.accept(TIMEOUT).close()
 
 
-def test_a_closed_listener_refuses(listener: TcpListener) -> None:
+def test_closed_listener_refuses_connections(listener: TcpListener) -> None:
     listener.close()
     listener.close()
     with pytest.raises(ConnectFailed, match="was closed"):
@@ -96,7 +96,7 @@ def test_a_closed_listener_refuses(listener: TcpListener) -> None:
         socket.create_connection(listener.address, TIMEOUT)
 
 
-def test_closing_wakes_who_waits(listener: TcpListener) -> None:
+def test_close_ends_a_waiting_accept(listener: TcpListener) -> None:
     outcome: list[Exception] = []
 
     def wait() -> None:
@@ -113,7 +113,7 @@ def test_closing_wakes_who_waits(listener: TcpListener) -> None:
     assert isinstance(outcome[0], ConnectFailed)
 
 
-def test_what_was_accepted_outlives_the_listener(listener: TcpListener) -> None:
+def test_accepted_connection_outlives_the_listener(listener: TcpListener) -> None:
     with socket.create_connection(listener.address, TIMEOUT) as peer:
         link = listener.accept(TIMEOUT)
         listener.close()
@@ -122,7 +122,7 @@ def test_what_was_accepted_outlives_the_listener(listener: TcpListener) -> None:
         link.close()
 
 
-def test_the_same_port_again_at_once(listener: TcpListener) -> None:
+def test_port_can_be_reused_immediately(listener: TcpListener) -> None:
     with socket.create_connection(listener.address, TIMEOUT):
         link = listener.accept(TIMEOUT)
         listener.close()
@@ -131,7 +131,7 @@ def test_the_same_port_again_at_once(listener: TcpListener) -> None:
         link.close()
 
 
-def test_all_addresses_of_this_computer() -> None:
+def test_empty_host_listens_on_all_addresses() -> None:
     with TcpListener("") as listener, socket.create_connection(("127.0.0.1", listener.address[1]), TIMEOUT):
         listener.accept(TIMEOUT).close()
 
@@ -139,22 +139,22 @@ def test_all_addresses_of_this_computer() -> None:
 @pytest.mark.parametrize(
     ("host", "port"), [("192.0.2.1", 0), ("no-such-host.invalid", 0), ("127.0.0.1", 70000), ("nul\0", 0)]
 )
-def test_where_nobody_can_listen(host: str, port: int) -> None:
+def test_listener_rejects_invalid_addresses(host: str, port: int) -> None:
     with pytest.raises(BadAddress, match="cannot listen on"):
         TcpListener(host, port)
 
 
-def test_a_port_that_is_taken(listener: TcpListener) -> None:
+def test_listener_rejects_a_port_in_use(listener: TcpListener) -> None:
     with pytest.raises(BadAddress, match="cannot listen on 127"):
         TcpListener(*listener.address)
 
 
-def test_local_address() -> None:
+def test_local_address_is_the_loopback_for_local_hosts() -> None:
     assert local_address("127.0.0.1") == "127.0.0.1"
     assert local_address("localhost") in ("127.0.0.1", "::1")
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "a..b", "nul\0"])
-def test_no_route(host: str) -> None:
+def test_local_address_rejects_unknown_hosts(host: str) -> None:
     with pytest.raises(ConnectFailed, match="no such host"):
         local_address(host)

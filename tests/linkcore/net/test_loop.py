@@ -1,4 +1,4 @@
-"""Many clients of one loop, over real sockets. Times are those of a clock that the test sets."""
+"""Many clients of one loop, over real sockets. The test sets the clock."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TIMEOUT = 10.0
 
 
 class Recorder(Handler):
-    """Writes down what happens to a connection, and does what the test says with the bytes."""
+    """Handler that records the events of a connection, and passes received bytes to a function of the test."""
 
     def __init__(self, connection: Connection, on_data: Callable[[Connection, bytes], object] | None = None) -> None:
         self.connection = connection
@@ -53,7 +53,7 @@ class Recorder(Handler):
 
 
 class Bench:
-    """A loop with one port, served in the test's own thread."""
+    """Loop with one port, which the thread of the test serves."""
 
     def __init__(self, **options: int | float | bool) -> None:
         self.clock = Clock()
@@ -73,14 +73,14 @@ class Bench:
         return self._clients.enter_context(link)
 
     def client(self) -> tuple[socket.socket, Recorder]:
-        """A client, and the handler of its connection."""
+        """Connect a client; return its socket and the handler of its connection."""
         count = len(self.handlers)
         link = self.connect()
         self.serve(lambda: len(self.handlers) > count)
         return link, self.handlers[-1]
 
     def serve(self, condition: Callable[[], object]) -> None:
-        """Serve until it is so. The clock stands still meanwhile."""
+        """Serve until the condition is true. The clock does not advance meanwhile."""
 
         def is_so() -> object:
             self.loop.serve_once(self.clock.now)
@@ -98,7 +98,7 @@ def bench() -> Iterator[Bench]:
     bench = Bench()
     yield bench
     bench.close()
-    gc.collect()  # a socket that nobody closed warns here, rather than in some later test
+    gc.collect()  # so that the warning of an unclosed socket appears in this test, not in a later one
 
 
 @contextlib.contextmanager
@@ -111,7 +111,7 @@ def bench_with(**options: int | float | bool) -> Iterator[Bench]:
 
 
 def is_reset(link: socket.socket) -> bool:
-    """Read to the end. True if that is a reset."""
+    """Read to the end; return whether the end is a reset."""
     try:
         while link.recv(65536):
             pass
@@ -123,7 +123,7 @@ def is_reset(link: socket.socket) -> bool:
 # -- bytes -------------------------------------------------------------------------------------------
 
 
-def test_there_and_back(bench: Bench) -> None:
+def test_clients_get_their_own_replies(bench: Bench) -> None:
     bench.on_data = lambda connection, data: connection.write(data.upper())
     first, _ = bench.client()
     second, _ = bench.client()
@@ -138,14 +138,14 @@ def test_there_and_back(bench: Bench) -> None:
     )
 
 
-def test_a_connection_knows_its_peer(bench: Bench) -> None:
+def test_connection_has_the_address_of_its_peer(bench: Bench) -> None:
     link, handler = bench.client()
     assert handler.connection.peer == link.getsockname()
     assert handler.connection.name == "{}:{}".format(*link.getsockname())
 
 
 @pytest.mark.slow
-def test_what_the_kernel_does_not_take_is_sent_later_and_in_order() -> None:
+def test_buffered_output_is_sent_later_in_order() -> None:
     with bench_with(output_limit=100_000_000) as bench:
         link, handler = bench.client()
         sent = b"".join(number.to_bytes(4, "big") for number in range(2_000_000))
@@ -166,7 +166,7 @@ def test_what_the_kernel_does_not_take_is_sent_later_and_in_order() -> None:
         assert not handler.losses
 
 
-def test_a_client_that_does_not_read_is_reset_and_the_others_are_not() -> None:
+def test_only_the_client_that_does_not_read_is_reset() -> None:
     with bench_with(output_limit=100_000) as bench:
         sleeper, lost = bench.client()
         reader, kept = bench.client()
@@ -187,12 +187,12 @@ def test_a_client_that_does_not_read_is_reset_and_the_others_are_not() -> None:
         assert is_reset(sleeper)
         assert kept.connection.is_open
         assert not kept.losses
-        # Without effect on a connection that is over.
+        # Writing to a connection that has ended has no effect.
         lost.connection.write(b"x" * 200_000)
         assert bench.port.overflowed == 1
 
 
-def test_no_more_than_a_chunk_of_one_client_at_a_time() -> None:
+def test_loop_reads_at_most_one_chunk_at_a_time() -> None:
     with bench_with(chunk=100) as bench:
         sizes: list[int] = []
         bench.on_data = lambda connection, data: sizes.append(len(data))
@@ -202,7 +202,7 @@ def test_no_more_than_a_chunk_of_one_client_at_a_time() -> None:
         assert max(sizes) <= 100
 
 
-def test_a_handler_can_make_its_client_wait(bench: Bench) -> None:
+def test_pause_reading_makes_the_client_wait(bench: Bench) -> None:
     link, handler = bench.client()
     handler.connection.pause_reading()
     link.sendall(b"later")
@@ -214,8 +214,8 @@ def test_a_handler_can_make_its_client_wait(bench: Bench) -> None:
     bench.serve(lambda: handler.data == b"later")
 
 
-def test_one_that_paused_itself_gets_no_more_of_what_came_together(bench: Bench) -> None:
-    """Events of one look may be about a connection that an earlier one of them has paused or closed."""
+def test_closed_connection_gets_no_data_of_the_same_poll(bench: Bench) -> None:
+    """An event of a poll may belong to a connection that an earlier event of the same poll has closed."""
     links = [bench.client() for _ in range(4)]
     closed: list[Connection] = []
 
@@ -236,7 +236,7 @@ def test_one_that_paused_itself_gets_no_more_of_what_came_together(bench: Bench)
 # -- ends --------------------------------------------------------------------------------------------
 
 
-def test_a_peer_that_closes_or_resets(bench: Bench) -> None:
+def test_connection_lost_reports_close_and_reset_by_the_peer(bench: Bench) -> None:
     closing, closed = bench.client()
     resetting, reset = bench.client()
     resetting.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -248,8 +248,8 @@ def test_a_peer_that_closes_or_resets(bench: Bench) -> None:
     assert not bench.port.connections
 
 
-def test_a_client_that_has_gone_leaves_no_cycle(bench: Bench) -> None:
-    """So that a host may switch the garbage collector off (docs/real-time.md)."""
+def test_closed_client_leaves_no_reference_cycle(bench: Bench) -> None:
+    """This allows a host to switch off the garbage collector (docs/real-time.md)."""
     bench.client()[0].close()
     bench.serve(lambda: bench.handlers.pop().losses)
     gc.collect()
@@ -264,8 +264,8 @@ def test_a_client_that_has_gone_leaves_no_cycle(bench: Bench) -> None:
         gc.enable()
 
 
-def test_what_a_client_sent_before_it_reset_the_connection_is_taken(bench: Bench) -> None:
-    """A client that sends a command and closes, with data for it unread: the next write fails before the read."""
+def test_data_sent_before_a_reset_is_received(bench: Bench) -> None:
+    """A client sends a command and closes with unread data; so the next write to it fails before the next read."""
     link, handler = bench.client()
     handler.connection.write(b"never read")
     link.sendall(b"command")
@@ -283,18 +283,18 @@ def test_what_a_client_sent_before_it_reset_the_connection_is_taken(bench: Bench
 
 
 @pytest.mark.parametrize("reset", [False, True])
-def test_closing_on_this_side(bench: Bench, reset: bool) -> None:
+def test_close_reports_its_reason_later(bench: Bench, reset: bool) -> None:
     link, handler = bench.client()
     handler.connection.close(reset=reset, reason="enough")
     handler.connection.close()
     assert not handler.connection.is_open
-    assert handler.losses == []  # told later, not in the middle of what closed it
+    assert handler.losses == []  # reported later, not within the call of close()
     bench.serve(lambda: handler.losses)
     assert handler.losses == [("enough", False)]
     assert is_reset(link) == reset
 
 
-def test_the_last_reply_arrives_though_more_was_asked(bench: Bench) -> None:
+def test_finish_delivers_the_last_reply(bench: Bench) -> None:
     def answer(connection: Connection, data: bytes) -> None:
         connection.write(b"bye " * 100_000)
         connection.finish(within=5.0)
@@ -323,9 +323,9 @@ def test_the_last_reply_arrives_though_more_was_asked(bench: Bench) -> None:
     assert handler.losses == [("closed by the peer", True)]
 
 
-def test_a_client_that_does_not_end_is_not_waited_for(bench: Bench) -> None:
+def test_finish_stops_waiting_after_its_timeout(bench: Bench) -> None:
     with socket.socket() as link:
-        # Most of what is written stays on this side: in the kernel, which has taken all of it.
+        # The kernel of this side accepts all of the written data, and keeps most of it.
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.settimeout(TIMEOUT)
         link.connect(("127.0.0.1", bench.port.number))
@@ -350,7 +350,7 @@ def finish_and_wait_too_long(bench: Bench, handler: Recorder) -> None:
     assert handler.losses == [("closed by this side", False)]
 
 
-def test_deadlines(bench: Bench) -> None:
+def test_deadline_resets_the_connection_unless_moved_or_cleared(bench: Bench) -> None:
     link, late = bench.client()
     _, moved = bench.client()
     _, cleared = bench.client()
@@ -376,7 +376,7 @@ def test_deadlines(bench: Bench) -> None:
     assert not cleared.losses
 
 
-def test_a_deadline_ends_a_wait_that_has_none() -> None:
+def test_deadline_ends_a_wait_without_timeout() -> None:
     loop = SelectorLoop()
     handlers: list[Recorder] = []
 
@@ -392,7 +392,7 @@ def test_a_deadline_ends_a_wait_that_has_none() -> None:
 
 
 @pytest.mark.parametrize("method", ["data_received", "drained", "connection_lost"])
-def test_a_handler_that_raises_harms_itself_only(
+def test_failing_handler_closes_only_its_connection(
     bench: Bench, method: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     link, bad = bench.client()
@@ -423,7 +423,7 @@ def test_a_handler_that_raises_harms_itself_only(
     bench.serve(lambda: good.data == b"still here")
 
 
-def test_the_end_of_the_loop_ends_everything() -> None:
+def test_loop_close_ends_connections_and_ports() -> None:
     before = descriptors()
     bench = Bench()
     links = [bench.client() for _ in range(3)]
@@ -435,7 +435,7 @@ def test_the_end_of_the_loop_ends_everything() -> None:
     assert descriptors() == before
 
 
-def test_a_loop_that_ends_in_order_sends_what_waits() -> None:
+def test_loop_close_with_timeout_sends_buffered_output() -> None:
     loop = SelectorLoop()
     handlers: list[Recorder] = []
 
@@ -463,7 +463,7 @@ def test_a_loop_that_ends_in_order_sends_what_waits() -> None:
     assert handlers[0].losses == [("closed by the peer", True)]
 
 
-def test_a_loop_that_ends_in_order_has_a_deadline() -> None:
+def test_loop_close_stops_waiting_after_its_timeout() -> None:
     loop = SelectorLoop()
     port = loop.listen("127.0.0.1", 0, Recorder, output_limit=1 << 30)
     with socket.create_connection(("127.0.0.1", port.number), timeout=TIMEOUT):
@@ -476,10 +476,10 @@ def test_a_loop_that_ends_in_order_has_a_deadline() -> None:
     assert not connection.is_open
 
 
-# -- clients come ------------------------------------------------------------------------------------
+# -- accepting clients -------------------------------------------------------------------------------
 
 
-def test_slots() -> None:
+def test_idle_client_is_evicted_when_its_slot_is_needed() -> None:
     with bench_with(limit=2, idle=10.0) as bench:
         active, first = bench.client()
         bench.clock.now += 1.0
@@ -489,7 +489,7 @@ def test_slots() -> None:
             bench.serve(lambda: bench.port.refused)
             assert third.recv(10) == b""
         assert bench.port.refused == 1
-        # A byte in either direction counts.
+        # A byte in either direction counts as activity.
         active.sendall(b"x")
         bench.serve(lambda: first.data)
         bench.clock.now += 2.0
@@ -508,15 +508,15 @@ def test_slots() -> None:
         assert len(bench.port.connections) == 2
 
 
-def test_several_are_accepted_in_one_look(bench: Bench) -> None:
+def test_serve_once_accepts_several_clients(bench: Bench) -> None:
     for _ in range(5):
         bench.connect()
-    # Connected means that the kernel has them in its queue.
+    # The clients are connected already, because the kernel has them in its queue.
     bench.loop.serve_once(bench.clock.now)
     assert bench.port.accepted == 5
 
 
-def test_who_may_not_come_is_closed_at_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refused_client_is_closed_immediately(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     before = descriptors()
 
     def refuse(connection: Connection) -> None:
@@ -532,7 +532,7 @@ def test_who_may_not_come_is_closed_at_once(bench: Bench, monkeypatch: pytest.Mo
     assert descriptors() == before
 
 
-def test_a_mistake_in_accepting_harms_nobody(
+def test_error_in_accept_closes_only_the_new_client(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     _, kept = bench.client()
@@ -551,14 +551,14 @@ def test_a_mistake_in_accepting_harms_nobody(
     bench.client()
 
 
-def test_who_is_gone_before_being_accepted(bench: Bench) -> None:
+def test_client_reset_before_accept_is_ignored(bench: Bench) -> None:
     gone = bench.connect()
     gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     gone.close()
     bench.client()
 
 
-def test_a_greeting_that_cannot_be_sent(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_greeting_closes_the_connection(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     handlers: list[Recorder] = []
 
     def greet(connection: Connection) -> Handler:
@@ -572,7 +572,7 @@ def test_a_greeting_that_cannot_be_sent(bench: Bench, monkeypatch: pytest.Monkey
     assert not bench.port.connections
 
 
-def test_a_process_without_descriptors_waits_for_some(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loop_waits_before_accepting_without_descriptors(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     attempts: list[float] = []
     real = bench.port._socket
 
@@ -593,14 +593,14 @@ def test_a_process_without_descriptors_waits_for_some(bench: Bench, monkeypatch:
         bench.serve(lambda: attempts)
         for _ in range(10):
             bench.loop.serve_once(bench.clock.now)
-        assert len(attempts) == 1  # the kernel reports the connection that waits again and again
+        assert len(attempts) == 1  # although each poll reports the waiting connection
     bench.clock.now += 1.0
     bench.serve(lambda: bench.handlers)
     link.sendall(b"x")
     bench.serve(lambda: bench.handlers[0].data)
 
 
-def test_refusing_and_listening_again(bench: Bench) -> None:
+def test_port_can_refuse_and_listen_again(bench: Bench) -> None:
     _, kept = bench.client()
     number = bench.port.number
     bench.port.refuse()
@@ -615,7 +615,7 @@ def test_refusing_and_listening_again(bench: Bench) -> None:
     assert kept.connection.is_open
 
 
-def test_pausing_lets_clients_wait(bench: Bench) -> None:
+def test_paused_port_makes_clients_wait(bench: Bench) -> None:
     bench.port.pause()
     waiting = bench.connect()
     waiting.sendall(b"x")
@@ -630,7 +630,7 @@ def test_pausing_lets_clients_wait(bench: Bench) -> None:
     ("host", "reached"),
     [("127.0.0.1", "127.0.0.1"), ("localhost", "127.0.0.1"), ("", "127.0.0.1"), ("", "127.1.2.3"), ("::1", "::1")],
 )
-def test_hosts(host: str, reached: str) -> None:
+def test_listen_accepts_clients_on_each_host(host: str, reached: str) -> None:
     if ":" in host and not has_ipv6():
         pytest.skip("this computer has no IPv6")
     loop = SelectorLoop()
@@ -643,7 +643,7 @@ def test_hosts(host: str, reached: str) -> None:
             assert connection.name.startswith("[::1]:" if ":" in host else f"{connection.peer[0]}:")
 
 
-def test_both_families_at_once() -> None:
+def test_listen_on_ipv6_any_accepts_both_families() -> None:
     if not has_ipv6():
         pytest.skip("this computer has no IPv6")
     loop = SelectorLoop()
@@ -668,7 +668,7 @@ def has_ipv6() -> bool:
 @pytest.mark.parametrize(
     ("host", "number"), [("192.0.2.1", 0), ("no-such-host.invalid", 0), ("127.0.0.1", 70000), ("nul\0", 0)]
 )
-def test_where_nobody_can_listen(host: str, number: int) -> None:
+def test_listen_rejects_invalid_addresses(host: str, number: int) -> None:
     before = descriptors()
     loop = SelectorLoop()
     with contextlib.closing(loop), pytest.raises(BadAddress, match=f"cannot listen on .*:{number} for tests"):
@@ -676,13 +676,13 @@ def test_where_nobody_can_listen(host: str, number: int) -> None:
     assert descriptors() == before
 
 
-def test_a_port_that_is_taken(bench: Bench) -> None:
+def test_listen_rejects_a_port_in_use(bench: Bench) -> None:
     with pytest.raises(BadAddress, match=f":{bench.port.number}: "):
         bench.loop.listen("127.0.0.1", bench.port.number, Recorder)
 
 
-def test_the_same_port_again_at_once() -> None:
-    """Though connections of the one before are not forgotten by the kernel yet."""
+def test_port_can_be_reused_immediately() -> None:
+    """The port is free at once, although the kernel still remembers connections of the previous loop."""
     for _ in range(2):
         with bench_with() as bench:
             _, handler = bench.client()
@@ -696,7 +696,7 @@ def test_the_same_port_again_at_once() -> None:
 # -- time and threads --------------------------------------------------------------------------------
 
 
-def test_a_wait_ends_at_its_time_and_not_before() -> None:
+def test_serve_once_does_not_return_before_its_deadline() -> None:
     loop = SelectorLoop()
     with contextlib.closing(loop):
         for seconds in (0.0, 0.0004, 0.002, 0.0153):
@@ -705,8 +705,8 @@ def test_a_wait_ends_at_its_time_and_not_before() -> None:
             assert loop.time() >= begun + seconds - 1e-6
 
 
-def test_where_select_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The selector of a process with more than a thousand descriptors; its waits are of whole milliseconds."""
+def test_loop_works_without_select(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process with more than a thousand descriptors uses another selector, which waits whole milliseconds."""
     bench = Bench()
     monkeypatch.setattr(bench.loop, "_select_from", None)
     bench.loop.time = linkcore.clock.now
@@ -721,8 +721,8 @@ def test_where_select_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
         )
 
 
-def test_an_owner_that_is_late_does_not_starve_its_clients(bench: Bench) -> None:
-    """All of the events at hand are served if they take no longer than a millisecond, though the time is over."""
+def test_late_owner_does_not_starve_its_clients(bench: Bench) -> None:
+    """Even after the deadline, all pending events are served if they take no longer than a millisecond."""
     links = [bench.client() for _ in range(20)]
     for link, _ in links:
         link.sendall(b"x")
@@ -754,7 +754,7 @@ def readable(connection: Connection) -> bool:
 
 
 class Served:
-    """A loop that is served by a thread of its own."""
+    """Loop that is served by a dedicated thread."""
 
     def __init__(self) -> None:
         self.loop = SelectorLoop()
@@ -781,7 +781,7 @@ def served() -> Iterator[Served]:
     served.close()
 
 
-def test_calls_are_made_in_the_thread_of_the_loop(served: Served) -> None:
+def test_calls_run_in_the_loop_thread(served: Served) -> None:
     seen: list[threading.Thread] = []
 
     def note() -> None:
@@ -793,7 +793,7 @@ def test_calls_are_made_in_the_thread_of_the_loop(served: Served) -> None:
 
 
 @pytest.mark.parametrize("kind", [BadValue, SystemExit, TimeoutError])
-def test_what_a_call_raises_comes_back(served: Served, kind: type[BaseException]) -> None:
+def test_call_reraises_errors_in_the_caller(served: Served, kind: type[BaseException]) -> None:
     def fail() -> None:
         raise kind("no")
 
@@ -802,25 +802,25 @@ def test_what_a_call_raises_comes_back(served: Served, kind: type[BaseException]
     served.loop.call(lambda: None, TIMEOUT)
 
 
-def test_a_call_that_is_not_answered() -> None:
+def test_call_that_times_out_is_not_executed() -> None:
     loop = SelectorLoop()
     done: list[int] = []
     with contextlib.closing(loop):
         with pytest.raises(LinkTimeout, match=r"within 0\.01 s"):
             loop.call(lambda: done.append(1), 0.01)
         loop.serve_once(loop.time())
-        # Who asked was told that it did not happen, so it does not.
+        # The caller got LinkTimeout, so the call must not be executed later.
         assert done == []
 
 
-def test_calls_to_a_loop_that_is_over(served: Served) -> None:
+def test_call_runs_in_the_caller_when_the_loop_is_closed(served: Served) -> None:
     served.close()
     done: list[int] = []
     served.loop.call(lambda: done.append(1), TIMEOUT)
     assert done == [1]
 
 
-def test_a_call_that_waits_when_the_loop_ends_is_made() -> None:
+def test_loop_close_executes_waiting_calls() -> None:
     loop = SelectorLoop()
     done: list[int] = []
     caller = threading.Thread(target=lambda: loop.call(lambda: done.append(1), TIMEOUT))
@@ -831,8 +831,8 @@ def test_a_call_that_waits_when_the_loop_ends_is_made() -> None:
     assert done == [1]
 
 
-def test_no_call_is_lost_when_the_loop_ends(served: Served) -> None:
-    """Each is made once, by the loop's thread or by the caller's."""
+def test_every_call_runs_once_when_the_loop_closes(served: Served) -> None:
+    """Each call runs once, either in the thread of the loop or in the thread of the caller."""
     done: list[int] = []
 
     def call(first: int) -> None:
@@ -849,7 +849,7 @@ def test_no_call_is_lost_when_the_loop_ends(served: Served) -> None:
     assert sorted(done) == list(range(400))
 
 
-def test_waking(served: Served) -> None:
+def test_wake_works_before_and_after_close(served: Served) -> None:
     served.loop.wake()
     served.loop.call(lambda: None, TIMEOUT)
     served.close()
@@ -863,7 +863,7 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
-def test_ports_are_told_apart(bench: Bench) -> None:
+def test_connections_and_counters_belong_to_their_port(bench: Bench) -> None:
     other: ListeningPort = bench.loop.listen("127.0.0.1", 0, bench.accept)
     with socket.create_connection(("127.0.0.1", other.number)):
         bench.serve(lambda: bench.handlers)

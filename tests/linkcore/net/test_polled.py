@@ -1,4 +1,4 @@
-"""Outgoing connections that are never waited for, to real listeners."""
+"""Outgoing connections that never block, to real listeners."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_connection_comes_from_its_source(listener: socket.socket) -> None:
     assert PolledConnection("127.0.0.1", port(listener), source="192.0.2.1").state == "failed"
 
 
-def test_there_and_back(listener: socket.socket) -> None:
+def test_polled_connection_sends_and_receives(listener: socket.socket) -> None:
     connection, peer = opened(listener)
     with peer:
         assert connection.send(b"hello")
@@ -79,7 +79,7 @@ def test_there_and_back(listener: socket.socket) -> None:
     assert not connection.send(b"x")
 
 
-def test_small_messages_are_not_held_back(listener: socket.socket) -> None:
+def test_polled_connection_has_nodelay(listener: socket.socket) -> None:
     connection, peer = opened(listener)
     assert connection._socket is not None
     assert connection._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -87,7 +87,7 @@ def test_small_messages_are_not_held_back(listener: socket.socket) -> None:
     peer.close()
 
 
-def test_nobody_listens(listener: socket.socket) -> None:
+def test_connection_fails_when_no_server_listens(listener: socket.socket) -> None:
     number = port(listener)
     listener.close()
     before = descriptors()
@@ -102,13 +102,13 @@ def test_nobody_listens(listener: socket.socket) -> None:
     ("host", "number"),
     [("example.com", 80), ("", 80), ("2130706433", 80), ("1.2.3", 80), ("::1%nowhere", 80), ("127.0.0.1", 65536)],
 )
-def test_what_is_no_address_fails_at_once(host: str, number: int) -> None:
+def test_invalid_address_fails_immediately(host: str, number: int) -> None:
     before = descriptors()
     assert PolledConnection(host, number).state == "failed"
     assert descriptors() == before
 
 
-def test_what_came_before_the_end_can_be_read(listener: socket.socket) -> None:
+def test_data_before_the_end_can_be_read(listener: socket.socket) -> None:
     before = descriptors()
     connection, peer = opened(listener)
     with peer:
@@ -122,14 +122,14 @@ def test_what_came_before_the_end_can_be_read(listener: socket.socket) -> None:
     assert connection.receive() == b""
 
 
-def test_a_peer_that_resets(listener: socket.socket) -> None:
+def test_reset_closes_the_connection(listener: socket.socket) -> None:
     connection, peer = opened(listener)
     peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     peer.close()
     until(lambda: connection.receive() == b"" and connection.state == "closed")
 
 
-def test_a_peer_that_never_reads_is_given_up(listener: socket.socket) -> None:
+def test_connection_closes_when_the_peer_never_reads(listener: socket.socket) -> None:
     connection, peer = opened(listener)
     with peer:
         sent = 0
@@ -137,14 +137,14 @@ def test_a_peer_that_never_reads_is_given_up(listener: socket.socket) -> None:
             sent += 10_000
             assert sent < 100_000_000
         assert connection.state == "closed"
-        # It gets whole messages, and the beginning of the last one.
+        # The peer gets whole messages, and the beginning of the last one.
         came = 0
         while data := peer.recv(1 << 20):
             came += len(data)
         assert sent <= came < sent + 10_000
 
 
-def test_an_owner_that_takes_nothing_makes_its_peer_wait(listener: socket.socket) -> None:
+def test_full_receive_buffer_blocks_the_peer(listener: socket.socket) -> None:
     connection, peer = opened(listener)
     with peer:
         peer.setblocking(False)
@@ -162,11 +162,11 @@ def test_an_owner_that_takes_nothing_makes_its_peer_wait(listener: socket.socket
         connection.close()
 
 
-def test_high_descriptors_do_as_well(listener: socket.socket) -> None:
+def test_connection_works_with_high_descriptors(listener: socket.socket) -> None:
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard < 2000:
-        pytest.skip("this computer does not give that many")
+        pytest.skip("this computer does not allow 2000 open files")
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2000), hard))
     taken: list[int] = []
     try:
@@ -183,7 +183,7 @@ def test_high_descriptors_do_as_well(listener: socket.socket) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_no_descriptor_is_left(listener: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connection_fails_when_no_descriptor_is_free(listener: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     def none_left(*arguments: object) -> socket.socket:
         raise OSError(errno.EMFILE, "Too many open files")
 

@@ -1,4 +1,4 @@
-"""TCP with deadlines: every way in which a peer can fail, and its error."""
+"""TCP connections with deadlines: all failures of a peer, and the errors that they raise."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from linkcore.net.transport import TcpTransport
 
 pytestmark = pytest.mark.real_time
 
-#: Seconds that a test waits for what must come at once.
+#: Time limit for events that must happen at once, in seconds.
 TIMEOUT = 10.0
 
 
 class Peer:
-    """Who listens: a socket, and the connection that came."""
+    """Peer that listens: its socket, and the accepted connections."""
 
     def __init__(self) -> None:
         self.listener = socket.create_server(("127.0.0.1", 0))
@@ -64,7 +64,7 @@ def peer() -> Iterator[Peer]:
 
 @pytest.fixture
 def transport(peer: Peer) -> Iterator[TcpTransport]:
-    """Connected to the peer."""
+    """Transport that is connected to the peer."""
     transport = TcpTransport("127.0.0.1", peer.port, silence=TIMEOUT)
     transport.open(TIMEOUT)
     peer.accept()
@@ -74,13 +74,13 @@ def transport(peer: Peer) -> Iterator[TcpTransport]:
 
 @pytest.fixture(autouse=True)
 def leaks_no_socket() -> Iterator[None]:
-    """A socket that nobody closed warns when it is collected: here, rather than in some later test."""
+    """Collect unclosed sockets here, so that their warnings appear in this test rather than in a later one."""
     yield
     gc.collect()
 
 
 def is_ended(connection: socket.socket) -> bool:
-    """The other side has closed or reset it, and nothing more comes."""
+    """Whether the other side has closed or reset the connection, and no more data arrives."""
     try:
         return connection.recv(1) == b""
     except ConnectionResetError:
@@ -88,7 +88,7 @@ def is_ended(connection: socket.socket) -> bool:
 
 
 def has_come(transport: TcpTransport) -> bool:
-    """Wait until there is something to receive."""
+    """Wait until data can be received; return whether it can."""
     assert transport._socket is not None
     return bool(select.select([transport._socket], [], [], TIMEOUT)[0])
 
@@ -100,7 +100,7 @@ def unused_port() -> int:
 
 
 class Background:
-    """Calls something in a thread, and keeps what came of it."""
+    """Call of a function in a thread, with its result, error and duration."""
 
     def __init__(self, call: Callable[[], object]) -> None:
         self.result: object = None
@@ -126,7 +126,7 @@ class Background:
 # -- connecting ---------------------------------------------------------------------------------------
 
 
-def test_receives_what_was_sent_with_the_moment_it_came(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_returns_data_and_arrival_time(transport: TcpTransport, peer: Peer) -> None:
     before = linkcore.clock.now(), time.time()
     peer.connections[0].sendall(b"state")
     data, stamp = transport.receive()
@@ -135,7 +135,7 @@ def test_receives_what_was_sent_with_the_moment_it_came(transport: TcpTransport,
     assert before[1] <= stamp.wall <= time.time()
 
 
-def test_refused() -> None:
+def test_open_raises_connect_failed_when_refused() -> None:
     transport = TcpTransport("127.0.0.1", unused_port(), silence=1)
     with pytest.raises(ConnectFailed, match=r"127\.0\.0\.1:\d+: connection refused; is the controller on"):
         transport.open(TIMEOUT)
@@ -144,16 +144,16 @@ def test_refused() -> None:
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300, "a..b", "nul\0", "\udc80", "ü" * 70])
-def test_no_such_host(host: str) -> None:
+def test_open_raises_connect_failed_for_unknown_hosts(host: str) -> None:
     with pytest.raises(ConnectFailed, match="no such host"):
         TcpTransport(host, 30003, silence=1).open(TIMEOUT)
 
 
 @pytest.fixture
 def silent(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], list[float]]]:
-    """Makes a host with so many addresses, none of which answers; says how long each was tried."""
+    """Function that makes a host with `count` silent addresses; its result lists the timeout of each attempt."""
     with contextlib.ExitStack() as stack:
-        # A queue for one connection, and it is full: the kernel lets all further ones wait.
+        # The queue holds one connection and is full, so the kernel makes all further ones wait.
         listener = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=0))
         place = listener.getsockname()
         for _ in range(4):
@@ -179,9 +179,7 @@ def silent(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], list[flo
 
 
 @pytest.mark.parametrize("addresses", [1, 3])
-def test_a_host_that_does_not_answer_is_given_up_within_the_timeout(
-    silent: Callable[[int], list[float]], addresses: int
-) -> None:
+def test_open_times_out_when_the_host_does_not_answer(silent: Callable[[int], list[float]], addresses: int) -> None:
     tried = silent(addresses)
     began = linkcore.clock.now()
     with pytest.raises(LinkTimeout, match=r"cannot connect to robot:30003: no answer within 0\.3 s"):
@@ -191,7 +189,7 @@ def test_a_host_that_does_not_answer_is_given_up_within_the_timeout(
     assert tried[0] == pytest.approx(0.3 / addresses, abs=0.05)
 
 
-def test_the_second_address_is_tried_when_the_first_refuses(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_open_tries_the_second_address_when_the_first_refuses(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in (unused_port(), peer.port)]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: answer)
     transport = TcpTransport("robot", 30003, silence=1)
@@ -202,7 +200,7 @@ def test_the_second_address_is_tried_when_the_first_refuses(peer: Peer, monkeypa
 
 
 @pytest.mark.parametrize("kind", [TcpTransport, AwaitedTcp])
-def test_the_second_address_is_tried_where_this_computer_lacks_the_family_of_the_first(
+def test_open_tries_the_second_address_without_ipv6(
     peer: Peer, monkeypatch: pytest.MonkeyPatch, kind: type[TcpTransport | AwaitedTcp]
 ) -> None:
     class WithoutIpv6(socket.socket):
@@ -233,10 +231,10 @@ def test_the_second_address_is_tried_where_this_computer_lacks_the_family_of_the
 
 
 @pytest.mark.parametrize("kind", [TcpTransport, AwaitedTcp])
-def test_the_first_address_that_refused_leaves_no_cycle(
+def test_refused_first_address_leaves_no_reference_cycle(
     peer: Peer, monkeypatch: pytest.MonkeyPatch, kind: type[TcpTransport | AwaitedTcp]
 ) -> None:
-    """Its error would refer to the frames of all callers, and so to their variables."""
+    """A cycle would keep the error of the first address alive, with the frames and variables of all callers."""
     answer = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in (unused_port(), peer.port)]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: answer)
     held: list[weakref.ref[object]] = []
@@ -259,13 +257,13 @@ def test_the_first_address_that_refused_leaves_no_cycle(
         gc.enable()
 
 
-def test_a_host_without_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_open_raises_when_the_host_has_no_address(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: [])
     with pytest.raises(ConnectFailed, match="robot has no address"):
         TcpTransport("robot", 30003, silence=1).open(TIMEOUT)
 
 
-def test_a_socket_that_cannot_be_set_up_is_told_and_closed(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_open_closes_the_socket_when_its_setup_fails(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(connection: socket.socket, seconds: float) -> None:
         raise OSError(22, "Invalid argument")
 
@@ -275,14 +273,14 @@ def test_a_socket_that_cannot_be_set_up_is_told_and_closed(peer: Peer, monkeypat
     assert is_ended(peer.accept())
 
 
-def test_sockets_are_quick_and_kept_alive(transport: TcpTransport) -> None:
+def test_sockets_have_nodelay_and_keepalive(transport: TcpTransport) -> None:
     connection = transport._socket
     assert connection is not None
     assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
 
 
-def test_opening_again_closes_the_first_connection(transport: TcpTransport, peer: Peer) -> None:
+def test_second_open_closes_the_first_connection(transport: TcpTransport, peer: Peer) -> None:
     transport.open(TIMEOUT)
     peer.accept().sendall(b"new")
     assert is_ended(peer.connections[0])
@@ -293,7 +291,7 @@ def test_opening_again_closes_the_first_connection(transport: TcpTransport, peer
 
 
 @pytest.mark.parametrize("silence", [0.05, 0.000001])
-def test_silence_is_a_timeout(peer: Peer, silence: float) -> None:
+def test_receive_times_out_after_silence(peer: Peer, silence: float) -> None:
     transport = TcpTransport("127.0.0.1", peer.port, silence=silence)
     transport.open(TIMEOUT)
     began = linkcore.clock.now()
@@ -301,7 +299,7 @@ def test_silence_is_a_timeout(peer: Peer, silence: float) -> None:
         transport.receive()
     assert isinstance(caught.value, TimeoutError)
     assert silence * 0.9 <= linkcore.clock.now() - began < 2
-    # It is still connected: what comes now is received.
+    # The transport is still connected and receives later data.
     peer.accept().sendall(b"late")
     while True:
         with contextlib.suppress(LinkTimeout):
@@ -310,7 +308,7 @@ def test_silence_is_a_timeout(peer: Peer, silence: float) -> None:
     transport.close()
 
 
-def test_a_receive_can_have_a_timeout_of_its_own(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_accepts_its_own_timeout(transport: TcpTransport, peer: Peer) -> None:
     for timeout in (0.05, 0.05, 0.0, -1.0):
         began = linkcore.clock.now()
         with pytest.raises(LinkTimeout, match=f"nothing received within {max(timeout, 0):g} s"):
@@ -319,10 +317,10 @@ def test_a_receive_can_have_a_timeout_of_its_own(transport: TcpTransport, peer: 
     peer.connections[-1].sendall(b"late")
     assert transport.receive(TIMEOUT)[0] == b"late"
     peer.connections[-1].sendall(b"later")
-    assert transport.receive()[0] == b"later"  # with the timeout that it was made with
+    assert transport.receive()[0] == b"later"  # uses the timeout of the transport
 
 
-def test_what_has_come_already_is_received_without_waiting(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_waiting_does_not_wait(transport: TcpTransport, peer: Peer) -> None:
     assert transport.receive_waiting() is None
     peer.connections[-1].sendall(b"there")
     assert has_come(transport)
@@ -341,7 +339,7 @@ def test_what_has_come_already_is_received_without_waiting(transport: TcpTranspo
         transport.receive_waiting()
 
 
-def test_the_end_of_the_connection(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_raises_when_the_peer_closes(transport: TcpTransport, peer: Peer) -> None:
     peer.connections[0].sendall(b"last")
     peer.connections[0].close()
     assert transport.receive()[0] == b"last"
@@ -349,13 +347,13 @@ def test_the_end_of_the_connection(transport: TcpTransport, peer: Peer) -> None:
         transport.receive()
 
 
-def test_a_reset(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_raises_connection_lost_on_reset(transport: TcpTransport, peer: Peer) -> None:
     peer.reset()
     with pytest.raises(ConnectionLost, match=r"127\.0\.0\.1.*reset"):
         transport.receive()
 
 
-def test_close_from_another_thread_wakes_who_receives(transport: TcpTransport) -> None:
+def test_close_ends_a_receive_of_another_thread(transport: TcpTransport) -> None:
     entered = threading.Event()
 
     def receive() -> object:
@@ -371,8 +369,8 @@ def test_close_from_another_thread_wakes_who_receives(transport: TcpTransport) -
     assert waiting.seconds < TIMEOUT / 2
 
 
-def test_close_races_with_receive_often(peer: Peer) -> None:
-    """Wherever the other thread is, it ends at once, and in an error of the tree."""
+def test_close_ends_receive_at_any_moment(peer: Peer) -> None:
+    """Whatever the other thread is doing, it ends at once with a `ConnectionLost`."""
     transport = TcpTransport("127.0.0.1", peer.port, silence=TIMEOUT)
     for _ in range(100):
         transport.open(TIMEOUT)
@@ -383,7 +381,7 @@ def test_close_races_with_receive_often(peer: Peer) -> None:
         peer.accept()
 
 
-def test_used_before_and_after_it_is_open(transport: TcpTransport) -> None:
+def test_transport_raises_when_not_connected(transport: TcpTransport) -> None:
     for each in (TcpTransport("127.0.0.1", 1, silence=1), transport):
         each.close()
         each.close()
@@ -396,8 +394,8 @@ def test_used_before_and_after_it_is_open(transport: TcpTransport) -> None:
 # -- sending ------------------------------------------------------------------------------------------
 
 
-def test_sends_all_however_long(transport: TcpTransport, peer: Peer) -> None:
-    text = bytes(range(256)) * 40_000  # more than any buffer on the way holds
+def test_send_delivers_long_data_completely(transport: TcpTransport, peer: Peer) -> None:
+    text = bytes(range(256)) * 40_000  # more than all buffers along the connection can hold
     sending = Background(lambda: transport.send(text, TIMEOUT))
     got = b""
     while len(got) < len(text):
@@ -407,20 +405,20 @@ def test_sends_all_however_long(transport: TcpTransport, peer: Peer) -> None:
     assert got == text
 
 
-def test_sending_to_who_does_not_read_is_a_timeout(transport: TcpTransport) -> None:
+def test_send_times_out_when_the_peer_does_not_read(transport: TcpTransport) -> None:
     began = linkcore.clock.now()
     with pytest.raises(LinkTimeout, match=r"sending to .* did not accept the data within 0\.2 s"):
         transport.send(b"x" * 50_000_000, 0.2)
     assert 0.19 < linkcore.clock.now() - began < 2
 
 
-def test_sending_to_who_is_gone(transport: TcpTransport, peer: Peer) -> None:
+def test_send_raises_when_the_connection_was_reset(transport: TcpTransport, peer: Peer) -> None:
     peer.reset()
     with pytest.raises(ConnectionLost, match="sending to"):
         transport.send(b"x" * 50_000_000, TIMEOUT)
 
 
-def test_half_sent_and_then_gone(transport: TcpTransport, peer: Peer) -> None:
+def test_send_raises_when_reset_halfway(transport: TcpTransport, peer: Peer) -> None:
     sending = Background(lambda: transport.send(b"x" * 50_000_000, TIMEOUT))
     assert peer.connections[0].recv(1000)
     peer.reset()
@@ -428,7 +426,7 @@ def test_half_sent_and_then_gone(transport: TcpTransport, peer: Peer) -> None:
     assert isinstance(sending.error, ConnectionLost)
 
 
-def test_close_ends_a_send_that_waits(transport: TcpTransport, peer: Peer) -> None:
+def test_close_ends_a_waiting_send(transport: TcpTransport, peer: Peer) -> None:
     sending = Background(lambda: transport.send(b"x" * 50_000_000, TIMEOUT))
     assert peer.connections[0].recv(1000)
     transport.close()
@@ -437,7 +435,7 @@ def test_close_ends_a_send_that_waits(transport: TcpTransport, peer: Peer) -> No
     assert sending.seconds < TIMEOUT / 2
 
 
-def test_two_threads_send_and_both_are_sent(transport: TcpTransport, peer: Peer) -> None:
+def test_concurrent_sends_are_both_delivered(transport: TcpTransport, peer: Peer) -> None:
     sending = [Background(lambda: transport.send(b"x" * 3_000_000, TIMEOUT)) for _ in range(2)]
     got = 0
     while got < 6_000_000:
@@ -447,8 +445,8 @@ def test_two_threads_send_and_both_are_sent(transport: TcpTransport, peer: Peer)
         assert each.error is None
 
 
-def test_descriptors_beyond_those_of_select(transport: TcpTransport, peer: Peer) -> None:
-    """A program with many robots has them."""
+def test_transport_works_with_high_descriptors(transport: TcpTransport, peer: Peer) -> None:
+    """`select` supports descriptors below 1024 only, and a program with many robots has higher ones."""
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < 1200:
@@ -470,7 +468,7 @@ def test_descriptors_beyond_those_of_select(transport: TcpTransport, peer: Peer)
 
 @pytest.mark.property
 @given(st.lists(st.binary(min_size=1, max_size=100_000), min_size=1, max_size=5))
-def test_bytes_arrive_as_they_were_sent(chunks: list[bytes]) -> None:
+def test_received_bytes_do_not_depend_on_chunking(chunks: list[bytes]) -> None:
     peer = Peer()
     transport = TcpTransport("127.0.0.1", peer.port, silence=TIMEOUT)
     try:
@@ -494,7 +492,7 @@ def test_bytes_arrive_as_they_were_sent(chunks: list[bytes]) -> None:
         peer.close()
 
 
-def test_every_error_is_of_the_tree() -> None:
+def test_errors_are_remote_errors_and_os_errors() -> None:
     for error in (ConnectFailed, ConnectionLost, LinkTimeout):
         assert issubclass(error, RemoteError)
-        assert issubclass(error, OSError), "and what code that knows sockets catches"
+        assert issubclass(error, OSError), "code that uses sockets catches OSError"

@@ -1,4 +1,4 @@
-"""Commands that were given up: undone once, at the first contact, before anything newer, and nothing after that."""
+"""Abandoned commands: each is undone once, at the first contact with the peer, before any newer command."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TIMEOUT = 10.0
 
 
 class Client:
-    """What an attempt talks by."""
+    """Client of one attempt to undo a command."""
 
     def __init__(self) -> None:
         self.closed = threading.Event()
@@ -32,7 +32,7 @@ class Client:
 
 
 class Peer:
-    """What takes commands back: not before `contact` is set. `undone` has what it was asked to."""
+    """Peer that undoes commands once `contact` is set; `undone` holds the names of the undone commands."""
 
     def __init__(self) -> None:
         self.contact = threading.Event()
@@ -43,7 +43,7 @@ class Peer:
         def undo(client: Client, is_wanted: Callable[[], bool]) -> None:
             self.attempts += 1
             if not self.contact.is_set():
-                raise ConnectFailed("nobody is there")
+                raise ConnectFailed("the peer is not reachable")
             if is_wanted():
                 self.undone.append(name)
 
@@ -69,7 +69,7 @@ def give_up(undos: PendingUndos, peer: Peer, name: str = "play") -> None:
     fail(undos, name, peer.undo(name))
 
 
-def test_what_is_answered_is_not_taken_back(undos: PendingUndos) -> None:
+def test_answered_command_is_not_undone(undos: PendingUndos) -> None:
     peer = Peer()
     with undos.command("play", 0.0, peer.undo("play")):
         pass
@@ -78,7 +78,7 @@ def test_what_is_answered_is_not_taken_back(undos: PendingUndos) -> None:
     assert peer.attempts == 0
 
 
-def test_it_is_taken_back_at_the_first_contact_and_once(undos: PendingUndos) -> None:
+def test_abandoned_command_is_undone_once_at_first_contact(undos: PendingUndos) -> None:
     peer = Peer()
     give_up(undos, peer)
     until(lambda: peer.attempts > 1)
@@ -88,13 +88,13 @@ def test_it_is_taken_back_at_the_first_contact_and_once(undos: PendingUndos) -> 
     assert undos.pending == ()
     until(lambda: undos._thread is None)
     assert peer.undone == ["play"]
-    # It works again for the next.
+    # The next abandoned command is undone in the same way.
     give_up(undos, peer)
     assert undos.settle(TIMEOUT)
     assert peer.undone == ["play", "play"]
 
 
-def test_a_newer_command_waits_for_it_or_is_not_sent(undos: PendingUndos) -> None:
+def test_newer_command_waits_for_the_undo_or_is_not_sent(undos: PendingUndos) -> None:
     peer = Peer()
     give_up(undos, peer)
     with (
@@ -107,8 +107,8 @@ def test_a_newer_command_waits_for_it_or_is_not_sent(undos: PendingUndos) -> Non
         assert peer.undone == ["play"]
 
 
-def test_a_peer_that_hangs_is_met_at_once_when_it_goes_on(undos: PendingUndos) -> None:
-    """Each attempt waits for its answer; between two of them is a moment, however long the peer has been hanging."""
+def test_attempts_follow_each_other_while_the_peer_hangs(undos: PendingUndos) -> None:
+    """Each attempt waits for its answer, and the next one starts shortly after, however long the peer hangs."""
     attempts: list[tuple[float, float]] = []
 
     def undo(client: Client, is_wanted: Callable[[], bool]) -> None:
@@ -123,8 +123,8 @@ def test_a_peer_that_hangs_is_met_at_once_when_it_goes_on(undos: PendingUndos) -
     assert max(late[0] - early[1] for early, late in itertools.pairwise(attempts)) < 0.15
 
 
-def test_what_supersedes_it_leaves_nothing_to_take_back(undos: PendingUndos) -> None:
-    """Also where an attempt is waiting for its contact."""
+def test_drop_removes_the_undo_even_during_an_attempt(undos: PendingUndos) -> None:
+    """Even an attempt that is waiting for the peer does not undo the command then."""
     waiting, contact, undone = threading.Event(), threading.Event(), []
 
     def undo(client: Client, is_wanted: Callable[[], bool]) -> None:
@@ -141,7 +141,7 @@ def test_what_supersedes_it_leaves_nothing_to_take_back(undos: PendingUndos) -> 
     assert undone == []
 
 
-def test_of_several_each_is_taken_back_by_itself(undos: PendingUndos) -> None:
+def test_pending_commands_are_undone_independently(undos: PendingUndos) -> None:
     deaf, peer = Peer(), Peer()
     peer.contact.set()
     give_up(undos, deaf, "gripper")
@@ -151,7 +151,7 @@ def test_of_several_each_is_taken_back_by_itself(undos: PendingUndos) -> None:
     assert peer.undone == ["play"]
 
 
-def test_nothing_is_taken_back_after_the_close(undos: PendingUndos) -> None:
+def test_no_command_is_undone_after_close(undos: PendingUndos) -> None:
     peer = Peer()
     give_up(undos, peer)
     undos.close()
@@ -165,10 +165,10 @@ def test_nothing_is_taken_back_after_the_close(undos: PendingUndos) -> None:
 
 
 class User:
-    """Who gives commands to the peer."""
+    """User of the peer, who gives commands to it."""
 
 
-def test_what_is_owed_is_kept_without_a_thread_and_taken_back_for_the_next_user() -> None:
+def test_pending_undos_are_kept_for_the_next_user() -> None:
     peer, key, user = Peer(), object(), User()
 
     def use_and_close() -> None:
@@ -177,7 +177,7 @@ def test_what_is_owed_is_kept_without_a_thread_and_taken_back_for_the_next_user(
         give_up(undos, peer)
         undos.close(user)
         until(lambda: undos._thread is None)
-        give_up(undos, peer, "gripper")  # a call that waits ends as its robot is closed
+        give_up(undos, peer, "gripper")  # a waiting call ends because its robot is closed
         assert undos._thread is None
 
     use_and_close()
@@ -192,13 +192,13 @@ def test_what_is_owed_is_kept_without_a_thread_and_taken_back_for_the_next_user(
     undos.close(user)
 
 
-def test_nothing_is_kept_of_a_peer_that_owes_nothing() -> None:
+def test_peer_without_pending_undos_is_freed() -> None:
     key, user = object(), User()
     held = weakref.ref(PendingUndos.of(key, "robot", user))
     until(lambda: held() is None)
 
 
-def test_users_share_what_is_owed_and_the_last_one_ends_the_thread() -> None:
+def test_users_share_undos_and_the_last_close_ends_the_thread() -> None:
     peer, key, first, second = Peer(), object(), User(), User()
     undos = PendingUndos.of(key, "robot", first)
     assert PendingUndos.of(key, "robot", second) is undos
@@ -215,7 +215,7 @@ def test_users_share_what_is_owed_and_the_last_one_ends_the_thread() -> None:
     undos.close(first)
 
 
-def test_who_uses_a_part_alone_shares_what_is_owed_with_who_uses_all() -> None:
+def test_users_of_a_part_and_of_the_whole_share_undos() -> None:
     peer, whole, part, first, second = Peer(), object(), object(), User(), User()
     undos = PendingUndos.of(whole, "robot", first, part)
     assert PendingUndos.of(part, "dashboard", second) is undos
@@ -231,7 +231,7 @@ def test_who_uses_a_part_alone_shares_what_is_owed_with_who_uses_all() -> None:
 
 
 @pytest.mark.parametrize("is_used", [False, True])
-def test_who_uses_all_takes_back_what_several_parts_owe_unless_they_do(is_used: bool) -> None:
+def test_user_of_the_whole_undoes_commands_of_unused_parts(is_used: bool) -> None:
     peer, parts, users = Peer(), [object(), object()], [User(), User(), User()]
     owed = [PendingUndos.of(part, "part", user) for part, user in zip(parts, users[:2], strict=True)]
     for undos, name, user in zip(owed, ("play", "gripper"), users[:2], strict=True):
@@ -249,7 +249,7 @@ def test_who_uses_all_takes_back_what_several_parts_owe_unless_they_do(is_used: 
         undos.close(user)
 
 
-def test_an_attempt_that_waits_is_broken_off_by_the_last_close() -> None:
+def test_last_close_aborts_a_waiting_attempt() -> None:
     waiting = threading.Event()
 
     def undo(client: Client, is_wanted: Callable[[], bool]) -> None:
@@ -270,8 +270,8 @@ def test_an_attempt_that_waits_is_broken_off_by_the_last_close() -> None:
 @pytest.mark.parametrize(
     "seed", [pytest.param(seed, marks=pytest.mark.simulated_time(seed=seed)) for seed in range(10)]
 )
-def test_two_threads_that_use_a_peer_first_at_the_same_time_get_the_same_one(seed: int) -> None:
-    """In simulated time, where a thread that waited for a real lock of another one would wait for ever."""
+def test_concurrent_first_users_get_the_same_object(seed: int) -> None:
+    """In simulated time, a thread would wait forever for a real lock that another thread holds."""
     found: list[PendingUndos] = []
 
     def use(user: object) -> None:

@@ -1,4 +1,4 @@
-"""The file: what is written is read, whatever happens to the writer, the disk or the bytes."""
+"""Recording files: written records can be read, whatever happens to the writer, the disk or the bytes."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ payloads = st.tuples(stamps, st.binary(max_size=200))
 
 @contextmanager
 def folder() -> Iterator[Path]:
-    """A folder of its own for each example of a property."""
+    """Yield a separate folder, for each example of a property."""
     with tempfile.TemporaryDirectory() as name:
         yield Path(name)
 
 
 def record(kind: int, channel: int, payload: bytes) -> bytes:
-    """A record laid out by hand, as the format is documented."""
+    """Pack a record by hand, as the format is documented."""
     body = struct.pack(">BBqq", kind, channel, 1_000_000_000, 2_000_000_000) + payload
     return struct.pack(">II", len(body), zlib.crc32(body)) + body
 
 
 def sample(path: Path) -> tuple[bytes, list[Record], list[int]]:
-    """A small recording: its bytes, its records, and where in the bytes each record ends."""
+    """Write a small recording; return its bytes, its records, and the end offset of each record."""
     writer = RecordingWriter(path)
     ends = []
     steps: list[Callable[[], object]] = [
@@ -58,12 +58,12 @@ def sample(path: Path) -> tuple[bytes, list[Record], list[int]]:
     return path.read_bytes(), list(RecordingFile(path)), ends
 
 
-# -- what is written is read -------------------------------------------------------------------------
+# -- writing and reading -----------------------------------------------------------------------------
 
 
 @pytest.mark.property
 @given(st.lists(st.lists(payloads, max_size=5), min_size=1, max_size=3))
-def test_what_is_written_is_read(channels: list[list[tuple[Stamp, bytes]]]) -> None:
+def test_written_records_are_read_back(channels: list[list[tuple[Stamp, bytes]]]) -> None:
     with folder() as path:
         writer = RecordingWriter(path / "run")
         expected = []
@@ -77,7 +77,7 @@ def test_what_is_written_is_read(channels: list[list[tuple[Stamp, bytes]]]) -> N
         read = [each for each in recording if each.kind is Kind.BYTES]
     assert [(each.channel, each.payload) for each in read] == [(number, payload) for number, _, payload in expected]
     for each, (_, stamp, _) in zip(read, expected, strict=True):
-        # Whole nanoseconds, as far as a float of seconds since 1970 can tell them apart.
+        # Stamps are whole nanoseconds, within the resolution of a float of seconds since 1970.
         assert each.stamp.monotonic == pytest.approx(stamp.monotonic, rel=1e-15, abs=1e-9)
         assert each.stamp.wall == pytest.approx(stamp.wall, rel=1e-15, abs=1e-9)
     assert recording.is_complete
@@ -85,7 +85,7 @@ def test_what_is_written_is_read(channels: list[list[tuple[Stamp, bytes]]]) -> N
     assert [info["name"] for info in recording.channels.values()] == [f"channel {n}" for n in range(len(channels))]
 
 
-def test_the_file_is_laid_out_as_documented(tmp_path: Path) -> None:
+def test_reader_reads_the_documented_format(tmp_path: Path) -> None:
     info = json.dumps({"name": "left"}).encode()
     (tmp_path / "run").write_bytes(MAGIC + record(0, 0, info) + record(1, 0, b"abc") + record(3, 0, b""))
     recording = RecordingFile(tmp_path / "run")
@@ -94,14 +94,14 @@ def test_the_file_is_laid_out_as_documented(tmp_path: Path) -> None:
     assert recording.is_complete
 
 
-def test_the_writer_lays_it_out_so(tmp_path: Path) -> None:
+def test_writer_writes_the_documented_format(tmp_path: Path) -> None:
     with_it = RecordingWriter(tmp_path / "run")
     with_it.write(Kind.BYTES, 7, Stamp(1.0, 2.0), b"abc")
     with_it.close(complete=False)
     assert (tmp_path / "run").read_bytes() == MAGIC + record(1, 7, b"abc")
 
 
-def test_records_of_a_later_format_are_passed_over(tmp_path: Path) -> None:
+def test_records_of_unknown_kinds_are_skipped(tmp_path: Path) -> None:
     info = json.dumps({"name": "left"}).encode()
     data = MAGIC + record(0, 0, info) + record(200, 0, b"?") + record(1, 0, b"abc") + record(3, 0, b"")
     (tmp_path / "run").write_bytes(data)
@@ -110,7 +110,7 @@ def test_records_of_a_later_format_are_passed_over(tmp_path: Path) -> None:
     assert recording.left_out == 0
 
 
-def test_a_channel_is_found_by_name_or_what_there_is_is_told(tmp_path: Path) -> None:
+def test_unknown_channel_error_lists_the_channels(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run")
     writer.add_channel({"name": "left"})
     writer.add_channel({"name": "right"})
@@ -122,7 +122,7 @@ def test_a_channel_is_found_by_name_or_what_there_is_is_told(tmp_path: Path) -> 
 
 
 @pytest.mark.real_time
-def test_several_threads_write_one_file(tmp_path: Path) -> None:
+def test_several_threads_can_write_one_file(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run")
     begin = threading.Barrier(4)
 
@@ -150,7 +150,7 @@ def test_several_threads_write_one_file(tmp_path: Path) -> None:
         assert counts == list(range(200))
 
 
-def test_can_be_read_while_it_is_made(tmp_path: Path) -> None:
+def test_file_can_be_read_while_being_written(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run")
     writer.add_channel({"name": "left"})
     recording = RecordingFile(tmp_path / "run")
@@ -158,7 +158,7 @@ def test_can_be_read_while_it_is_made(tmp_path: Path) -> None:
     records = iter(recording)
     assert next(records).kind is Kind.CHANNEL
     assert next(records).payload == b"one"
-    # What comes after the reader has begun is read too, and is nothing that is left out.
+    # Records that are written after the reader has started are read too, and do not count as left out.
     writer.write(Kind.BYTES, 0, Stamp(1, 1), b"two")
     assert [each.payload for each in records] == [b"two"]
     assert recording.left_out == 0
@@ -166,10 +166,10 @@ def test_can_be_read_while_it_is_made(tmp_path: Path) -> None:
     writer.close()
 
 
-# -- the writer says no -------------------------------------------------------------------------------
+# -- errors of the writer -----------------------------------------------------------------------------
 
 
-def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
+def test_existing_file_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "run").write_bytes(b"somebody's work")
     with pytest.raises(BadRecording, match="never overwrites"):
         RecordingWriter(tmp_path / "run")
@@ -177,19 +177,19 @@ def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["no/such/folder/run", "nul\0", "x" * 5000])
-def test_a_file_that_cannot_be_made_or_read(tmp_path: Path, name: str) -> None:
+def test_unusable_path_raises_bad_recording(tmp_path: Path, name: str) -> None:
     with pytest.raises(BadRecording, match="cannot write"):
         RecordingWriter(tmp_path / name)
     with pytest.raises(BadRecording, match="cannot read"):
         RecordingFile(tmp_path / name)
 
 
-def test_a_folder_is_no_recording(tmp_path: Path) -> None:
+def test_folder_raises_bad_recording(tmp_path: Path) -> None:
     with pytest.raises(BadRecording):
         RecordingFile(tmp_path)
 
 
-def test_used_after_close(tmp_path: Path) -> None:
+def test_write_after_close_raises_closed(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run")
     writer.close()
     writer.close()
@@ -200,7 +200,7 @@ def test_used_after_close(tmp_path: Path) -> None:
     assert [each.kind for each in RecordingFile(tmp_path / "run")] == [Kind.END]
 
 
-def test_holds_256_channels(tmp_path: Path) -> None:
+def test_file_holds_256_channels(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run")
     for number in range(256):
         assert writer.add_channel({"name": str(number)}) == number
@@ -212,7 +212,7 @@ def test_holds_256_channels(tmp_path: Path) -> None:
 
 
 class Disk:
-    """Stands between a writer and its file, and takes `room` bytes."""
+    """Fake disk between a writer and its file, which accepts `room` bytes."""
 
     def __init__(self, writer: RecordingWriter, room: int, error: int | None = None) -> None:
         self.file = writer._file
@@ -236,7 +236,7 @@ class Disk:
 
 
 @pytest.mark.parametrize("error", [None, errno.ENOSPC])
-def test_a_full_disk_ends_the_file_before_the_record_that_did_not_fit(
+def test_full_disk_ends_the_file_before_the_failed_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int | None
 ) -> None:
     writer = RecordingWriter(tmp_path / "run")
@@ -247,7 +247,7 @@ def test_a_full_disk_ends_the_file_before_the_record_that_did_not_fit(
     for _ in range(2):
         with pytest.raises(BadRecording, match=r"disk full|No space"):
             writer.write(Kind.BYTES, 0, Stamp(1, 1), b"does not fit" * 5)
-        disk.room = 1000  # room again: what came behind half a record could not be read
+        disk.room = 1000  # there is room again, but a record after half a record could not be read
     writer.close()
     assert disk.closed
     recording = RecordingFile(tmp_path / "run")
@@ -256,7 +256,7 @@ def test_a_full_disk_ends_the_file_before_the_record_that_did_not_fit(
     assert recording.left_out == (60 - 30 if error is None else 0)
 
 
-def test_a_disk_without_any_room_leaves_nothing_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writer_closes_its_file_when_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RecordingWriter, "_append", lambda self, data: (_ for _ in ()).throw(BadRecording("full")))
     with pytest.raises(BadRecording, match="full"):
         RecordingWriter(tmp_path / "run")
@@ -265,7 +265,7 @@ def test_a_disk_without_any_room_leaves_nothing_open(tmp_path: Path, monkeypatch
 # -- damage -------------------------------------------------------------------------------------------
 
 
-def test_a_file_cut_anywhere_reads_as_what_came_before(tmp_path: Path) -> None:
+def test_truncated_file_reads_up_to_the_cut(tmp_path: Path) -> None:
     data, records, ends = sample(tmp_path / "whole")
     for cut in range(len(data)):
         (tmp_path / "cut").write_bytes(data[:cut])
@@ -282,7 +282,7 @@ def test_a_file_cut_anywhere_reads_as_what_came_before(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_flipped_byte_never_gives_a_wrong_record(tmp_path: Path) -> None:
+def test_flipped_byte_never_gives_a_wrong_record(tmp_path: Path) -> None:
     data, records, ends = sample(tmp_path / "whole")
     for at in range(len(data)):
         for mask in (0x01, 0x80, 0xFF):
@@ -302,7 +302,7 @@ def test_a_flipped_byte_never_gives_a_wrong_record(tmp_path: Path) -> None:
 
 @pytest.mark.property
 @given(st.binary(max_size=100), st.booleans())
-def test_arbitrary_bytes_are_no_recording_or_an_incomplete_one(data: bytes, with_magic: bool) -> None:
+def test_arbitrary_bytes_are_rejected_or_read_as_incomplete(data: bytes, with_magic: bool) -> None:
     data = MAGIC + data if with_magic else data
     begins_well = data.startswith(MAGIC)
     with folder() as path:
@@ -320,8 +320,8 @@ def test_arbitrary_bytes_are_no_recording_or_an_incomplete_one(data: bytes, with
 
 @pytest.mark.property
 @given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=50) | st.text(max_size=50).map(str.encode))
-def test_arbitrary_records_are_read_or_refused(kind: int, channel: int, payload: bytes) -> None:
-    """Records whose checksum is right, so that what is in them is looked at."""
+def test_arbitrary_records_are_read_or_rejected(kind: int, channel: int, payload: bytes) -> None:
+    """The checksum of the record is correct, so the reader checks its contents."""
     with folder() as path:
         (path / "run").write_bytes(MAGIC + record(kind, channel, payload))
         try:
@@ -335,18 +335,18 @@ def test_arbitrary_records_are_read_or_refused(kind: int, channel: int, payload:
 
 @pytest.mark.parametrize("kind", [Kind.CHANNEL, Kind.EVENT])
 @pytest.mark.parametrize("payload", [b"[" * 100_000, b"\xff", b"[]", b"{}", b"null", b'{"name": 5, "state": 5}'])
-def test_descriptions_that_are_none(tmp_path: Path, kind: Kind, payload: bytes) -> None:
+def test_invalid_descriptions_raise_bad_recording(tmp_path: Path, kind: Kind, payload: bytes) -> None:
     (tmp_path / "run").write_bytes(MAGIC + record(kind, 0, payload))
     with pytest.raises(BadRecording, match="channel 0"):
         RecordingFile(tmp_path / "run")
 
 
-def test_a_length_beyond_all_reason_is_not_read(tmp_path: Path) -> None:
+def test_absurd_record_length_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "run").write_bytes(MAGIC + struct.pack(">II", 0xFFFFFFFF, 0) + b"x" * 50)
     assert RecordingFile(tmp_path / "run").left_out == 58
 
 
-def test_a_file_that_goes_away_is_told(tmp_path: Path) -> None:
+def test_removed_file_raises_bad_recording(tmp_path: Path) -> None:
     sample(tmp_path / "run")
     recording = RecordingFile(tmp_path / "run")
     (tmp_path / "run").unlink()
@@ -368,7 +368,7 @@ for number in itertools.count():
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_a_killed_program_loses_nothing_that_was_written(tmp_path: Path) -> None:
+def test_killed_program_keeps_all_written_records(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", WRITE_FOREVER, str(tmp_path / "run")], stdout=subprocess.PIPE, text=True
     )
@@ -377,7 +377,7 @@ def test_a_killed_program_loses_nothing_that_was_written(tmp_path: Path) -> None
         for _ in range(500):
             process.stdout.readline()
         process.kill()
-        # What it had said before it was killed counts too.
+        # Count the lines too that it had printed before it was killed.
         said = 499 + sum(1 for line in process.stdout if line.endswith("\n"))
     recording = RecordingFile(tmp_path / "run")
     numbers = [int.from_bytes(each.payload[:4], "big") for each in recording if each.kind is Kind.BYTES]

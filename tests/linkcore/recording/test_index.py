@@ -1,4 +1,4 @@
-"""The index: the records that the reader finds, without an object for each, and those behind damage as well."""
+"""Index of a recording: the records that the reader finds, and the records after damage, without one object each."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def records(index: RecordIndex) -> list[Record]:
     ]
 
 
-#: Runs of records of one size: how many, and how many bytes.
+#: Runs of records of one size: number of records, and bytes of each.
 runs = st.lists(st.tuples(st.integers(1, 40), st.integers(0, 30)), max_size=6)
 
 
 @pytest.mark.property
 @given(runs, st.integers(0, 30))
-def test_what_the_reader_finds_is_found(runs: list[tuple[int, int]], cut: int) -> None:
+def test_index_finds_the_records_of_the_reader(runs: list[tuple[int, int]], cut: int) -> None:
     sizes = [size for count, size in runs for _ in range(count)]
     data = MAGIC + b"".join(record(number, size) for number, size in enumerate(sizes))
     with tempfile.TemporaryDirectory() as folder:
@@ -48,13 +48,13 @@ def test_what_the_reader_finds_is_found(runs: list[tuple[int, int]], cut: int) -
         reader, index = RecordingFile(path), RecordIndex(path)
         assert records(index) == list(reader)
         assert (index.left_out, index.is_complete) == (reader.left_out, reader.is_complete)
-        del index  # before the folder: a file that is mapped cannot be removed everywhere
+        del index  # before the folder, because some systems cannot remove a mapped file
 
 
 @pytest.mark.property
 @given(st.integers(1, 300), st.integers(0, 20), st.integers(0, 10_000), st.integers(1, 255))
 @example(count=23, size=0, place=445, change=104)  # the damaged length leads to another record
-def test_one_damaged_byte_costs_one_record(count: int, size: int, place: int, change: int) -> None:
+def test_damaged_byte_costs_one_record(count: int, size: int, place: int, change: int) -> None:
     whole = [record(number, size) for number in range(count)]
     data = bytearray(MAGIC + b"".join(whole))
     at = len(MAGIC) + place % (len(data) - len(MAGIC))
@@ -74,19 +74,19 @@ def test_one_damaged_byte_costs_one_record(count: int, size: int, place: int, ch
 @pytest.mark.property
 @given(st.integers(0, 1500), st.integers(0, 60), st.lists(st.integers(0, 1499), max_size=4))
 @pytest.mark.simulated_time
-def test_checksums_of_many_at_once(count: int, size: int, damaged: list[int]) -> None:
+def test_intact_finds_damaged_records_among_many(count: int, size: int, damaged: list[int]) -> None:
     stride = len(record(0, size))
     data = bytearray(b"?" + b"".join(record(number, size) for number in range(count)))
     hit = {number for number in damaged if number < count}
     for number in hit:
         data[1 + number * stride + stride // 2] ^= 1
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("linkcore.recording.index._SHARE", 2)  # so that several threads have something to do
+        patch.setattr("linkcore.recording.index._SHARE", 2)  # so that several threads get work
         good = intact(np.frombuffer(bytes(data), np.uint8), 1, stride, count)
     assert set(np.flatnonzero(~good).tolist()) == hit
 
 
-def test_what_is_no_record_is_passed_over(tmp_path: Path) -> None:
+def test_index_skips_bytes_that_are_not_records(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     noise = struct.pack(">II", HEAD.size, 1) * 40 + b"\0" * 7
     path.write_bytes(MAGIC + record(1, 5) + noise + record(2, 5) + noise)
@@ -97,7 +97,7 @@ def test_what_is_no_record_is_passed_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"LINK", b"something else"])
-def test_what_is_no_recording_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_index_rejects_files_that_are_not_recordings(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "other"
     path.write_bytes(data)
     with pytest.raises(BadRecording, match="is not a recording"):

@@ -1,4 +1,4 @@
-"""Replay: when each chunk comes, what is lost and comes back, and that nothing is left out."""
+"""Replay of recordings: times of the chunks, losses and reconnections, and completeness."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from linkcore.streaming.stream import Stream
 from tests.fakes.link import Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
-#: (seconds, bytes, or the state of an event)
+#: Seconds, and the received bytes or the state of an event.
 Line = tuple[float, bytes | str]
 
 
 def write(path: Path, *channels: Iterable[Line]) -> RecordingFile:
-    """A recording of these channels, named "0", "1", ..., with monotonic stamps that begin at 5000."""
+    """Write a recording of these channels, named "0", "1", ..., with monotonic stamps that start at 5000."""
     writer = RecordingWriter(path)
     for number, lines in enumerate(channels):
         writer.add_channel({"name": str(number)})
@@ -47,7 +47,7 @@ def write(path: Path, *channels: Iterable[Line]) -> RecordingFile:
 
 
 class Elapsed:
-    """Seconds of simulated time since it was made."""
+    """Simulated seconds since the creation of this object."""
 
     def __init__(self) -> None:
         self._begun = linkcore.clock.now()
@@ -57,7 +57,7 @@ class Elapsed:
 
 
 def about(seconds: Any) -> Any:
-    """In simulated time, in which each look at a clock takes a microsecond."""
+    """Return an approximation for simulated time, in which each reading of a clock takes a microsecond."""
     return pytest.approx(seconds, abs=1e-4)
 
 
@@ -67,12 +67,12 @@ def opened(recording: RecordingFile, rate: float = 1.0, channel: str = "0") -> R
     return transport
 
 
-# -- when ---------------------------------------------------------------------------------------------
+# -- times --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.simulated_time
 @pytest.mark.parametrize("rate", [1.0, 2.0, 0.5, 20.0])
-def test_chunks_come_at_their_times(tmp_path: Path, rate: float) -> None:
+def test_replayed_chunks_arrive_at_their_times(tmp_path: Path, rate: float) -> None:
     recording = write(tmp_path / "run", [(0, b"a"), (0.25, b"b"), (2, b"c")])
     elapsed = Elapsed()
     transport = opened(recording, rate)
@@ -80,7 +80,7 @@ def test_chunks_come_at_their_times(tmp_path: Path, rate: float) -> None:
     for expected in (b"a", b"b", b"c"):
         data, stamp = transport.receive()
         assert data == expected
-        assert stamp.monotonic == about(linkcore.clock.now()), "the stamp is of the present"
+        assert stamp.monotonic == about(linkcore.clock.now()), "the monotonic stamp is the time of the replay"
         came.append(elapsed())
     assert came == about([0, 0.25 / rate, 2 / rate])
     with pytest.raises(Finished):
@@ -88,14 +88,14 @@ def test_chunks_come_at_their_times(tmp_path: Path, rate: float) -> None:
 
 
 @pytest.mark.simulated_time
-def test_stamps_say_the_recorded_wall_time(tmp_path: Path) -> None:
+def test_replayed_stamps_have_the_recorded_wall_time(tmp_path: Path) -> None:
     transport = opened(write(tmp_path / "run", [(0, b"a"), (3, b"b")]))
     assert [transport.receive()[1].wall for _ in range(2)] == [1e9, 1e9 + 3]
 
 
 @pytest.mark.simulated_time
-def test_deadlines_are_absolute(tmp_path: Path) -> None:
-    """A consumer that takes its time makes no chunk after it later."""
+def test_slow_consumer_does_not_delay_later_chunks(tmp_path: Path) -> None:
+    """Deadlines are absolute: chunks are on time again after a slow consumer has caught up."""
     recording = write(tmp_path / "run", [(n * 0.1, bytes([n])) for n in range(10)])
     elapsed = Elapsed()
     transport = opened(recording)
@@ -104,12 +104,12 @@ def test_deadlines_are_absolute(tmp_path: Path) -> None:
         transport.receive()
         came.append(elapsed())
         time.sleep(0.25 if number == 2 else 0.03)
-    # The third took a quarter of a second: two are late, and the next is on time again.
+    # The consumer needs 0.25 s for the third chunk. So two chunks are late, and the next is on time again.
     assert came == about([0, 0.1, 0.2, 0.45, 0.48, 0.51, 0.6, 0.7, 0.8, 0.9])
 
 
 @pytest.mark.simulated_time
-def test_as_fast_as_possible_never_waits(tmp_path: Path) -> None:
+def test_replay_at_rate_zero_does_not_wait(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a"), (5, "lost"), (50, "connected"), (1000, b"b")])
     elapsed = Elapsed()
     transport = opened(recording, rate=0)
@@ -132,23 +132,23 @@ def test_channels_share_one_time_line(tmp_path: Path) -> None:
     for transport in (left, right, right, left):
         if transport is right and len(came) == 1:
             time.sleep(0.5)
-            right.open(5)  # later: it joins, and does not start anew
+            right.open(5)  # opens later and joins the timeline, without restarting it
         data = transport.receive()[0]
         came[data] = elapsed()
     assert came == about({b"a": 0, b"c": 1, b"d": 3, b"b": 4})
 
 
 @pytest.mark.parametrize("rate", [-1, float("inf"), float("nan")])
-def test_a_rate_that_is_none(tmp_path: Path, rate: float) -> None:
+def test_timeline_rejects_invalid_rates(tmp_path: Path, rate: float) -> None:
     with pytest.raises(BadValue, match="rate"):
         ReplayTimeline(write(tmp_path / "run", []), rate)
 
 
-# -- lost and back ------------------------------------------------------------------------------------
+# -- lost connections ---------------------------------------------------------------------------------
 
 
 @pytest.mark.simulated_time
-def test_a_connection_is_lost_and_comes_back_when_it_did(tmp_path: Path) -> None:
+def test_replay_repeats_losses_and_reconnections_in_time(tmp_path: Path) -> None:
     recording = write(
         tmp_path / "run",
         [(0, b"a"), (2, "lost"), (2.1, "connecting"), (3, "lost"), (3.5, "connecting"), (4, "connected"), (4.5, b"b")],
@@ -169,7 +169,7 @@ def test_a_connection_is_lost_and_comes_back_when_it_did(tmp_path: Path) -> None
 
 
 @pytest.mark.simulated_time
-def test_a_long_absence_is_told_within_the_timeout(tmp_path: Path) -> None:
+def test_open_times_out_during_a_long_recorded_loss(tmp_path: Path) -> None:
     elapsed = Elapsed()
     transport = opened(write(tmp_path / "run", [(0, b"a"), (1, "lost"), (9, "connected"), (9, b"b")]))
     transport.receive()
@@ -184,7 +184,7 @@ def test_a_long_absence_is_told_within_the_timeout(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_who_never_came_back_is_over(tmp_path: Path) -> None:
+def test_replay_finishes_when_the_loss_was_final(tmp_path: Path) -> None:
     transport = opened(write(tmp_path / "run", [(0, b"a"), (1, "lost"), (2, "connecting"), (3, "lost")]))
     transport.receive()
     with pytest.raises(ConnectionLost):
@@ -196,7 +196,7 @@ def test_who_never_came_back_is_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_channel_that_was_recorded_late_opens_at_once(tmp_path: Path) -> None:
+def test_late_channel_opens_immediately(tmp_path: Path) -> None:
     lines: list[Line] = [(60, "connecting"), (61, "connected"), (62, b"c")]
     elapsed = Elapsed()
     transport = opened(write(tmp_path / "run", [(0, b"a")], lines), channel="1")
@@ -205,7 +205,7 @@ def test_a_channel_that_was_recorded_late_opens_at_once(tmp_path: Path) -> None:
     assert elapsed() == about(62)
 
 
-def test_a_connection_that_was_never_made_is_replayed_so(tmp_path: Path) -> None:
+def test_replay_repeats_a_failed_first_connection(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, "connecting"), (1, "lost")])
     transport = ReplayTransport(recording, "0", ReplayTimeline(recording))
     with pytest.raises(ConnectFailed, match="as recorded: at 1"):
@@ -213,7 +213,7 @@ def test_a_connection_that_was_never_made_is_replayed_so(tmp_path: Path) -> None
 
 
 @pytest.mark.simulated_time
-def test_close_wakes_who_waits_for_a_chunk_and_none_is_lost(tmp_path: Path) -> None:
+def test_close_ends_a_waiting_receive_and_loses_no_chunk(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a"), (3600, b"b")])
     clock = ReplayTimeline(recording)
     transport = ReplayTransport(recording, "0", clock)
@@ -237,19 +237,19 @@ def test_close_wakes_who_waits_for_a_chunk_and_none_is_lost(tmp_path: Path) -> N
     assert transport.receive()[0] == b"b"
 
 
-def test_nothing_can_be_sent_to_a_recording(tmp_path: Path) -> None:
+def test_send_to_a_recording_raises_bad_value(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a")])
     with pytest.raises(BadValue, match="is a recording"):
         ReplayTransport(recording, "0", ReplayTimeline(recording)).send(b"stopj(1)\n", 1)
 
 
-def test_a_channel_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
+def test_missing_channel_raises_bad_recording(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a")])
     with pytest.raises(BadRecording, match="contains no realtime; it contains 0"):
         ReplayTransport(recording, "realtime", ReplayTimeline(recording))
 
 
-def test_an_empty_channel_is_over_at_once(tmp_path: Path) -> None:
+def test_empty_channel_finishes_immediately(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [])
     transport = ReplayTransport(recording, "0", ReplayTimeline(recording))
     transport.open(5)
@@ -269,8 +269,8 @@ def replaying(path: Path, rate: float = 0) -> Stream[Count]:
 
 @pytest.mark.parametrize("size", [1, 7, 500])
 @pytest.mark.simulated_time
-def test_as_fast_as_possible_loses_nothing(tmp_path: Path, size: int) -> None:
-    """More than any queue holds, with what a plain `for` uses."""
+def test_replay_at_rate_zero_loses_no_packet(tmp_path: Path, size: int) -> None:
+    """The recording has more packets than any queue holds, and is read with a plain `for`."""
     numbers = range(1000, 4000)
     write(tmp_path / "run", [(at, counts(*numbers[at : at + size])) for at in range(0, 3000, size)])
     stream = replaying(tmp_path / "run")
@@ -280,7 +280,7 @@ def test_as_fast_as_possible_loses_nothing(tmp_path: Path, size: int) -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_slow_callback_loses_nothing_either(tmp_path: Path) -> None:
+def test_replay_loses_no_packet_when_a_callback_is_slow(tmp_path: Path) -> None:
     write(tmp_path / "run", [(n, counts(1000 + n)) for n in range(3000)])
     stream = replaying(tmp_path / "run")
     got: list[int] = []
@@ -298,8 +298,8 @@ def test_a_slow_callback_loses_nothing_either(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_recorded_loss_is_a_loss_and_subscriptions_stay(tmp_path: Path) -> None:
-    """Recorded from a stream that loses its connection twice, the second time with a failed attempt."""
+def test_recorded_loss_is_reported_and_subscriptions_continue(tmp_path: Path) -> None:
+    """The recorded stream loses its connection twice, the second time with a failed attempt to reconnect."""
     script = ScriptedTransport(None, None, ConnectFailed("refused"), None)
     stream = scripted(script)
     with Recorder(tmp_path / "run") as recorder:
@@ -311,7 +311,7 @@ def test_a_recorded_loss_is_a_loss_and_subscriptions_stay(tmp_path: Path) -> Non
     replayed = replaying(tmp_path / "run")
     events: list[ConnectionEvent] = []
     replayed.subscribe(events.append, ConnectionEvent)
-    # The first subscription has started the replay; whoever wants all of it is the first.
+    # The first subscription starts the replay, so it gets all events.
     assert replayed.join(10)
     states = [event.state.value for event in events]
     assert states[:3] == ["connecting", "connected", "lost"]
@@ -321,7 +321,7 @@ def test_a_recorded_loss_is_a_loss_and_subscriptions_stay(tmp_path: Path) -> Non
     reasons = [str(event.error) for event in events if event.state is ConnectionState.LOST]
     assert ["cable" in reasons[0], "again" in reasons[1], "refused" in reasons[2]] == [True, True, True]
     assert (replayed.stats.received, replayed.stats.reconnects) == (3, 2)
-    assert replayed.stats.skipped == 2  # of the packet that the first loss cut off
+    assert replayed.stats.skipped == 2  # the bytes of the packet that the first loss cut off
     again = replaying(tmp_path / "run")
     assert [count.number for count in again] == [1, 2, 3]
     again.close()
@@ -329,7 +329,7 @@ def test_a_recorded_loss_is_a_loss_and_subscriptions_stay(tmp_path: Path) -> Non
 
 
 @pytest.mark.simulated_time
-def test_a_recording_of_a_crash_replays_up_to_it(tmp_path: Path) -> None:
+def test_truncated_recording_replays_up_to_its_end(tmp_path: Path) -> None:
     write(tmp_path / "whole", [(n, counts(n)) for n in range(20)])
     data = (tmp_path / "whole").read_bytes()
     (tmp_path / "run").write_bytes(data[: len(data) // 2])
@@ -341,7 +341,7 @@ def test_a_recording_of_a_crash_replays_up_to_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_closing_a_replay_that_waits_is_quick(tmp_path: Path) -> None:
+def test_close_of_a_waiting_replay_is_quick(tmp_path: Path) -> None:
     write(tmp_path / "run", [(0, counts(1)), (3600, counts(2))])
     stream = replaying(tmp_path / "run", rate=1)
     assert stream.wait(10).number == 1
@@ -352,8 +352,8 @@ def test_closing_a_replay_that_waits_is_quick(tmp_path: Path) -> None:
 @pytest.mark.property
 @given(st.lists(st.binary(min_size=1, max_size=30), max_size=20), st.data())
 @pytest.mark.simulated_time
-def test_recorded_and_replayed_are_the_same(chunks: list[bytes], data: st.DataObject) -> None:
-    """Whatever bytes, however cut: a recorder of the replay writes what the recording holds."""
+def test_recording_a_replay_equals_the_recording(chunks: list[bytes], data: st.DataObject) -> None:
+    """A recording of a replay has the same contents as the replayed file, for any bytes and chunks."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         lost = data.draw(st.sets(st.integers(0, 19)))
@@ -372,7 +372,7 @@ def test_recorded_and_replayed_are_the_same(chunks: list[bytes], data: st.DataOb
 
 
 def contents(path: Path) -> list[tuple[Kind, bytes]]:
-    """The chunks, and between which of them connections were lost."""
+    """Return the chunks, with a mark between the chunks where a connection was lost."""
     kept: list[tuple[Kind, bytes]] = []
     for record in RecordingFile(path):
         if record.kind is Kind.BYTES:

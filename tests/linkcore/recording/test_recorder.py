@@ -1,4 +1,4 @@
-"""The recorder: every byte once, in order, also when connections break and disks fail."""
+"""Recorder: it writes every byte once and in order, even if connections break or disks fail."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def events(path: Path) -> list[dict[str, Any]]:
 
 
 class Gate:
-    """Holds up the writer's thread, as a slow disk does."""
+    """Gate that delays the thread of the writer, as a slow disk does."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.open = threading.Event()
@@ -76,7 +76,7 @@ class Gate:
 # -- every byte once ----------------------------------------------------------------------------------
 
 
-def test_every_chunk_is_recorded_once_and_in_order(
+def test_every_chunk_is_recorded_once_in_order(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
 ) -> None:
     whole = counts(*range(300))
@@ -89,13 +89,13 @@ def test_every_chunk_is_recorded_once_and_in_order(
     recording = RecordingFile(tmp_path / "run")
     assert recording.is_complete
     assert recording.channels == {0: {"name": "script", "firmware": "5.11"}}
-    # As they were cut, too.
+    # The boundaries of the chunks are kept, too.
     assert [each.payload for each in recording if each.kind is Kind.BYTES] == chunks
     assert recorded(tmp_path / "run") == whole
 
 
 @pytest.mark.parametrize("info", [{}, {"name": 3}, {"name": "script", "firmware": b"5.11"}, {"name": "x", "y": {1, 2}}])
-def test_what_cannot_be_said_of_a_stream(stream: Stream[Count], tmp_path: Path, info: dict[str, Any]) -> None:
+def test_add_rejects_invalid_info(stream: Stream[Count], tmp_path: Path, info: dict[str, Any]) -> None:
     with Recorder(tmp_path / "run") as recorder:
         with pytest.raises(BadValue, match=r"info=.*expected"):
             recorder.add(stream, info)
@@ -105,7 +105,9 @@ def test_what_cannot_be_said_of_a_stream(stream: Stream[Count], tmp_path: Path, 
     assert RecordingFile(tmp_path / "run").channels == {0: {"name": "script"}}
 
 
-def test_stamps_are_those_of_the_packets(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
+def test_recorded_stamps_equal_packet_stamps(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
+) -> None:
     packets: list[Count] = []
     with Recorder(tmp_path / "run") as recorder:
         recorder.add(stream, SCRIPT)
@@ -120,12 +122,12 @@ def test_stamps_are_those_of_the_packets(stream: Stream[Count], transport: Scrip
         assert each.stamp.wall == pytest.approx(packet.received.wall, abs=1e-6)
 
 
-def test_bytes_before_and_after_a_reconnect_are_all_there(
+def test_bytes_before_and_after_a_reconnect_are_recorded(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
 ) -> None:
     with Recorder(tmp_path / "run") as recorder:
         recorder.add(stream, SCRIPT)
-        # The second connection begins anew, so the half packet is recorded once and never completed.
+        # The half packet is recorded once and never completed, because the second connection starts with a new packet.
         transport.put(counts(1), counts(2)[:3], ConnectionLost("cut"), counts(3), b"junk" + counts(4), Finished())
         assert stream.join(10)
     assert recorded(tmp_path / "run") == counts(1) + counts(2)[:3] + counts(3) + b"junk" + counts(4)
@@ -138,11 +140,11 @@ def test_bytes_before_and_after_a_reconnect_are_all_there(
         ("closed", None),
     ]
     kinds = [each.kind for each in RecordingFile(tmp_path / "run")]
-    assert kinds[3:6] == [Kind.BYTES, Kind.BYTES, Kind.EVENT], "the loss stands where it happened"
+    assert kinds[3:6] == [Kind.BYTES, Kind.BYTES, Kind.EVENT], "the loss must be recorded where it happened"
 
 
 @pytest.mark.parametrize("cut", range(6))
-def test_started_in_the_middle_of_a_packet_it_holds_the_whole_packet(
+def test_recording_started_within_a_packet_has_the_whole_packet(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, cut: int
 ) -> None:
     packet = counts(0x01020304)
@@ -153,11 +155,11 @@ def test_started_in_the_middle_of_a_packet_it_holds_the_whole_packet(
         recorder.add(stream, SCRIPT)
         transport.put(packet[cut:] + counts(2), counts(3), Finished())
         assert stream.join(10)
-    # A packet that had come whole before the recorder was there is none of it.
+    # A packet that had arrived completely before the recorder was added is not recorded.
     assert recorded(tmp_path / "run") == (packet if cut < 5 else b"") + counts(2, 3)
 
 
-def test_two_streams_in_one_file_are_kept_apart(
+def test_streams_in_one_file_have_separate_channels(
     make_stream: Callable[[ScriptedTransport], Stream[Count]], tmp_path: Path
 ) -> None:
     transports = [ScriptedTransport(), ScriptedTransport()]
@@ -176,7 +178,7 @@ def test_two_streams_in_one_file_are_kept_apart(
     assert recorded(tmp_path / "run", recording.channel("right")) == counts(*range(1000, 1200))
 
 
-def test_two_recorders_of_one_stream_hold_the_same(
+def test_two_recorders_of_one_stream_record_the_same(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
 ) -> None:
     with Recorder(tmp_path / "one") as one, Recorder(tmp_path / "two") as two:
@@ -187,9 +189,7 @@ def test_two_recorders_of_one_stream_hold_the_same(
     assert recorded(tmp_path / "one") == recorded(tmp_path / "two") == counts(*range(50))
 
 
-def test_what_cannot_be_decoded_is_recorded_like_everything(
-    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
-) -> None:
+def test_undecodable_bytes_are_recorded(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
     with Recorder(tmp_path / "run") as recorder:
         recorder.add(stream, SCRIPT)
         transport.put(b"junk", counts(666), b"\x00", Finished())
@@ -197,7 +197,7 @@ def test_what_cannot_be_decoded_is_recorded_like_everything(
     assert recorded(tmp_path / "run") == b"junk" + counts(666) + b"\x00"
 
 
-def test_a_slow_disk_makes_the_stream_wait_and_loses_nothing(
+def test_slow_disk_makes_the_stream_wait_without_loss(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = Gate(monkeypatch)
@@ -205,7 +205,7 @@ def test_a_slow_disk_makes_the_stream_wait_and_loses_nothing(
         subscription = recorder.add(stream, SCRIPT)
         transport.put(*(counts(number) for number in range(1500)), Finished())
         assert gate.waiting.wait(10)
-        # One in the writer's hands, and the queue of 1024 was full: the reader waits with the next until half is gone.
+        # The writer has one chunk and the queue of 1024 is full, so the reader waits until half of it is written.
         until(lambda: subscription.stats.waiting >= 1024)
         assert stream.stats.received <= 1025
         gate.open.set()
@@ -213,7 +213,7 @@ def test_a_slow_disk_makes_the_stream_wait_and_loses_nothing(
     assert recorded(tmp_path / "run") == counts(*range(1500))
 
 
-def test_closing_writes_what_still_waits(
+def test_close_writes_queued_chunks(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = Gate(monkeypatch)
@@ -225,13 +225,13 @@ def test_closing_writes_what_still_waits(
     closer.start()
     gate.open.set()
     closer.join(10)
-    transport.put(counts(1000))  # comes after the end
+    transport.put(counts(1000))  # arrives after the end of the recording
     until(lambda: stream.stats.received == 101)
     assert recorded(tmp_path / "run") == counts(*range(100))
     assert RecordingFile(tmp_path / "run").is_complete
 
 
-def test_closing_the_stream_first_loses_nothing(
+def test_closing_the_stream_first_loses_no_chunk(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = Gate(monkeypatch)
@@ -245,10 +245,10 @@ def test_closing_the_stream_first_loses_nothing(
     assert recorded(tmp_path / "run") == counts(*range(100))
 
 
-# -- when it cannot be done ---------------------------------------------------------------------------
+# -- failures -----------------------------------------------------------------------------------------
 
 
-def test_a_disk_too_slow_to_close_is_told_and_the_file_is_as_after_a_crash(
+def test_close_times_out_and_leaves_an_incomplete_file(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = Gate(monkeypatch)
@@ -258,7 +258,7 @@ def test_a_disk_too_slow_to_close_is_told_and_the_file_is_as_after_a_crash(
     assert gate.waiting.wait(10)
     with pytest.raises(LinkTimeout, match="could not write all data"):
         recorder.close(timeout=0.01)
-    recorder.close()  # idempotent: it was told
+    recorder.close()  # does nothing, because the failure was reported
     gate.open.set()
     assert subscription.join(10)
     recording = RecordingFile(tmp_path / "run")
@@ -266,7 +266,7 @@ def test_a_disk_too_slow_to_close_is_told_and_the_file_is_as_after_a_crash(
     assert recorded(tmp_path / "run") == b""
 
 
-def test_a_disk_that_fails_is_told_and_the_stream_goes_on(
+def test_disk_failure_is_reported_and_the_stream_continues(
     stream: Stream[Count],
     transport: ScriptedTransport,
     tmp_path: Path,
@@ -301,14 +301,14 @@ def test_a_disk_that_fails_is_told_and_the_stream_goes_on(
     assert recorded(tmp_path / "run") == counts(1)
 
 
-def test_a_file_that_exists_is_left_alone(tmp_path: Path) -> None:
+def test_existing_file_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "run").write_bytes(b"mine")
     with pytest.raises(BadRecording, match="never overwrites"):
         Recorder(tmp_path / "run")
     assert (tmp_path / "run").read_bytes() == b"mine"
 
 
-def test_a_stream_that_cannot_be_opened_is_told(
+def test_add_raises_when_the_stream_cannot_connect(
     make_stream: Callable[[ScriptedTransport], Stream[Count]], tmp_path: Path
 ) -> None:
     stream = make_stream(ScriptedTransport(ConnectFailed("refused")))
@@ -316,14 +316,14 @@ def test_a_stream_that_cannot_be_opened_is_told(
         recorder.add(stream, SCRIPT)
 
 
-def test_nothing_is_added_to_a_closed_recorder(stream: Stream[Count], tmp_path: Path) -> None:
+def test_add_raises_closed_after_close(stream: Stream[Count], tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run")
     recorder.close()
     with pytest.raises(Closed):
         recorder.add(stream, SCRIPT)
 
 
-def test_a_recorder_leaves_no_thread(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
+def test_recorder_leaves_no_thread(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
     before: set[threading.Thread] = set()
     with Recorder(tmp_path / "run") as recorder:
         stream.start()
@@ -333,7 +333,9 @@ def test_a_recorder_leaves_no_thread(stream: Stream[Count], transport: ScriptedT
     assert set(threading.enumerate()) <= before
 
 
-def test_records_are_of_their_channel(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
+def test_records_have_the_number_of_their_channel(
+    stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path
+) -> None:
     with Recorder(tmp_path / "run") as recorder:
         recorder.add(stream, SCRIPT)
         transport.put(counts(1), Finished())

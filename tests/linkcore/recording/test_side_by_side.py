@@ -1,4 +1,4 @@
-"""Shares of one computation: all of them, in order, on however many processors."""
+"""Parallel computation in shares: every share runs once, in order, with any number of processors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from linkcore.recording.index import side_by_side
 @pytest.mark.parametrize("processors", [1, 3])
 @pytest.mark.parametrize("size", [0, 1, 10, 11, 95])
 @pytest.mark.simulated_time
-def test_every_share_once_and_in_order(processors: int, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_side_by_side_returns_every_share_once_in_order(
+    processors: int, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: processors)
     shares = side_by_side(lambda begin, end: list(range(begin, end)), 5, 5 + size, 10)
     assert [each for share in shares for each in share] == list(range(5, 5 + size))
@@ -20,7 +22,7 @@ def test_every_share_once_and_in_order(processors: int, size: int, monkeypatch: 
 
 
 @pytest.mark.simulated_time
-def test_shares_are_done_at_the_same_time_and_their_errors_are_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_side_by_side_runs_in_parallel_and_raises_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     both = threading.Barrier(2, timeout=20.0)
     assert side_by_side(lambda begin, _: both.wait() >= 0 and begin, 0, 2, 1) == [0, 1]

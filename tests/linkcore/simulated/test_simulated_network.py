@@ -1,4 +1,4 @@
-"""Connections between simulated computers, and what cables and kernels do to them."""
+"""Connections between simulated computers, with faults of the network and of the computers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def robot(sim: Simulation) -> Computer:
 
 
 def serve(sim: Simulation, computer: Computer, talk: Callable[[socket.socket], object]) -> threading.Thread:
-    """A server on a computer, for one client."""
+    """Start a server on a computer that serves one client."""
     with sim.on(computer):
         listener = socket.socket()
         listener.bind(("", PORT))
@@ -64,7 +64,7 @@ def echo(link: socket.socket) -> None:
         link.sendall(data)
 
 
-def test_bytes_there_and_back(sim: Simulation, robot: Computer) -> None:
+def test_simulated_connection_sends_and_receives(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT), timeout=1.0) as link:
         assert link.getpeername() == ("192.168.0.2", PORT)
@@ -77,8 +77,8 @@ def test_bytes_there_and_back(sim: Simulation, robot: Computer) -> None:
         assert link.recv(100) == b""
 
 
-def test_it_has_no_peer_before_the_handshake_is_over(sim: Simulation, robot: Computer) -> None:
-    """Who polls would take it for open, and the refusal to receive for its end."""
+def test_socket_has_no_peer_before_the_handshake_ends(sim: Simulation, robot: Computer) -> None:
+    """Otherwise a program that polls would consider the socket open, and then the failed receive as its end."""
     serve(sim, robot, echo)
     with socket.socket() as link:
         link.setblocking(False)
@@ -93,7 +93,7 @@ def test_it_has_no_peer_before_the_handshake_is_over(sim: Simulation, robot: Com
         assert link.getpeername() == (robot.address, PORT)
 
 
-def test_nothing_listens(sim: Simulation, robot: Computer) -> None:
+def test_connect_fails_without_listener_host_or_power(sim: Simulation, robot: Computer) -> None:
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((robot.address, PORT), timeout=1.0)
     with pytest.raises(socket.gaierror):
@@ -109,8 +109,8 @@ def test_nothing_listens(sim: Simulation, robot: Computer) -> None:
     assert sim.open_sockets == 0
 
 
-def test_silence_and_late_delivery(sim: Simulation, robot: Computer) -> None:
-    """What is not reset is delivered when the network is back, as TCP does."""
+def test_data_is_delivered_after_a_network_cut(sim: Simulation, robot: Computer) -> None:
+    """As with TCP, data of a connection that was not reset is delivered when the network works again."""
     came: list[tuple[float, bytes]] = []
 
     def take(link: socket.socket) -> None:
@@ -132,7 +132,7 @@ def test_silence_and_late_delivery(sim: Simulation, robot: Computer) -> None:
     assert came[1][0] > 3.1
 
 
-def test_what_is_reset_is_not_delivered(sim: Simulation, robot: Computer) -> None:
+def test_aborted_data_is_not_delivered_after_a_cut(sim: Simulation, robot: Computer) -> None:
     came: list[bytes] = []
 
     def take(link: socket.socket) -> None:
@@ -148,13 +148,13 @@ def test_what_is_reset_is_not_delivered(sim: Simulation, robot: Computer) -> Non
     time.sleep(0.5)
     sim.network.mend(sim.here, robot)
     time.sleep(100.0)
-    # The reset was lost too, so the other end does not know: half open.
+    # The reset was lost too, so the connection stays half open at the other end.
     assert came == []
     assert len(robot.ends) == 1
 
 
-def test_one_way_silence_ends_by_the_user_timeout(sim: Simulation, robot: Computer) -> None:
-    """The data arrives, its acknowledgement does not."""
+def test_one_way_silence_ends_after_the_user_timeout(sim: Simulation, robot: Computer) -> None:
+    """The data arrives, but its acknowledgement does not."""
     came: list[bytes] = []
 
     def take(link: socket.socket) -> None:
@@ -175,7 +175,7 @@ def test_one_way_silence_ends_by_the_user_timeout(sim: Simulation, robot: Comput
     assert came == [b"heard"]
 
 
-def test_the_receive_timeout_of_the_kernel(sim: Simulation, robot: Computer) -> None:
+def test_receive_timeout_of_the_kernel_is_simulated(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
     transport = TcpTransport("robot", PORT, silence=2.0)
     transport.open(1.0)
@@ -186,10 +186,10 @@ def test_the_receive_timeout_of_the_kernel(sim: Simulation, robot: Computer) -> 
     transport.send(b"x", 1.0)
     assert transport.receive()[0] == b"x"
     transport.close()
-    assert sim.now - begun < 2.1  # what was sent is acknowledged, so it does not wait
+    assert sim.now - begun < 2.1  # all sent data is acknowledged, so close does not wait
 
 
-def test_close_waits_for_what_is_not_acknowledged(sim: Simulation, robot: Computer) -> None:
+def test_close_waits_for_unacknowledged_data(sim: Simulation, robot: Computer) -> None:
     came: list[bytes] = []
     serve(sim, robot, lambda link: came.append(link.recv(100)))
     transport = TcpTransport("robot", PORT, silence=2.0)
@@ -200,7 +200,7 @@ def test_close_waits_for_what_is_not_acknowledged(sim: Simulation, robot: Comput
     assert came == [b"last"]
 
 
-def test_a_reader_is_woken_by_abort(sim: Simulation, robot: Computer) -> None:
+def test_abort_ends_a_waiting_receive(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
     transport = TcpTransport("robot", PORT, silence=100.0)
     transport.open(1.0)
@@ -211,7 +211,7 @@ def test_a_reader_is_woken_by_abort(sim: Simulation, robot: Computer) -> None:
     assert sim.now == pytest.approx(3.0, abs=0.01)
 
 
-def test_a_killed_program_resets_its_connections(sim: Simulation, robot: Computer) -> None:
+def test_killed_computer_resets_its_connections(sim: Simulation, robot: Computer) -> None:
     def hold(link: socket.socket) -> None:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
         time.sleep(1000.0)
@@ -226,7 +226,7 @@ def test_a_killed_program_resets_its_connections(sim: Simulation, robot: Compute
         socket.create_connection(("robot", PORT), timeout=1.0)
 
 
-def test_a_rebooted_computer_knows_no_connection(sim: Simulation, robot: Computer) -> None:
+def test_rebooted_computer_resets_old_connections(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT), timeout=60.0) as link:
         robot.power_off()
@@ -237,8 +237,8 @@ def test_a_rebooted_computer_knows_no_connection(sim: Simulation, robot: Compute
             link.recv(1)
 
 
-def test_a_suspended_program_leaves_its_kernel_awake(sim: Simulation, robot: Computer) -> None:
-    """Its buffers fill, and then there is no room."""
+def test_kernel_of_a_suspended_computer_fills_its_buffers(sim: Simulation, robot: Computer) -> None:
+    """The kernel still accepts data until its buffers are full."""
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT), timeout=1.0) as link:
         robot.suspend()
@@ -258,7 +258,7 @@ def is_reset(link: socket.socket) -> None:
         link.recv(1)
 
 
-def test_reset_by_the_network(sim: Simulation, robot: Computer) -> None:
+def test_network_reset_raises_on_both_sides(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, is_reset)
     with socket.create_connection(("robot", PORT), timeout=60.0) as link:
         sim.network.reset(sim.here, robot)
@@ -268,10 +268,10 @@ def test_reset_by_the_network(sim: Simulation, robot: Computer) -> None:
 
 @pytest.mark.parametrize("way", ["there", "back"])
 @pytest.mark.parametrize("is_asked_here", [True, False])
-def test_reset_by_the_network_during_a_handshake(
+def test_network_reset_during_a_handshake_refuses_the_connection(
     sim: Simulation, robot: Computer, way: str, is_asked_here: bool
 ) -> None:
-    """Whether the request is under way or its answer."""
+    """The reset comes while either the connection request or its answer is in transit."""
     server, client = (robot, sim.here) if is_asked_here else (sim.here, robot)
     with sim.on(server), socket.socket() as listener:
         listener.bind(("", PORT))
@@ -281,11 +281,11 @@ def test_reset_by_the_network_during_a_handshake(
             with pytest.raises(ConnectionRefusedError):
                 socket.create_connection((server.address, PORT), timeout=60.0)
             assert sim.now < 0.002
-            with socket.create_connection((server.address, PORT), timeout=60.0):  # the next one is made
+            with socket.create_connection((server.address, PORT), timeout=60.0):  # the next attempt succeeds
                 pass
 
 
-def test_poll_select_and_selectors(sim: Simulation, robot: Computer) -> None:
+def test_poll_select_and_selectors_are_simulated(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT)) as link:
         poll = select.poll()
@@ -305,7 +305,7 @@ def test_poll_select_and_selectors(sim: Simulation, robot: Computer) -> None:
             assert sim.now - begun == pytest.approx(0.5, abs=1e-3)
 
 
-def test_a_selector_reports_what_is_there_until_it_is_taken(sim: Simulation, robot: Computer) -> None:
+def test_selector_reports_data_until_it_is_read(sim: Simulation, robot: Computer) -> None:
     with contextlib.ExitStack() as links, selectors.DefaultSelector() as selector:
         pairs = [socket.socketpair() for _ in range(3)]
         for number, (here, there) in enumerate(pairs):
@@ -328,7 +328,7 @@ def test_a_selector_reports_what_is_there_until_it_is_taken(sim: Simulation, rob
         selector.modify(pairs[2][0], selectors.EVENT_WRITE, 2)
         assert sorted(ready()) == [1, 2]
         selector.modify(pairs[2][0], selectors.EVENT_READ, 2)
-        # What is closed is reported no more, as by epoll, and can still be taken out.
+        # As with epoll, a closed socket is no longer reported, but can still be unregistered.
         pairs[1][0].close()
         assert ready() == []
         selector.unregister(pairs[1][0])
@@ -342,10 +342,10 @@ def test_a_selector_reports_what_is_there_until_it_is_taken(sim: Simulation, rob
 @pytest.mark.parametrize(
     ("fault", "end", "returned"), [("hold", "release", [b"a", b"bc"]), ("suspend", "resume", [b"abc"])]
 )
-def test_a_computer_whose_threads_stand_still(
+def test_kernel_acknowledges_while_threads_are_stopped(
     sim: Simulation, robot: Computer, fault: str, end: str, returned: list[bytes]
 ) -> None:
-    """Its kernel acknowledges; where the interpreter's lock is held, a `recv` that waits has what came first."""
+    """Its kernel still acknowledges data. With a held interpreter lock, a waiting `recv` gets the first data only."""
     came: list[bytes] = []
     ticks: list[float] = []
 
@@ -373,7 +373,7 @@ def test_a_computer_whose_threads_stand_still(
     assert came == [*returned, b"d"]
 
 
-def test_a_time_out_that_passes_while_the_interpreters_lock_is_held(sim: Simulation, robot: Computer) -> None:
+def test_timeout_expires_while_the_interpreter_lock_is_held(sim: Simulation, robot: Computer) -> None:
     outcome: list[str] = []
 
     def take(link: socket.socket) -> None:
@@ -393,7 +393,7 @@ def test_a_time_out_that_passes_while_the_interpreters_lock_is_held(sim: Simulat
     assert outcome == ["late at 2.00", "after"]
 
 
-def test_streams_of_asyncio(sim: Simulation, robot: Computer) -> None:
+def test_asyncio_streams_work_in_simulated_time(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
 
     async def talk() -> bytes:
@@ -415,10 +415,10 @@ def test_streams_of_asyncio(sim: Simulation, robot: Computer) -> None:
     ),
     sizes=st.lists(st.integers(1, 60_000), min_size=1, max_size=12),
 )
-def test_what_comes_is_the_beginning_of_what_was_sent(
+def test_received_bytes_are_a_prefix_of_sent_bytes(
     seed: int, faults: list[tuple[str, float]], sizes: list[int]
 ) -> None:
-    """And all of it, once the network is whole again and nobody gave up."""
+    """All sent bytes arrive once the network works again, if neither side has aborted the connection."""
     sent = b"".join(bytes([number % 256]) * size for number, size in enumerate(sizes))
     came = bytearray()
 
@@ -450,7 +450,7 @@ def test_what_comes_is_the_beginning_of_what_was_sent(
         link.close()
 
 
-def test_an_event_loop_whose_computer_lost_its_power_ends_with_the_simulation() -> None:
+def test_event_loop_without_power_ends_with_the_simulation() -> None:
     ended: list[BaseException] = []
 
     async def waits_again() -> None:

@@ -29,7 +29,7 @@ from linkcore.errors import BadValue, LocalError
 from linkcore.simulated import Deadlock, Simulation, TimeLimit, simulated_time
 
 
-def test_an_hour_of_waiting_takes_no_time() -> None:
+def test_simulated_waits_take_no_real_time() -> None:
     begun = time.perf_counter()
     with simulated_time() as sim:
         before = time.monotonic(), time.time(), time.perf_counter()
@@ -50,7 +50,7 @@ def test_an_hour_of_waiting_takes_no_time() -> None:
 
 
 def race(sim: Simulation) -> list[int]:
-    """Three threads that add to one list between two locks, so that the order is the scheduler's."""
+    """Run three threads that append to one list under a lock, so that the scheduler decides the order."""
     order: list[int] = []
     lock = threading.Lock()
 
@@ -73,11 +73,11 @@ def outcome(seed: int, program: Callable[[Simulation], object] = race) -> tuple[
         return program(sim), sim.trace, sim.steps
 
 
-def test_the_same_seed_gives_the_same_run() -> None:
+def test_same_seed_gives_the_same_run() -> None:
     assert all(outcome(seed) == outcome(seed) for seed in range(20))
 
 
-def test_other_seeds_give_other_orders() -> None:
+def test_other_seeds_give_other_thread_orders() -> None:
     orders: set[tuple[int, ...]] = {tuple(outcome(seed)[0]) for seed in range(50)}  # type: ignore[arg-type]
     assert len(orders) > 10
     for order in orders:
@@ -85,8 +85,8 @@ def test_other_seeds_give_other_orders() -> None:
 
 
 @pytest.mark.real_time
-def test_the_same_run_in_another_process() -> None:
-    """With another seed of hashes and other addresses of objects."""
+def test_run_is_the_same_in_another_process() -> None:
+    """The other process has another hash seed, and its objects have other addresses."""
     program = (
         "import sys; sys.path.insert(0, '.')\n"
         "from tests.linkcore.simulated.test_simulated_time import outcome\n"
@@ -101,8 +101,8 @@ def test_the_same_run_in_another_process() -> None:
     assert runs == {f"{[outcome(seed)[1:] for seed in range(5)]}\n"}
 
 
-def test_a_lost_update_is_found() -> None:
-    """Two threads that read, then wait, then write: some seed lets them meet."""
+def test_lost_update_is_found_by_some_seed() -> None:
+    """Two threads read, wait and write; with some seeds they interleave."""
 
     def program(sim: Simulation) -> int:
         count = [0]
@@ -110,7 +110,7 @@ def test_a_lost_update_is_found() -> None:
 
         def add() -> None:
             seen = count[0]
-            news.put(None)  # passes the seam
+            news.put(None)  # the scheduler can switch threads here
             count[0] = seen + 1
 
         threads = [threading.Thread(target=add) for _ in range(2)]
@@ -124,7 +124,7 @@ def test_a_lost_update_is_found() -> None:
 
 
 class Lazy:
-    """Makes something once, unless two threads ask for it at the same time: between look and set is no lock."""
+    """Object made once, unless two threads use it at the same time, because no lock guards the check."""
 
     def __init__(self) -> None:
         self.one: object = None
@@ -153,21 +153,21 @@ def lazy_between_lines(sim: Simulation) -> int:
 
 
 @pytest.mark.slow
-def test_a_race_between_two_lines_is_found_where_threads_yield_there() -> None:
+def test_race_between_lines_is_found_with_preempt() -> None:
     seeds = range(200)
     assert {outcome(seed, lazy)[0] for seed in seeds} == {1}
     assert {outcome(seed, lazy_between_lines)[0] for seed in seeds} == {1, 2}
 
 
 @pytest.mark.slow
-def test_what_was_called_before_does_not_move_the_lines_at_which_threads_yield() -> None:
+def test_earlier_calls_do_not_change_the_yielding_lines() -> None:
     first = [outcome(seed, lazy_between_lines) for seed in range(20)]
     assert [outcome(seed, lazy_between_lines) for seed in reversed(range(20))] == first[::-1]
 
 
 @pytest.mark.real_time
-def test_the_first_run_of_a_process_yields_at_the_same_lines_as_the_next() -> None:
-    """It imports, and fills caches; in the next one neither happens."""
+def test_first_run_yields_at_the_same_lines_as_the_next() -> None:
+    """Only the first run imports modules and fills caches."""
     program = (
         "import urlink\n"
         "def run():\n"
@@ -182,7 +182,7 @@ def test_the_first_run_of_a_process_yields_at_the_same_lines_as_the_next() -> No
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_what_traced_lines_before_does_so_again() -> None:
+def test_previous_trace_function_is_restored() -> None:
     seen: list[str] = []
 
     def trace(frame: FrameType, event: str, arg: object) -> None:
@@ -202,8 +202,8 @@ def test_what_traced_lines_before_does_so_again() -> None:
 
 
 @pytest.mark.slow
-def test_what_holds_a_lock_of_its_module_is_not_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is from before the simulation, so a real one: a thread that made way with it would stop all others."""
+def test_holder_of_a_module_lock_is_not_preempted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lock is real, because it was made before the simulation: a preempted holder would block all threads."""
     lines = ["import threading", "lock = threading.Lock()", "def hold():", "    with lock:"]
     (tmp_path / "kept_lock.py").write_text("\n".join([*lines, *["        one = 1"] * 20]))
     monkeypatch.syspath_prepend(tmp_path)
@@ -218,7 +218,7 @@ def test_what_holds_a_lock_of_its_module_is_not_interrupted(tmp_path: Path, monk
                 thread.join()
 
 
-def test_chance_follows_from_the_seed() -> None:
+def test_random_values_follow_from_the_seed() -> None:
     def program(sim: Simulation) -> object:
         return random.random(), secrets.token_hex(8), uuid.uuid4(), sim.random.random()
 
@@ -226,7 +226,7 @@ def test_chance_follows_from_the_seed() -> None:
     assert outcome(3, program) != outcome(4, program)
 
 
-def test_a_deadlock_is_reported_with_all_stacks() -> None:
+def test_deadlock_error_shows_all_stacks() -> None:
     def take(first: threading.Lock, second: threading.Lock) -> None:
         with first:
             time.sleep(1)
@@ -243,12 +243,12 @@ def test_a_deadlock_is_reported_with_all_stacks() -> None:
         program()
 
 
-def test_a_wait_without_anybody_else_is_a_deadlock() -> None:
+def test_endless_wait_of_a_single_thread_is_a_deadlock() -> None:
     with pytest.raises(Deadlock), simulated_time():
         threading.Event().wait()
 
 
-def test_a_limit_of_time() -> None:
+def test_time_limit_raises_an_error() -> None:
     def tick() -> None:
         while True:
             time.sleep(1)
@@ -262,14 +262,14 @@ def test_a_limit_of_time() -> None:
         program()
 
 
-def test_looking_at_the_clock_lets_time_pass() -> None:
+def test_reading_the_clock_advances_time() -> None:
     with simulated_time():
         until = time.monotonic() + 0.001
         while time.monotonic() < until:
             pass
 
 
-def test_a_timeout_is_not_early_and_a_notification_is_seen() -> None:
+def test_condition_wait_ends_by_notify_or_timeout() -> None:
     with simulated_time() as sim:
         condition = threading.Condition()
         seen: list[float] = []
@@ -298,8 +298,8 @@ def slow(seconds: int) -> int:
     return seconds
 
 
-def test_a_lock_goes_to_one_who_still_waits() -> None:
-    """Also where another one's time-out is over at the moment of its release, and its thread has not run since."""
+def test_lock_is_given_to_a_thread_that_still_waits() -> None:
+    """Another waiter may time out at the moment of the release, before its thread has run again."""
 
     def hold(lock: threading.Lock) -> None:
         with lock:
@@ -317,22 +317,22 @@ def test_a_lock_goes_to_one_who_still_waits() -> None:
             patient.start()
             time.sleep(0.4999)
             until = time.monotonic() + 0.0002
-            while time.monotonic() < until:  # passes no lock, so both deadlines are over when another thread runs
+            while time.monotonic() < until:  # uses no lock, so both deadlines have passed when another thread runs
                 pass
             holder.join()
             late.join()
             if not lock.locked():
-                patient.join()  # a deadlock, if it was not woken
+                patient.join()  # raises Deadlock if the thread was not woken
 
 
-def test_a_pool_of_threads() -> None:
+def test_thread_pool_runs_in_simulated_time() -> None:
     with simulated_time() as sim, ThreadPoolExecutor(2) as pool:
         futures = [pool.submit(slow, each) for each in (3, 1, 2)]
         assert [future.result() for future in futures] == [3, 1, 2]
         assert sim.now == pytest.approx(3.0, abs=1e-3)
 
 
-def test_nothing_is_logged_of_a_pool_that_is_left_open(caplog: pytest.LogCaptureFixture) -> None:
+def test_open_thread_pool_at_the_end_is_not_logged(caplog: pytest.LogCaptureFixture) -> None:
     for calls in (0, 1):
         with simulated_time():
             pool = ThreadPoolExecutor(2)
@@ -344,7 +344,7 @@ def test_nothing_is_logged_of_a_pool_that_is_left_open(caplog: pytest.LogCapture
     assert not logging.getLogger("concurrent.futures").disabled
 
 
-def test_a_timer_and_a_thread_of_another_class() -> None:
+def test_timer_and_thread_subclass_run_in_simulated_time() -> None:
     class Own(threading.Thread):
         def run(self) -> None:
             time.sleep(1)
@@ -363,7 +363,7 @@ def test_a_timer_and_a_thread_of_another_class() -> None:
         assert done == ["timer", "own"]
 
 
-def test_asyncio_on_the_same_clock() -> None:
+def test_asyncio_uses_the_simulated_clock() -> None:
     async def program() -> list[object]:
         loop = asyncio.get_running_loop()
         begun = loop.time()
@@ -386,12 +386,12 @@ def test_asyncio_on_the_same_clock() -> None:
 
 
 def pool(sim: Simulation) -> list[int]:
-    """Of threads that are joined in the order of a set."""
+    """Run a pool of threads that are joined in the order of a set."""
     with ThreadPoolExecutor(6) as pool:
         return list(pool.map(slow, (3, 1, 2, 3, 1, 2)))
 
 
-def test_a_thread_is_found_after_the_block() -> None:
+def test_thread_keeps_its_hash_after_the_block() -> None:
     with simulated_time():
         threads = {threading.Thread(target=slow, args=(1,)) for _ in range(20)}
         for thread in threads:
@@ -400,7 +400,7 @@ def test_a_thread_is_found_after_the_block() -> None:
 
 
 def left(sim: Simulation) -> list[int]:
-    """Tasks that `asyncio.run` cancels in the order of a set."""
+    """Leave tasks that `asyncio.run` cancels in the order of a set; return the order."""
     order: list[int] = []
 
     async def waits(number: int) -> None:
@@ -418,28 +418,28 @@ def left(sim: Simulation) -> list[int]:
     return order
 
 
-def test_tasks_that_are_left_are_cancelled_in_the_same_order_each_time() -> None:
+def test_remaining_tasks_are_cancelled_in_the_same_order() -> None:
     first, second = outcome(0, left), outcome(0, left)
     assert first == second
     assert sorted(first[0]) == list(range(300))  # type: ignore[call-overload]
 
 
 def calls(sim: Simulation) -> list[int]:
-    """Calls of tasks in two threads, where some have to queue."""
+    """Make calls of tasks in two threads, so that some calls have to queue."""
 
     async def program() -> list[int]:
         loop = asyncio.get_running_loop()
         with ThreadPoolExecutor(2) as pool:
             tasks = [asyncio.ensure_future(loop.run_in_executor(pool, slow, each)) for each in (1, 3, 2, 1, 5)]
             await asyncio.wait(tasks, timeout=2.5)
-            await asyncio.wait(tasks)  # `gather` needs no turn of the loop from 3.12 on where all are done
+            await asyncio.wait(tasks)  # since 3.12, `gather` needs no step of the loop if all tasks are done
         return [task.result() for task in tasks]
 
     return asyncio.run(program())
 
 
 def given_up(sim: Simulation) -> list[str]:
-    """Tasks that are cancelled while they wait; threads yield between the lines of it."""
+    """Cancel tasks while they wait; threads yield between the lines of this module."""
     sim.preempt(__name__)
 
     async def waits(number: int) -> str:
@@ -460,14 +460,14 @@ def given_up(sim: Simulation) -> list[str]:
     return asyncio.run(program())
 
 
-def test_the_same_run_on_every_python() -> None:
-    """Asyncio and pools of threads have other code on each, and lines are traced in another way."""
+def test_run_is_the_same_on_every_python_version() -> None:
+    """Asyncio, thread pools and the tracing of lines differ between Python versions."""
     assert [outcome(seed, calls)[1] for seed in range(3)] == [2168860143, 4144855407, 718284512]
     assert [outcome(seed, pool)[1] for seed in range(3)] == [2639824582, 1918291456, 3691411373]
     assert zlib.crc32(repr([outcome(seed, given_up) for seed in range(40)]).encode()) == 1620683129
 
 
-def test_who_only_looks_into_a_queue_lets_others_run() -> None:
+def test_polling_a_queue_lets_other_threads_run() -> None:
     with simulated_time() as sim:
         news: queue.SimpleQueue[str] = queue.SimpleQueue()
         for is_empty in (news.empty, lambda: news.qsize() == 0):
@@ -483,8 +483,8 @@ def test_who_only_looks_into_a_queue_lets_others_run() -> None:
         assert 3e-4 < sim.now < 1e-2
 
 
-def test_a_semaphore_wakes_who_is_about_to_wait() -> None:
-    """It was released after that thread had found none left: by the seed, one of some seventy shows a lost wake-up."""
+def test_semaphore_wakes_a_thread_about_to_wait() -> None:
+    """The release comes after the thread has found none free; about one seed in seventy shows a lost wake-up."""
 
     def program(sim: Simulation) -> int:
         free, taken = threading.Semaphore(1), []
@@ -499,13 +499,13 @@ def test_a_semaphore_wakes_who_is_about_to_wait() -> None:
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join()  # a deadlock, if it was not woken
+            thread.join()  # raises Deadlock if the thread was not woken
         return len(taken)
 
     assert {outcome(seed, program)[0] for seed in range(200)} == {9}
 
 
-def test_semaphores() -> None:
+def test_semaphore_admits_its_number_of_threads() -> None:
     with simulated_time() as sim:
         free, taken = threading.Semaphore(2), []
 
@@ -525,7 +525,7 @@ def test_semaphores() -> None:
 
 
 @pytest.mark.real_time
-def test_threads_from_outside_see_real_time() -> None:
+def test_outside_threads_see_real_time() -> None:
     seen: list[float] = []
     proceed, done = threading.Event(), threading.Event()
 
@@ -540,14 +540,14 @@ def test_threads_from_outside_see_real_time() -> None:
     with simulated_time():
         assert abs(time.time() - real) > 86400
         proceed.set()
-        # The simulation does not wait for it: in real time it ends.
+        # The simulation does not wait for the outside thread, which ends in real time.
         while not done._flag:  # type: ignore[attr-defined]
             pass
     thread.join()
     assert abs(seen[0] - real) < 60
 
 
-def test_what_still_waits_at_the_end_is_ended() -> None:
+def test_waiting_threads_are_ended_at_the_end() -> None:
     ended: list[str] = []
 
     def wait() -> None:
@@ -567,9 +567,9 @@ def test_what_still_waits_at_the_end_is_ended() -> None:
     assert ended[0] == "finally"
 
 
-def test_a_lock_that_may_be_taken_again_tells_whether_it_is_held() -> None:
+def test_reentrant_lock_reports_whether_it_is_locked() -> None:
     with simulated_time():
-        lock: Any = threading.RLock()  # since CPython 3.14 a real one tells it too
+        lock: Any = threading.RLock()  # a real RLock has `locked` only since CPython 3.14
         held = [lock.locked()]
         with lock:
             with lock:
@@ -579,7 +579,7 @@ def test_a_lock_that_may_be_taken_again_tells_whether_it_is_held() -> None:
     assert held == [False, True, True, False]
 
 
-def test_everything_is_put_back() -> None:
+def test_patched_functions_are_restored() -> None:
     before = time.monotonic, time.sleep, threading.Lock, threading.Thread.start, queue.SimpleQueue, random.getstate()
     with simulated_time():
         assert time.monotonic is not before[0]
@@ -594,7 +594,7 @@ def test_everything_is_put_back() -> None:
     ) == before
 
 
-def test_a_name_that_was_patched_is_simulated_in_the_next_block(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_patched_name_is_simulated_in_the_next_block(monkeypatch: pytest.MonkeyPatch) -> None:
     module: Any = ModuleType("made_for_this_test")
     vars(module).update(sleep=time.sleep, now=time.monotonic)
     monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -611,12 +611,12 @@ def test_a_name_that_was_patched_is_simulated_in_the_next_block(monkeypatch: pyt
     assert module.now is time.monotonic
 
 
-def test_one_at_a_time() -> None:
+def test_nested_simulated_time_raises_local_error() -> None:
     with simulated_time(), pytest.raises(LocalError, match="already"), simulated_time():
         pass
 
 
-def test_the_clock_of_a_computer_drifts() -> None:
+def test_clock_of_a_computer_can_drift() -> None:
     with simulated_time() as sim:
         fast = sim.computer("fast", "192.168.0.2")
         fast.rate = 1.0001
@@ -632,7 +632,7 @@ def test_the_clock_of_a_computer_drifts() -> None:
         assert time.monotonic() - begun == pytest.approx(20000, abs=1e-3)
 
 
-def test_a_suspended_computer_takes_no_step() -> None:
+def test_suspended_computer_makes_no_progress() -> None:
     with simulated_time() as sim:
         other = sim.computer("other", "192.168.0.2")
         seen: list[float] = []
@@ -651,7 +651,7 @@ def test_a_suspended_computer_takes_no_step() -> None:
         assert seen == [1, 2, 3, 7.25, 8.25, 9.25, 10.25, 11.25, 12.25, 13.25]
 
 
-def test_faults_by_name() -> None:
+def test_schedule_accepts_named_faults() -> None:
     with simulated_time() as sim:
         robot = sim.computer("robot", "192.168.0.2")
         to, back = sim.network.route(sim.here, robot), sim.network.route(robot, sim.here)
@@ -678,7 +678,7 @@ def test_faults_by_name() -> None:
                 sim.schedule(wrong)
 
 
-def test_what_a_process_keeps_by_its_number_is_of_one_computer_of_one_simulation() -> None:
+def test_process_id_differs_per_computer_and_simulation() -> None:
     numbers = set()
     for _ in range(2):
         with simulated_time(seed=1) as sim:

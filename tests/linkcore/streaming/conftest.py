@@ -1,4 +1,4 @@
-"""A stream of `Count` over a script, closed after the test."""
+"""Fixtures: a scripted transport, and a stream of `Count` packets over it that is closed after the test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""First contact: what cannot work says so at once and says what was expected, and what users hold shows what it is."""
+"""Arguments of streams: invalid values raise at once with the expected value. Also the reprs of public objects."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ pytestmark = pytest.mark.simulated_time
 
 
 @pytest.mark.parametrize("value", [-1, -1e-9, math.nan, "1", b"1", None, [], "soon", True, False])
-def test_what_is_no_number_of_seconds(value: object) -> None:
+def test_check_seconds_rejects_invalid_values(value: object) -> None:
     with pytest.raises(BadValue, match=r"timeout=.*; expected a number of seconds, 0 or more"):
         check_seconds(value, "timeout")
 
 
 @pytest.mark.parametrize("value", [0, 0.0, 2, 1e300, math.inf])
-def test_what_is_one(value: float) -> None:
+def test_check_seconds_accepts_numbers(value: float) -> None:
     assert check_seconds(value, "timeout") == value
 
 
-def test_nothing_is_not_positive() -> None:
+def test_check_seconds_rejects_zero_when_positive() -> None:
     with pytest.raises(BadValue, match="deadline=0; expected a positive number"):
         check_seconds(0, "deadline", positive=True)
 
 
 @pytest.mark.parametrize("value", [1e10, 9.3e9, 1e308, 10**400, math.inf])
 @pytest.mark.parametrize("check", [check_wait, lambda value: check_seconds(value, "wait", finite=True)])
-def test_check_wait_rejects_what_no_system_can_wait(value: float, check: Callable[[float], float]) -> None:
+def test_check_wait_rejects_waits_beyond_the_system_limit(value: float, check: Callable[[float], float]) -> None:
     with pytest.raises(BadValue, match=r"wait=.*; expected a number of seconds, 0 or more"):
         check(value)
 
@@ -72,7 +72,7 @@ def test_check_number_returns_a_float(value: Any) -> None:
     assert checked == 0.5
 
 
-def test_what_cannot_be_called() -> None:
+def test_check_callable_rejects_other_objects() -> None:
     check_callable(print, "callback")
     with pytest.raises(BadValue, match="callback=3; expected a function"):
         check_callable(3, "callback")
@@ -95,15 +95,15 @@ def test_what_cannot_be_called() -> None:
         ((print,), {"policy": block, "inline": True}, "cannot be combined with policy"),
     ],
 )
-def test_subscribe_says_what_was_expected(
+def test_subscribe_errors_name_the_expected_value(
     stream: Stream[Count], transport: ScriptedTransport, arguments: Any, options: Any, says: str
 ) -> None:
     with pytest.raises(BadValue, match=says):
         stream.subscribe(*arguments, **options)
-    assert transport.opened == 0, "before anything was connected"
+    assert transport.opened == 0, "the error must come before the stream connects"
 
 
-def test_times_are_checked_everywhere(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_every_call_rejects_an_invalid_timeout(stream: Stream[Count], transport: ScriptedTransport) -> None:
     subscription = stream.subscribe(lambda count: None)
     for call in (
         stream.wait,
@@ -120,8 +120,8 @@ def test_times_are_checked_everywhere(stream: Stream[Count], transport: Scripted
         stream.iterate("latest")  # type: ignore[arg-type]
 
 
-def test_for_ever_is_a_time(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    """More than the operating system's clocks can count."""
+def test_infinite_timeouts_are_accepted(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """Infinity, and times beyond the range of the clocks of the operating system."""
     transport.put(counts(1), Finished())
     subscription = stream.subscribe(lambda count: None, deadline=1e300)
     assert stream.join(math.inf)
@@ -130,14 +130,14 @@ def test_for_ever_is_a_time(stream: Stream[Count], transport: ScriptedTransport)
 
 
 class Other(State):
-    """Something that a stream of `Count` never has."""
+    """State that a stream of `Count` never contains."""
 
 
 class Near(Count):
-    """Something that it could have."""
+    """State that a stream of `Count` could contain."""
 
 
-def test_a_kind_that_can_never_come_is_refused(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_of_rejects_a_class_that_the_stream_never_has(stream: Stream[Count], transport: ScriptedTransport) -> None:
     for use in (stream.of, lambda kind: stream.subscribe(print, kind)):
         with pytest.raises(BadValue, match="script has no packets of class Other; expected one of Count"):
             use(Other)
@@ -146,16 +146,16 @@ def test_a_kind_that_can_never_come_is_refused(stream: Stream[Count], transport:
     assert transport.opened == 0
 
 
-def test_a_kind_that_others_declare_can_come(transport: ScriptedTransport) -> None:
+def test_of_accepts_declared_other_classes(transport: ScriptedTransport) -> None:
     fan_out = FanOut(Count, parts=lambda packet: (), others=(Other,))
     stream = Stream(Connection("script", transport, CountProtocol, fan_out), Count)
     assert stream.of(Other)
 
 
-# -- what users hold ---------------------------------------------------------------------------------------
+# -- objects that users get --------------------------------------------------------------------------------
 
 
-def test_they_show_what_they_are(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_reprs_show_the_state_of_the_objects(stream: Stream[Count], transport: ScriptedTransport) -> None:
     assert repr(stream) == "<Stream of Count from script: idle, 0 Hz, nothing received>"
     subscription = stream.subscribe(lambda count: None)
     transport.put(counts(1, 2), Finished())
@@ -170,7 +170,7 @@ def public(held: object) -> set[str]:
     return {name for name in dir(held) if not name.startswith("_")}
 
 
-def test_completion_shows_what_users_should_touch(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_dir_lists_public_names_only(stream: Stream[Count], transport: ScriptedTransport) -> None:
     feed = {"history", "iterate", "latest", "plot", "subscribe", "wait", "wait_until"}
     assert public(stream.of(Count)) == feed
     whole = {"close", "connection", "description", "failure", "join", "name", "of", "start", "stats"}
@@ -180,5 +180,5 @@ def test_completion_shows_what_users_should_touch(stream: Stream[Count], transpo
         assert public(history) == {"array", "close"}
 
 
-def test_a_stream_of_a_name_says_it(transport: ScriptedTransport) -> None:
+def test_stream_has_its_name(transport: ScriptedTransport) -> None:
     assert scripted(transport, name="left").name == "left"

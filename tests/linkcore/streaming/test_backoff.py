@@ -1,4 +1,4 @@
-"""Waiting before trying again: growing, bounded, and never in step."""
+"""Waits between connection attempts: they grow up to a maximum, and differ between clients."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def first_waits(backoff: Backoff, count: int = 50) -> list[float]:
     return list(itertools.islice(backoff.waits(), count))
 
 
-def test_grows_up_to_a_bound() -> None:
+def test_waits_grow_up_to_a_maximum() -> None:
     assert first_waits(Backoff(first=1, factor=2, most=10, jitter=0), 6) == [1, 2, 4, 8, 10, 10]
 
 
 @pytest.mark.property
 @given(seconds, factors, seconds)
-def test_without_jitter_it_never_shrinks_and_keeps_to_its_bound(first: float, factor: float, most: float) -> None:
+def test_waits_without_jitter_grow_up_to_their_maximum(first: float, factor: float, most: float) -> None:
     waits = first_waits(Backoff(first, factor, most, jitter=0))
-    assert len(waits) == 50, "for ever"
+    assert len(waits) == 50, "the waits must not end"
     assert waits == sorted(waits)
     assert waits[0] == min(first, most)
     assert all(0 <= wait <= most for wait in waits)
@@ -47,20 +47,20 @@ def test_jitter_varies_each_wait_by_its_share(first: float, factor: float, most:
         assert exact * (1 - jitter) - 1e-9 <= wait <= exact * (1 + jitter) + 1e-9
 
 
-def test_no_wait_exceeds_the_most_with_jitter_either() -> None:
+def test_wait_with_jitter_does_not_exceed_the_maximum() -> None:
     assert max(first_waits(Backoff(first=1, factor=2, most=4, jitter=0.5), 200)) <= 4
 
 
-def test_two_clients_do_not_come_back_in_step() -> None:
+def test_two_clients_get_different_waits() -> None:
     assert first_waits(Backoff(jitter=0.2)) != first_waits(Backoff(jitter=0.2))
 
 
 @pytest.mark.parametrize("tries", [0, 1, 7])
-def test_ends_after_so_many_tries(tries: int) -> None:
+def test_waits_end_after_the_number_of_tries(tries: int) -> None:
     assert len(first_waits(Backoff(tries=tries))) == tries
 
 
-def test_each_use_begins_anew() -> None:
+def test_each_use_starts_with_the_first_wait() -> None:
     backoff = Backoff(first=1, factor=10, most=1000, jitter=0)
     assert first_waits(backoff, 3) == first_waits(backoff, 3) == [1, 10, 100]
 
@@ -73,6 +73,6 @@ def test_each_use_begins_anew() -> None:
     ],
     ids=str,
 )
-def test_what_cannot_be_waited_is_refused(wrong: dict[str, Any]) -> None:
+def test_backoff_rejects_invalid_values(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadValue, match=f"{next(iter(wrong))}="):
         Backoff(**wrong)

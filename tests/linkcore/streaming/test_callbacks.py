@@ -1,4 +1,4 @@
-"""What a callback may do, and what it costs: its own subscription something, and nobody else anything."""
+"""Callbacks that exit, raise or are slow: they affect their own subscription only."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ pytestmark = pytest.mark.simulated_time
 
 
 @pytest.mark.parametrize("error", [SystemExit(1), KeyboardInterrupt(), GeneratorExit()])
-def test_exit_in_a_callback_is_one_more_error(
+def test_exit_in_a_callback_is_counted_and_logged(
     stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture, error: BaseException
 ) -> None:
-    """Python would let the thread end without a word, and its queue fill and drop."""
+    """Otherwise Python would end the thread silently, and the queue would fill up and drop packets."""
     got: list[int] = []
 
     def leave(count: Count) -> None:
@@ -39,14 +39,14 @@ def test_exit_in_a_callback_is_one_more_error(
     assert "callback of script Count raised" in caplog.text
 
 
-def test_sys_exit_in_on_deadline(stream: Stream[Count], caplog: pytest.LogCaptureFixture) -> None:
+def test_sys_exit_in_on_deadline_is_logged(stream: Stream[Count], caplog: pytest.LogCaptureFixture) -> None:
     subscription = stream.subscribe(lambda count: None, deadline=0.01, on_deadline=lambda age: sys.exit(1))
     until(lambda: "on_deadline of script Count raised" in caplog.text)
     assert subscription.stats.missed_deadlines == 1
 
 
-def test_callbacks_end_while_their_thread_is_being_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One thread has begun to start it, and another one closes."""
+def test_callback_thread_can_close_while_it_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One thread is starting the callback thread when another thread closes it."""
     callbacks = CallbackThread("callbacks")
     threads: list[threading.Thread] = []
 
@@ -61,8 +61,8 @@ def test_callbacks_end_while_their_thread_is_being_started(monkeypatch: pytest.M
     assert not threads[0].is_alive()
 
 
-def test_a_call_after_the_end_is_made_and_leaves_no_thread() -> None:
-    """A reader that is just ending hands over the end of a program (world 170528)."""
+def test_call_after_close_runs_and_leaves_no_thread() -> None:
+    """A reader that is just ending may still report the end of a program (world 170528)."""
     callbacks, called = CallbackThread("late callbacks"), threading.Event()
     callbacks.close(1.0)
     callbacks.call(called.set)
@@ -71,7 +71,7 @@ def test_a_call_after_the_end_is_made_and_leaves_no_thread() -> None:
 
 
 class ClosedBefore:
-    """The queue of a `CallbackThread` that another thread closes just before each call is put."""
+    """Queue of a `CallbackThread` that is closed just before each call is put."""
 
     def __init__(self, callbacks: CallbackThread) -> None:
         self._callbacks = callbacks
@@ -84,7 +84,7 @@ class ClosedBefore:
         self._calls.put(call)
 
 
-def test_a_call_is_made_whose_thread_is_ended_just_before_it() -> None:
+def test_call_runs_when_its_thread_ends_just_before() -> None:
     callbacks, called = CallbackThread("ended callbacks"), threading.Event()
     callbacks.call(print)
     callbacks._calls = cast(Any, ClosedBefore(callbacks))
@@ -102,7 +102,7 @@ class Part(Packet):
     pass
 
 
-def test_a_part_whose_callback_raises_keeps_no_other_part() -> None:
+def test_error_for_one_part_does_not_skip_other_parts() -> None:
     fan_out = FanOut(Packet, parts=lambda packet: packet.parts, others=(Part,))
     parts = [Part(), Part(), Part()]
     got: list[Part] = []
@@ -120,11 +120,11 @@ def test_a_part_whose_callback_raises_keeps_no_other_part() -> None:
     assert delivery.join(10)
     assert got == [*parts, parts[1]]
     stats = delivery.statistics
-    assert (stats.offered, stats.raised, stats.delivered) == (2, 1, 1), "packets, and not their parts"
+    assert (stats.offered, stats.raised, stats.delivered) == (2, 1, 1), "the counters count packets, not parts"
 
 
-def test_the_newest_is_there_at_every_moment() -> None:
-    """Another thread that looks while packets come never finds nothing."""
+def test_newest_packet_is_available_while_others_arrive() -> None:
+    """Another thread that reads the newest packet while packets arrive never gets None."""
     fan_out = FanOut(Packet, parts=lambda packet: packet.parts, others=(Part,))
     fan_out.publish([Packet(Part())])
     stop = threading.Event()
@@ -146,7 +146,7 @@ def test_the_newest_is_there_at_every_moment() -> None:
     assert missing == 0
 
 
-def test_the_newest_of_several_classes_is_the_one_that_came_last() -> None:
+def test_newest_of_a_base_class_is_the_last_of_its_classes() -> None:
     class Other(Packet):
         pass
 

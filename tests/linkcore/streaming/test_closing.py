@@ -1,4 +1,4 @@
-"""What closing a stream, a subscription or a queue leaves behind: nothing that waits, and no wait without an end."""
+"""Closing streams, subscriptions and queues: it leaves no queued packets, and ends every wait."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
 
-#: s in which everything has to have happened, on a busy machine too.
+#: Time limit for events, in s, even on a busy machine.
 _SOON = 20.0
 
 
 class Recorded(ScriptedTransport):
-    """Notes how often it was aborted, and can keep `open` waiting."""
+    """Scripted transport that counts aborts, and can block `open`."""
 
     def __init__(self, *openings: Exception | None) -> None:
         super().__init__(*openings)
@@ -42,7 +42,7 @@ class Recorded(ScriptedTransport):
         super().open(timeout)
 
 
-def test_closed_queue_drops_what_waits(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_closed_queue_drops_its_packets(stream: Stream[Count], transport: ScriptedTransport) -> None:
     connection = stream._connection
     queue: PacketQueue = connection.open_queue(Count, drop_oldest(8))
     transport.put(counts(1, 2, 3))
@@ -74,7 +74,7 @@ def test_close_ends_a_stream_that_waits_to_reconnect() -> None:
     assert stream._connection._life.phase is ConnectionPhase.CLOSED
 
 
-def test_start_gives_up_on_a_transport_that_hangs() -> None:
+def test_start_times_out_when_the_transport_hangs() -> None:
     transport = Recorded()
     transport.may_open.clear()
     connection = Connection("script", transport, CountProtocol, FanOut(Count), timeout=0.1)
@@ -123,7 +123,7 @@ def test_closed_subscription_has_no_callback_running(stream: Stream[Count], tran
     assert left.is_set()
 
 
-def test_inline_subscription_closes_at_once(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_subscription_closes_immediately(stream: Stream[Count], transport: ScriptedTransport) -> None:
     subscription = stream.subscribe(lambda count: None, inline=True)
     transport.put(counts(1))
     begun = time.monotonic()
@@ -131,7 +131,9 @@ def test_inline_subscription_closes_at_once(stream: Stream[Count], transport: Sc
     assert time.monotonic() - begun < 1.0
 
 
-def test_wrong_timeout_ends_no_subscription(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_finish_with_invalid_timeout_keeps_the_subscription(
+    stream: Stream[Count], transport: ScriptedTransport
+) -> None:
     came = threading.Event()
     subscription = stream.subscribe(lambda count: came.set())
     with pytest.raises(BadValue):
@@ -140,7 +142,7 @@ def test_wrong_timeout_ends_no_subscription(stream: Stream[Count], transport: Sc
     assert came.wait(_SOON)
 
 
-def test_connection_reports_states_without_its_lock(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_connection_calls_subscribers_without_its_lock(stream: Stream[Count], transport: ScriptedTransport) -> None:
     held: list[bool] = []
     connection = stream._connection
     changed: Any = connection._changed
@@ -150,7 +152,7 @@ def test_connection_reports_states_without_its_lock(stream: Stream[Count], trans
     assert True not in held
 
 
-def test_queue_is_over_before_its_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queue_is_over_before_its_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     queue = PacketQueue(drop_oldest(2))
     seen: list[bool] = []
     monkeypatch.setattr(queue, "end", lambda: seen.append(queue.is_over))
@@ -161,12 +163,12 @@ def test_queue_is_over_before_its_end_is_told(monkeypatch: pytest.MonkeyPatch) -
 # -- between two threads ---------------------------------------------------------------------
 
 
-def test_consumer_that_sleeps_again_is_woken_again() -> None:
+def test_consumer_is_woken_again_after_sleeping_again() -> None:
     queue, woken = PacketQueue(drop_oldest(8)), [0]
 
     class Consumer:
         def put(self, item: None) -> None:
-            """Wake, find what came, and sleep again at once."""
+            """Wake up, take the queued packets, and sleep again immediately."""
             woken[0] += 1
             queue._packets.clear()
             queue._consumer_sleeps = True
@@ -178,7 +180,7 @@ def test_consumer_that_sleeps_again_is_woken_again() -> None:
     assert woken == [3]
 
 
-def test_sending_has_its_time_after_connecting() -> None:
+def test_send_timeout_starts_after_connecting() -> None:
     class Slow(ScriptedTransport):
         def open(self, timeout: float) -> None:
             time.sleep(1.0)

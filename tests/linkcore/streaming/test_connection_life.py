@@ -1,4 +1,4 @@
-"""The life of a connection: every event in every phase, and what follows from the table."""
+"""Life cycle of a connection: every event in every phase, and the consequences of the transition table."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from linkcore.streaming.connection_life import (
     LifeEvent,
 )
 
-#: What the reader does, beside what users do: `USE` and `CLOSE`.
+#: Events of the reader, which are all events except `USE` and `CLOSE` of users.
 READER = tuple(event for event in LifeEvent if event not in (LifeEvent.USE, LifeEvent.CLOSE))
 
 
@@ -30,7 +30,7 @@ def life(phase: ConnectionPhase = ConnectionPhase.IDLE, waits: int = 2) -> Conne
 
 
 @pytest.mark.parametrize(("phase", "event"), list(itertools.product(ConnectionPhase, LifeEvent)))
-def test_what_is_not_in_the_table_raises_and_changes_nothing(phase: ConnectionPhase, event: LifeEvent) -> None:
+def test_invalid_transition_raises_and_keeps_the_phase(phase: ConnectionPhase, event: LifeEvent) -> None:
     one = life(phase)
     after = TRANSITIONS.get((phase, event))
     if after is None:
@@ -42,7 +42,7 @@ def test_what_is_not_in_the_table_raises_and_changes_nothing(phase: ConnectionPh
         assert one.phase is after[0]
 
 
-def test_it_can_be_closed_at_any_time_and_stays_closed() -> None:
+def test_closed_connection_stays_closed() -> None:
     for phase in ConnectionPhase:
         one = life(phase)
         one.fire(LifeEvent.CLOSE)
@@ -56,7 +56,7 @@ def test_it_can_be_closed_at_any_time_and_stays_closed() -> None:
 
 @given(st.lists(st.sampled_from(LifeEvent), max_size=40))
 @pytest.mark.property
-def test_whatever_happens_users_see_what_they_were_told(events: list[LifeEvent]) -> None:
+def test_reported_state_equals_current_state(events: list[LifeEvent]) -> None:
     one = life()
     for event in events:
         if (one.phase, event) not in TRANSITIONS:
@@ -70,7 +70,7 @@ def test_whatever_happens_users_see_what_they_were_told(events: list[LifeEvent])
 
 @given(st.lists(st.sampled_from(READER), max_size=20))
 @pytest.mark.property
-def test_a_closed_connection_reaches_its_end_whatever_its_reader_does_before(events: list[LifeEvent]) -> None:
+def test_closing_connection_always_reaches_closed(events: list[LifeEvent]) -> None:
     one = life(ConnectionPhase.CONNECTED)
     one.fire(LifeEvent.CLOSE)
     for event in events:
@@ -81,7 +81,7 @@ def test_a_closed_connection_reaches_its_end_whatever_its_reader_does_before(eve
     assert one.phase is ConnectionPhase.CLOSED
 
 
-def test_a_first_connection_that_somebody_waits_for_is_not_tried_again() -> None:
+def test_awaited_first_connection_is_not_retried() -> None:
     one = life()
     one.use(is_patient=False, received=0)
     one.fire(LifeEvent.CONNECT)
@@ -94,7 +94,7 @@ def test_a_first_connection_that_somebody_waits_for_is_not_tried_again() -> None
     assert one.error is one.failure is one.attempt.failure is None
 
 
-def test_the_waits_grow_until_packets_come() -> None:
+def test_waits_grow_until_packets_arrive() -> None:
     one = life()
     one.use(is_patient=True, received=3)
     waits = []
@@ -105,7 +105,7 @@ def test_the_waits_grow_until_packets_come() -> None:
     assert waits == [0.5, 1.0, 0.5, 1.0, None]
 
 
-def test_a_wrong_peer_is_hopeless_until_it_was_the_right_one() -> None:
+def test_wrong_peer_is_retried_only_after_it_sent_packets() -> None:
     one = life()
     one.use(is_patient=True, received=0)
     one.fire(LifeEvent.CONNECT)
@@ -114,7 +114,7 @@ def test_a_wrong_peer_is_hopeless_until_it_was_the_right_one() -> None:
     assert one.retry_after(1) == 0.5
 
 
-def test_the_end_of_a_recording_is_no_failure() -> None:
+def test_end_of_a_recording_is_not_a_failure() -> None:
     one = life(ConnectionPhase.CONNECTED)
     one.attempt.has_opened = True
     assert one.end(None) is ConnectionState.CLOSED

@@ -1,6 +1,6 @@
-"""Every counter, exactly, and their sums under whatever order of events.
+"""Exact values of every counter, and their sums for any order of events.
 
-The expected numbers are kept by the tests themselves, beside the code and not by it.
+The tests count the expected numbers on their own, independently of the code.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tests.waiting import until
 pytestmark = pytest.mark.simulated_time
 
 
-def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_age_is_not_negative_when_a_packet_arrives_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
     counters, clock = StreamCounters(), linkcore.clock.now
     counters.arrived = clock()
 
@@ -34,7 +34,7 @@ def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytes
         now = clock()
         while (arrived := clock()) == now:
             pass
-        counters.arrived = arrived  # by the reader, before this thread goes on
+        counters.arrived = arrived  # as if the reader had received a packet before this thread continues
         return now
 
     monkeypatch.setattr(linkcore.clock, "now", late)
@@ -43,7 +43,7 @@ def test_a_packet_that_comes_while_the_counters_are_looked_at(monkeypatch: pytes
     assert age >= 0
 
 
-def test_each_counter_of_a_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_stream_counters_equal_expected_values(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream.subscribe(lambda count: None, policy=block)
     transport.put(b"xx" + counts(1, 2), counts(BAD), counts(3, BAD, BAD), counts(4)[:3])
     transport.put(ConnectionLost("cut"), counts(5), Finished())
@@ -59,7 +59,7 @@ def test_each_counter_of_a_stream(stream: Stream[Count], transport: ScriptedTran
     assert (stats.unknown, stats.tails, stats.slow_inline) == (0, 0, 0)
 
 
-def test_stats_count_what_a_slow_loop_drops(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_stats_count_packets_dropped_by_a_slow_loop(stream: Stream[Count], transport: ScriptedTransport) -> None:
     loop = stream.iterate(latest)
     transport.put(counts(1))
     assert next(loop).number == 1
@@ -68,7 +68,7 @@ def test_stats_count_what_a_slow_loop_drops(stream: Stream[Count], transport: Sc
     assert next(loop).number == 5
     transport.put(counts(6, 7))
     until(lambda: stream.stats.dropped == 4)
-    # The one that waits when the loop ends was not passed over.
+    # A packet that is still queued when the loop ends does not count as dropped.
     loop.close()  # type: ignore[attr-defined]
     transport.put(counts(8, 9), counts(10))
     until(lambda: stream.stats.received == 10)
@@ -76,7 +76,7 @@ def test_stats_count_what_a_slow_loop_drops(stream: Stream[Count], transport: Sc
     assert stream._connection.counters._loops == ()
 
 
-def test_stats_count_what_expires_in_a_loop(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_stats_count_packets_expired_in_a_loop(stream: Stream[Count], transport: ScriptedTransport) -> None:
     loop = stream.iterate(drop_oldest(10), lifespan=0.5)
     transport.put(counts(1))
     assert next(loop).number == 1
@@ -88,14 +88,14 @@ def test_stats_count_what_expires_in_a_loop(stream: Stream[Count], transport: Sc
     assert stream.stats.dropped == 2
 
 
-def test_stats_do_not_count_what_a_wait_drops(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_stats_do_not_count_packets_skipped_by_a_wait(stream: Stream[Count], transport: ScriptedTransport) -> None:
     transport.put(counts(1, 2, 3))
     assert stream.wait(10).number == 3
     assert stream.stats.dropped == 0
 
 
-def test_what_a_protocol_counts_is_the_streams(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    """While the connection lasts, and afterwards."""
+def test_stream_stats_include_protocol_counters(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """They are included during the connection and after it."""
     stream.start()
     protocol = stream._connection.counters._protocol
     assert protocol is not None
@@ -107,7 +107,7 @@ def test_what_a_protocol_counts_is_the_streams(stream: Stream[Count], transport:
     assert (stream.stats.unknown, stream.stats.tails) == (3, 3)
 
 
-def test_one_slow_subscriber_does_not_count_for_the_others(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_slow_subscriber_changes_only_its_own_counters(stream: Stream[Count], transport: ScriptedTransport) -> None:
     go, asleep = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
@@ -126,7 +126,7 @@ def test_one_slow_subscriber_does_not_count_for_the_others(stream: Stream[Count]
     go.set()
 
 
-def test_with_nobody_subscribed_nothing_is_delivered(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_late_subscription_starts_with_zero_counters(stream: Stream[Count], transport: ScriptedTransport) -> None:
     assert stream.latest is None
     transport.put(counts(1, 2, 3))
     until(lambda: stream.stats.decoded == 3)
@@ -134,12 +134,12 @@ def test_with_nobody_subscribed_nothing_is_delivered(stream: Stream[Count], tran
     assert late.stats == SubscriptionStatistics(0, 0, 0, 0, 0, 0)
 
 
-def test_age_is_that_of_the_last_packet(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_age_is_the_age_of_the_last_packet(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream.start()
     assert [stream.stats.age] == [None]
     transport.put(b"xx")
     until(lambda: stream.stats.bytes == 2)
-    assert [stream.stats.age] == [None], "bytes are no packet"
+    assert [stream.stats.age] == [None], "bytes without a packet do not set the age"
     transport.put(counts(1))
     until(lambda: stream.stats.received == 1)
     time.sleep(0.02)
@@ -148,7 +148,7 @@ def test_age_is_that_of_the_last_packet(stream: Stream[Count], transport: Script
     assert age >= 0.02
 
 
-def test_the_rate_is_that_of_the_last_second(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_rate_is_measured_over_the_last_second(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream.start()
     counters = stream._connection.counters
     assert stream.stats.rate == 0
@@ -163,7 +163,7 @@ def test_the_rate_is_that_of_the_last_second(stream: Stream[Count], transport: S
     assert counters._rate == pytest.approx(100 / 1.1)
 
 
-def test_the_rate_of_a_stream_that_stopped_goes_down(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_rate_of_a_stopped_stream_decreases(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream.start()
     counters = stream._connection.counters
     counters._rate, counters.received = 500.0, 500
@@ -172,7 +172,7 @@ def test_the_rate_of_a_stream_that_stopped_goes_down(stream: Stream[Count], tran
 
 
 class Recipient:
-    """A callback that counts by itself, waits where it is told to, and raises at each multiple of `raises_at`."""
+    """Callback that counts its calls, blocks until `go` is set, and raises at each multiple of `raises_at`."""
 
     def __init__(self, raises_at: int) -> None:
         self.raises_at = raises_at
@@ -189,7 +189,7 @@ class Recipient:
 
 
 class StreamMachine(RuleBasedStateMachine):
-    """A stream whose packets, subscribers, connections and callbacks come in any order; the sums hold at each rest."""
+    """Stream with packets, subscribers, connections and callbacks in any order; the sums hold whenever it is idle."""
 
     @initialize()
     def begin(self) -> None:
@@ -213,7 +213,7 @@ class StreamMachine(RuleBasedStateMachine):
                 self.check(subscription, recipient)
 
     def rest(self) -> None:
-        """Wait until the reader has nothing left to do and no callback that may run does."""
+        """Wait until the reader is idle, and no callback runs except those that are blocked."""
         until(lambda: self.stream.stats.received == self.sent and self.stream.stats.bytes == self.bytes)
         until(lambda: self.stream.stats.decoded + self.stream.stats.failed == self.sent)
         for number in self.open:
@@ -222,7 +222,7 @@ class StreamMachine(RuleBasedStateMachine):
             if recipient.go.is_set():
                 until(lambda subscription=subscription: subscription.stats.waiting == 0)  # type: ignore[misc]
             else:
-                # One is in the callback, or nothing came; the others stand in the queue.
+                # One packet is in the callback, or none has arrived. The others are in the queue.
                 until(lambda subscription=subscription: self.adds_up(subscription.stats))  # type: ignore[misc]
 
     @staticmethod
@@ -262,7 +262,7 @@ class StreamMachine(RuleBasedStateMachine):
 
     @rule(data=st.data())
     def hold(self, data: st.DataObject) -> None:
-        """Let a callback with a thread of its own hang."""
+        """Block a callback that has its own thread."""
         held = [number for number in self.open if not self.made[number][2]]
         if held:
             self.made[data.draw(st.sampled_from(held))][1].go.clear()
@@ -306,5 +306,5 @@ class StreamMachine(RuleBasedStateMachine):
 
 
 @pytest.mark.property
-def test_the_sums_hold_whatever_happens() -> None:
+def test_counters_add_up_for_any_order_of_events() -> None:
     run_state_machine_as_test(StreamMachine, settings=settings(stateful_step_count=20))

@@ -1,4 +1,4 @@
-"""The last seconds of a stream as arrays."""
+"""History of a stream: its last seconds as arrays."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ pytestmark = pytest.mark.simulated_time
 
 
 class Nothing:
-    """A subscription that nobody calls."""
+    """Subscription that is never called."""
 
     def close(self, timeout: float) -> None: ...
 
 
 def of_states(*states: tuple[float, RealtimeState], seconds: float = 10.0) -> History:
-    """What is kept of states that came at these times."""
+    """Return a history of states that arrived at the given times."""
     history = History(RealtimeState, seconds, lambda keep: Nothing())  # type: ignore[arg-type,return-value]
     for received, state in states:
         state._stamp = Stamp(received, 1e9 + received)
@@ -35,7 +35,7 @@ def of_states(*states: tuple[float, RealtimeState], seconds: float = 10.0) -> Hi
     return history
 
 
-def test_what_came_is_there_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_history_keeps_packets_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
     with stream.history(60.0) as history:
         assert len(history.array()) == 0
         transport.put(counts(*range(50)))
@@ -53,13 +53,13 @@ def test_what_came_is_there_in_order(stream: Stream[Count], transport: ScriptedT
     assert len(history.array()) == 50
 
 
-def test_what_is_older_is_let_go() -> None:
+def test_history_drops_older_states() -> None:
     states = [(t, RealtimeState("5.11", time=t)) for t in np.arange(0.0, 10.0, 0.1).tolist()]
     history = of_states(*states, seconds=1.05)
     assert history.array("time")["time"] == pytest.approx(np.arange(8.9, 9.95, 0.1))
 
 
-def test_single_elements_are_columns() -> None:
+def test_history_column_can_be_a_single_element() -> None:
     state = RealtimeState("5.11", q_actual=[1, 2, 3, 4, 5, 6])
     assert of_states((1.0, state)).array("q_actual_3")["q_actual_3"].tolist() == [4.0]
     with pytest.raises(BadValue, match="has no field 'q_actual_6'"):
@@ -69,7 +69,7 @@ def test_single_elements_are_columns() -> None:
         of_states((1.0, state)).array(names)  # type: ignore[arg-type]
 
 
-def test_columns_have_the_shape_of_their_fields() -> None:
+def test_history_columns_have_the_shape_of_their_fields() -> None:
     first = RealtimeState("5.11", q_actual=[1, 2, 3, 4, 5, 6], digital_input_bits=5, time=2.5)
     second = RealtimeState("5.11", q_actual=[6, 5, 4, 3, 2, 1], digital_input_bits=6, time=2.6)
     history = of_states((1.0, first), (1.1, second))
@@ -86,7 +86,7 @@ def test_columns_have_the_shape_of_their_fields() -> None:
     assert everything["time"].tolist() == [2.5, 2.6]
 
 
-def test_states_of_another_firmware_are_not_mixed_in() -> None:
+def test_history_drops_states_of_another_firmware() -> None:
     history = of_states((1.0, RealtimeState("5.9", time=1.0)), (1.1, RealtimeState("3.4", time=2.0)))
     assert history.array("time")["time"].tolist() == [2.0]
     assert "payload_mass" not in (history.array().dtype.names or ())
@@ -94,7 +94,7 @@ def test_states_of_another_firmware_are_not_mixed_in() -> None:
         history.array("payload_mass")
 
 
-def test_what_cannot_be_kept(stream: Stream[Count]) -> None:
+def test_history_rejects_invalid_arguments(stream: Stream[Count]) -> None:
     for seconds in (0.0, -1.0, math.inf, math.nan):
         with pytest.raises(BadValue, match="seconds"):
             stream.history(seconds)

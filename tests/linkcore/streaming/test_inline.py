@@ -1,4 +1,4 @@
-"""Inline callbacks: called by the thread that reads, last of all, and what that costs is shown."""
+"""Inline callbacks: the reader thread calls them after all queues, and counts calls that take too long."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.waiting import until
 pytestmark = pytest.mark.simulated_time
 
 
-def test_is_called_by_the_reader_and_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_callback_runs_in_the_reader_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
     got: list[int] = []
     threads: set[str] = set()
 
@@ -37,8 +37,8 @@ def test_is_called_by_the_reader_and_in_order(stream: Stream[Count], transport: 
     assert (stats.offered, stats.delivered, stats.dropped, stats.raised, stats.waiting) == (3, 3, 0, 0, 0)
 
 
-def test_each_packet_goes_to_all_callbacks_before_the_next(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    """In the order in which they have subscribed, also where several packets come at once."""
+def test_inline_callbacks_all_get_a_packet_before_the_next(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """Callbacks run in the order of their subscription, even if several packets arrive at once."""
     got: list[tuple[str, int]] = []
     stream.subscribe(lambda count: got.append(("first", count.number)), inline=True)
     stream.subscribe(lambda count: got.append(("second", count.number)), inline=True)
@@ -47,8 +47,8 @@ def test_each_packet_goes_to_all_callbacks_before_the_next(stream: Stream[Count]
     assert got == [("first", 1), ("second", 1), ("first", 2), ("second", 2)]
 
 
-def test_by_default_the_reader_calls_nobody(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    """However quick a callback is, and however often it has been."""
+def test_default_callback_does_not_run_in_the_reader(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """The callback runs in its own thread, however fast it is and however often it has been called."""
     threads: set[threading.Thread] = set()
     stream.subscribe(lambda count: threads.add(threading.current_thread()), policy=block)
     for number in range(500):
@@ -58,8 +58,8 @@ def test_by_default_the_reader_calls_nobody(stream: Stream[Count], transport: Sc
     assert [thread.name for thread in threads] == ["script Count"]
 
 
-def test_queues_have_the_packet_before(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    """Though they subscribed later: an inline callback that hangs keeps nobody's packet that has been read."""
+def test_queues_get_a_packet_before_inline_callbacks(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """A hanging inline callback does not delay packets for queues, even for those that subscribed later."""
     go, called = threading.Event(), threading.Event()
     got: list[int] = []
 
@@ -76,9 +76,7 @@ def test_queues_have_the_packet_before(stream: Stream[Count], transport: Scripte
     go.set()
 
 
-def test_slow_calls_are_counted_and_age_shows_a_reader_that_is_kept(
-    stream: Stream[Count], transport: ScriptedTransport
-) -> None:
+def test_slow_inline_call_is_counted_and_shown_by_age(stream: Stream[Count], transport: ScriptedTransport) -> None:
     go, called = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
@@ -102,8 +100,8 @@ def test_slow_calls_are_counted_and_age_shows_a_reader_that_is_kept(
     assert stream.stats.slow_inline == 1
 
 
-def test_quick_calls_are_not_slow(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    """Most of them: what the machine does to a few is its own doing."""
+def test_quick_inline_calls_are_not_counted_as_slow(stream: Stream[Count], transport: ScriptedTransport) -> None:
+    """A busy computer may delay a few of the calls, so the test accepts up to 99 slow ones."""
     subscription = stream.subscribe(lambda count: None, inline=True)
     for _ in range(20):
         transport.put(counts(*range(50)))
@@ -113,14 +111,14 @@ def test_quick_calls_are_not_slow(stream: Stream[Count], transport: ScriptedTran
     assert stream.stats.slow_inline < 100
 
 
-def test_it_takes_no_policy(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_subscription_rejects_a_policy(stream: Stream[Count], transport: ScriptedTransport) -> None:
     with pytest.raises(BadValue, match="without a queue"):
         stream.subscribe(print, policy=latest, inline=True)
     assert transport.opened == 0
 
 
 @pytest.mark.parametrize("error", [ValueError("on purpose"), SystemExit(1), KeyboardInterrupt()])
-def test_whatever_it_raises_reading_goes_on(
+def test_error_in_inline_callback_does_not_stop_reading(
     stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture, error: BaseException
 ) -> None:
     got: list[int] = []
@@ -138,7 +136,7 @@ def test_whatever_it_raises_reading_goes_on(
     assert "raised; its subscription continues" in caplog.text
 
 
-def test_closing_it_waits_for_the_call_that_runs(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_close_waits_for_the_running_inline_call(stream: Stream[Count], transport: ScriptedTransport) -> None:
     go, called = threading.Event(), threading.Event()
     got: list[int] = []
 
@@ -150,19 +148,19 @@ def test_closing_it_waits_for_the_call_that_runs(stream: Stream[Count], transpor
     subscription = stream.subscribe(keep, inline=True)
     transport.put(counts(1, 2, 3))
     assert called.wait(10)
-    subscription.close(timeout=0.01)  # in vain
+    subscription.close(timeout=0.01)  # times out, because the callback is running
     assert got == []
     closing = threading.Thread(target=subscription.close, args=(10,))
     closing.start()
     go.set()
     closing.join(10)
     assert not closing.is_alive()
-    assert got == [1], "none is called after it was closed, though the others came in the same chunk"
+    assert got == [1], "the callback must not run after close, even for packets of the same chunk"
     stats = subscription.stats
     assert (stats.offered, stats.delivered, stats.waiting) == (1, 1, 0)
 
 
-def test_it_can_close_itself(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_callback_can_close_its_subscription(stream: Stream[Count], transport: ScriptedTransport) -> None:
     got: list[int] = []
     ready = threading.Event()
 
@@ -178,7 +176,7 @@ def test_it_can_close_itself(stream: Stream[Count], transport: ScriptedTransport
     assert got == [1]
 
 
-def test_it_can_close_the_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_callback_can_close_the_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
     closed = threading.Event()
 
     def close(count: Count) -> None:
@@ -192,7 +190,7 @@ def test_it_can_close_the_stream(stream: Stream[Count], transport: ScriptedTrans
     assert stream.connection is ConnectionState.CLOSED
 
 
-def test_close_ends_in_its_time_although_a_callback_hangs(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_close_times_out_when_an_inline_callback_hangs(stream: Stream[Count], transport: ScriptedTransport) -> None:
     go, called = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
@@ -209,7 +207,7 @@ def test_close_ends_in_its_time_although_a_callback_hangs(stream: Stream[Count],
     until(lambda: not stream._connection.is_running)
 
 
-def test_waiting_for_oneself_is_refused_at_once(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_callback_cannot_wait_for_its_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
     errors: list[LocalError] = []
 
     def try_to_wait(count: Count) -> None:
@@ -229,7 +227,7 @@ def test_waiting_for_oneself_is_refused_at_once(stream: Stream[Count], transport
     assert all("inline=True" in str(error) for error in errors)
 
 
-def test_more_can_be_subscribed_from_it(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_callback_can_subscribe_another_callback(stream: Stream[Count], transport: ScriptedTransport) -> None:
     got: list[int] = []
     made: list[Subscription] = []
 
@@ -244,7 +242,7 @@ def test_more_can_be_subscribed_from_it(stream: Stream[Count], transport: Script
     assert got == [2]
 
 
-def test_events_and_bytes_can_be_had_inline_too(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_callbacks_get_events_and_bytes(stream: Stream[Count], transport: ScriptedTransport) -> None:
     states: list[ConnectionState] = []
     data: list[bytes] = []
     stream.subscribe(lambda event: states.append(event.state), ConnectionEvent, inline=True)
@@ -260,7 +258,7 @@ def test_events_and_bytes_can_be_had_inline_too(stream: Stream[Count], transport
     assert data == [counts(1), counts(2)]
 
 
-def test_an_inline_subscription_can_be_waited_for(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_subscription_can_be_joined_and_finished(stream: Stream[Count], transport: ScriptedTransport) -> None:
     subscription = stream.subscribe(lambda count: None, inline=True)
     assert not subscription.join(0.01)
     transport.put(counts(1), Finished())
@@ -268,11 +266,11 @@ def test_an_inline_subscription_can_be_waited_for(stream: Stream[Count], transpo
     assert subscription.finish()
 
 
-def test_a_deadline_is_watched_beside(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_subscription_can_have_a_deadline(stream: Stream[Count], transport: ScriptedTransport) -> None:
     ages: list[float] = []
     subscription = stream.subscribe(lambda count: None, deadline=0.02, on_deadline=ages.append, inline=True)
     until(lambda: len(ages) == 1)
-    # Once for each time: only a packet arms it again.
+    # The deadline is reported once for each silence; only a packet arms it again.
     transport.put(counts(1))
     until(lambda: len(ages) == 2)
     assert subscription.stats.missed_deadlines == 2
@@ -281,10 +279,10 @@ def test_a_deadline_is_watched_beside(stream: Stream[Count], transport: Scripted
     until(lambda: not any(thread.name == "script Count deadline" for thread in threading.enumerate()))
 
 
-def test_a_deadline_begins_with_the_connection(
+def test_inline_deadline_starts_with_the_connection(
     stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Making it may take longer than the deadline."""
+    """Connecting may take longer than the deadline."""
     watching: list[list[str]] = []
     connect = transport.open
 

@@ -1,4 +1,4 @@
-"""What is older than its lifespan when its turn comes is dropped and counted, in threads, loops and tasks."""
+"""Packets older than their lifespan when taken are dropped and counted, in threads, loops and tasks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
 
-#: Seconds; what is old is older than this by as much again, and what is young is younger however busy the machine is.
+#: Lifespan in seconds. Old packets are twice as old, and new packets stay younger however busy the machine is.
 LIFESPAN = 500.0
 
 
@@ -30,7 +30,7 @@ class Packet(NamedTuple):
 
 
 class _Connection:
-    """Of an event loop that is never held."""
+    """Connection of an event loop that is never paused."""
 
     def hold(self, queue: object) -> None:
         pass
@@ -49,7 +49,7 @@ class _Connection:
     st.booleans(),
     st.lists(st.one_of(st.lists(st.sampled_from([0.0, 2 * LIFESPAN, None]), max_size=8), st.just("take")), max_size=30),
 )
-def test_every_packet_is_delivered_dropped_or_waits(
+def test_every_packet_is_delivered_dropped_or_queued(
     kind: str, limit: int, drops: bool, steps: list[list[float | None] | str]
 ) -> None:
     connection: Any = _Connection()
@@ -59,7 +59,7 @@ def test_every_packet_is_delivered_dropped_or_waits(
     offered = taken = evicted = expired = 0
     for step in steps:
         if isinstance(step, list):
-            # In one thread a queue that drops nothing must not be offered more than it has room for.
+            # In a single thread, a queue that drops nothing must not be offered more packets than it has room for.
             ages = step if drops else step[: limit - len(model)]
             now = linkcore.clock.now()
             packets = [
@@ -85,7 +85,7 @@ def test_every_packet_is_delivered_dropped_or_waits(
         assert (queue.dropped, queue.expired, queue.waiting) == (evicted + expired, expired, len(model))
 
 
-def test_a_subscription() -> None:
+def test_subscription_drops_expired_packets() -> None:
     transport = ScriptedTransport()
     is_held, goes_on = threading.Event(), threading.Event()
     seen: list[int] = []
@@ -121,7 +121,7 @@ def test_a_subscription() -> None:
     stream.close()
 
 
-def test_a_loop() -> None:
+def test_iteration_drops_expired_packets() -> None:
     transport = ScriptedTransport()
     stream = scripted(transport)
     states = stream.iterate(drop_oldest(8), timeout=20, lifespan=1.0)
@@ -136,8 +136,8 @@ def test_a_loop() -> None:
     stream.close()
 
 
-def test_a_task_that_waits() -> None:
-    """Where all that has come is too old, it goes on waiting."""
+def test_task_keeps_waiting_when_all_packets_expired() -> None:
+    """The task keeps waiting if all packets that have arrived are too old."""
     connection: Any = _Connection()
 
     async def wait() -> None:
@@ -160,7 +160,7 @@ def test_a_task_that_waits() -> None:
 
 
 @pytest.mark.parametrize("lifespan", [0, -1.0, float("nan"), "1"])
-def test_what_is_no_lifespan(lifespan: Any) -> None:
+def test_invalid_lifespan_is_rejected(lifespan: Any) -> None:
     stream = scripted(ScriptedTransport())
     with pytest.raises(BadValue, match="lifespan"):
         stream.subscribe(print, lifespan=lifespan)
@@ -168,13 +168,13 @@ def test_what_is_no_lifespan(lifespan: Any) -> None:
         stream.iterate(lifespan=lifespan)
 
 
-def test_an_inline_callback_has_none() -> None:
+def test_inline_subscription_rejects_a_lifespan() -> None:
     stream = scripted(ScriptedTransport())
     with pytest.raises(BadValue, match="cannot be combined with policy or lifespan"):
         stream.subscribe(print, lifespan=1.0, inline=True)
 
 
-def test_a_thread_that_waits_is_not_given_what_has_expired() -> None:
+def test_thread_queue_does_not_return_expired_packets() -> None:
     queue = PacketQueue(drop_oldest(8), LIFESPAN)
     queue.offer([Packet(0, Stamp(linkcore.clock.now() - 2 * LIFESPAN, 0.0))])
     assert queue.next(0.01) is None

@@ -1,4 +1,4 @@
-"""Streams that nobody closes, threads that cannot be had, and processes that fork."""
+"""Streams that are never closed, threads that cannot be started, and processes that fork."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def let_go(held: list[Any]) -> None:
     gc.collect()
 
 
-def test_a_stream_that_nobody_holds_any_more_is_closed_and_said_so(transport: ScriptedTransport) -> None:
+def test_unreferenced_stream_is_closed_with_a_warning(transport: ScriptedTransport) -> None:
     stream = scripted(transport)
     stream.subscribe(lambda count: None)
     stream.subscribe(lambda count: None, inline=True)
@@ -40,7 +40,7 @@ def test_a_stream_that_nobody_holds_any_more_is_closed_and_said_so(transport: Sc
 
 
 @pytest.mark.parametrize("how", ["feed", "subscription", "iterator"])
-def test_whoever_holds_a_part_of_it_keeps_it(transport: ScriptedTransport, how: str) -> None:
+def test_reference_to_a_part_keeps_the_stream_open(transport: ScriptedTransport, how: str) -> None:
     stream = scripted(transport)
     got: list[int] = []
     part: Any
@@ -62,7 +62,7 @@ def test_whoever_holds_a_part_of_it_keeps_it(transport: ScriptedTransport, how: 
 
 
 @pytest.mark.parametrize("how", ["never used", "closed", "over"])
-def test_a_stream_that_is_not_open_is_let_go_quietly(transport: ScriptedTransport, how: str) -> None:
+def test_unreferenced_stream_without_connection_gives_no_warning(transport: ScriptedTransport, how: str) -> None:
     stream = scripted(transport)
     if how == "closed":
         stream.start()
@@ -75,7 +75,7 @@ def test_a_stream_that_is_not_open_is_let_go_quietly(transport: ScriptedTranspor
 
 
 def no_more_threads(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
-    """No thread whose name begins so can be started."""
+    """Make the start of every thread fail whose name starts with `first`."""
     start = threading.Thread.start
 
     def refuse(self: threading.Thread) -> None:
@@ -86,7 +86,7 @@ def no_more_threads(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     monkeypatch.setattr(threading.Thread, "start", refuse)
 
 
-def test_no_thread_for_the_reader(
+def test_use_raises_local_error_without_a_reader_thread(
     stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
@@ -95,13 +95,13 @@ def test_no_thread_for_the_reader(
             with pytest.raises(LocalError, match=r"no thread could be started for script reader \(can't start"):
                 use()
         stream.of(Count)
-    # As soon as there are threads again, all is well.
+    # The stream works again when threads can be started again.
     transport.put(counts(7))
     assert stream.wait(10).number == 7
 
 
 @pytest.mark.parametrize("inline", [False, True])
-def test_no_thread_for_a_callback(
+def test_subscribe_raises_local_error_without_a_thread(
     stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch, inline: bool
 ) -> None:
     stream.start()
@@ -114,7 +114,7 @@ def test_no_thread_for_a_callback(
     stream.close()
 
 
-def test_close_without_threads(transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_close_works_when_no_thread_can_start(transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = scripted(transport)
     no_more_threads(monkeypatch, "script")
     with pytest.raises(LocalError):
@@ -145,6 +145,6 @@ stream.close()
 @pytest.mark.real_time
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
-def test_a_forked_child_that_closes_the_stream_harms_nobody() -> None:
+def test_close_in_a_forked_child_does_not_affect_the_parent() -> None:
     out = output_of(_FORKED)
     assert out == "0\n"

@@ -30,7 +30,7 @@ policies = st.one_of(
 
 
 class QueueMachine(RuleBasedStateMachine):
-    """A queue beside a list. One thread: what `block` does when full is tested below."""
+    """Compare a queue with a list, in one thread. The tests below cover `block` with a full queue."""
 
     @initialize(policy=policies)
     def begin(self, policy: Policy) -> None:
@@ -89,18 +89,18 @@ class QueueMachine(RuleBasedStateMachine):
 
 
 @pytest.mark.property
-def test_behaves_as_a_list_does() -> None:
+def test_queue_equals_model_for_any_operations() -> None:
     run_state_machine_as_test(QueueMachine)
 
 
-def test_keeps_the_newest() -> None:
+def test_drop_oldest_keeps_the_newest() -> None:
     queue = PacketQueue(drop_oldest(3))
     queue.offer(range(10))
     assert [queue.next(0) for _ in range(4)] == [7, 8, 9, None]
     assert (queue.offered, queue.dropped, queue.waiting) == (10, 7, 0)
 
 
-def test_what_does_not_fit_takes_the_place_of_the_oldest() -> None:
+def test_drop_oldest_replaces_the_oldest_when_full() -> None:
     queue = PacketQueue(drop_oldest(4))
     queue.offer([1, 2, 3])
     queue.offer([4, 5])
@@ -109,18 +109,18 @@ def test_what_does_not_fit_takes_the_place_of_the_oldest() -> None:
 
 
 @pytest.mark.parametrize("policy", [latest, block])
-def test_what_waits_at_the_end_can_be_taken(policy: Policy) -> None:
+def test_queued_packets_can_be_taken_after_the_end(policy: Policy) -> None:
     queue = PacketQueue(policy)
     queue.offer([1])
     queue.end()
     queue.offer([2])
     assert not queue.is_over
-    # Without a timeout: neither what waits nor the end may make it wait.
+    # Without a timeout, because `next` must not wait if packets are queued or the queue has ended.
     assert [queue.next(), queue.next(), queue.next(), queue.is_over] == [1, None, None, True]
     assert queue.offered == 1
 
 
-def test_waits_no_longer_than_it_was_told() -> None:
+def test_next_returns_none_after_its_timeout() -> None:
     queue = PacketQueue(latest)
     queue.end()
     fresh = PacketQueue(latest)
@@ -131,7 +131,7 @@ def test_waits_no_longer_than_it_was_told() -> None:
 
 
 def consume(queue: PacketQueue) -> tuple[threading.Thread, list[object]]:
-    """A thread that takes until the end."""
+    """Start a thread that takes packets until the end; return it with the list of taken packets."""
     taken: list[object] = []
 
     def run() -> None:
@@ -145,7 +145,7 @@ def consume(queue: PacketQueue) -> tuple[threading.Thread, list[object]]:
 
 @pytest.mark.parametrize("policy", [latest, drop_oldest(3), block])
 @pytest.mark.parametrize("finish", ["end", "close"])
-def test_a_consumer_that_waits_is_woken(policy: Policy, finish: str) -> None:
+def test_end_and_close_wake_a_waiting_consumer(policy: Policy, finish: str) -> None:
     queue = PacketQueue(policy)
     thread, taken = consume(queue)
     queue.offer([1])
@@ -155,7 +155,7 @@ def test_a_consumer_that_waits_is_woken(policy: Policy, finish: str) -> None:
     assert not thread.is_alive()
 
 
-def test_block_waits_for_room_and_keeps_everything() -> None:
+def test_block_policy_waits_for_room_and_drops_nothing() -> None:
     queue = PacketQueue(Policy(4, drop=None))
     offered = threading.Thread(target=queue.offer, args=(range(100),))
     offered.start()
@@ -167,7 +167,7 @@ def test_block_waits_for_room_and_keeps_everything() -> None:
     assert (queue.offered, queue.dropped, queue.waiting) == (100, 0, 0)
 
 
-def test_close_frees_a_reader_that_waits_for_room() -> None:
+def test_close_ends_an_offer_waiting_for_room() -> None:
     queue = PacketQueue(Policy(4, drop=None))
     offered = threading.Thread(target=queue.offer, args=(range(100),))
     offered.start()
@@ -179,7 +179,7 @@ def test_close_frees_a_reader_that_waits_for_room() -> None:
 
 
 class Meanwhile(list[int]):
-    """Packets whose queue is ended or closed, by another thread as it were, while they are being handed over."""
+    """Packets that end or close their queue while they are being offered, as another thread could."""
 
     queue: PacketQueue
     finish = "close"
@@ -190,7 +190,7 @@ class Meanwhile(list[int]):
 
 
 @pytest.mark.parametrize("policy", [latest, drop_oldest(2), drop_oldest(9), block])
-def test_closed_in_the_middle_of_an_offer_it_keeps_nothing(policy: Policy) -> None:
+def test_close_during_an_offer_drops_its_packets(policy: Policy) -> None:
     queue = PacketQueue(policy)
     packets = Meanwhile([1, 2, 3])
     packets.queue = queue
@@ -199,8 +199,8 @@ def test_closed_in_the_middle_of_an_offer_it_keeps_nothing(policy: Policy) -> No
     assert queue.is_over
 
 
-def test_ended_in_the_middle_of_an_offer_it_loses_nothing_silently() -> None:
-    """Its consumer has been told that no more will come, and then more came."""
+def test_end_during_an_offer_counts_every_packet() -> None:
+    """The consumer has seen the end, and then more packets arrive."""
     queue = PacketQueue(drop_oldest(9))
     packets = Meanwhile([1, 2, 3])
     packets.queue, packets.finish = queue, "end"
@@ -229,8 +229,8 @@ def test_counters_add_up_between_threads(policy: Policy) -> None:
 
 
 @pytest.mark.slow
-def test_the_newest_is_never_the_one_that_is_dropped() -> None:
-    """A consumer that takes while the reader makes room must not cost the packet that comes."""
+def test_latest_policy_never_drops_the_newest() -> None:
+    """A packet must not be lost if the consumer takes one while the reader makes room for it."""
     queue = PacketQueue(latest)
     thread, taken = consume(queue)
     for number in range(2, 4000, 2):
@@ -246,7 +246,7 @@ def test_the_newest_is_never_the_one_that_is_dropped() -> None:
 
 
 @pytest.mark.slow
-def test_closing_at_any_moment_leaves_nothing_uncounted() -> None:
+def test_close_at_any_moment_counts_every_packet() -> None:
     for round_ in range(60):
         queue = PacketQueue(drop_oldest(5) if round_ % 2 else Policy(5, drop=None))
         thread, taken = consume(queue)
@@ -266,7 +266,7 @@ def offer_often(queue: PacketQueue) -> None:
         queue.offer(range(1, 9))
 
 
-def test_a_limit_of_nothing_is_refused() -> None:
+def test_policy_rejects_limits_below_one() -> None:
     for limit in (0, -1):
         with pytest.raises(BadValue, match="expected a limit of 1 or more"):
             drop_oldest(limit)

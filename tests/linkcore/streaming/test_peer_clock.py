@@ -1,4 +1,4 @@
-"""The clock of a peer: whatever the delays of its packets are, the conversions are right within their bound."""
+"""Clock of a peer: conversions are correct within their bound, whatever delays the packets have."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from linkcore.streaming.peer_clock import OffsetEstimator
 
-#: s from a packet to the next one
+#: Interval between packets, in s.
 PERIOD = 0.002
 
 DELAYS: dict[str, Callable[[random.Random], float]] = {
@@ -24,14 +24,14 @@ DELAYS: dict[str, Callable[[random.Random], float]] = {
 
 
 class Wire:
-    """A peer whose clock is known, and what comes from it."""
+    """Peer with a known clock, and the arrivals of its packets."""
 
     def __init__(self, seed: int, delay: Callable[[random.Random], float]) -> None:
         self.chance = chance = random.Random(seed)
         self.delay = delay
         self.drift = chance.uniform(-100e-6, 100e-6)
         self.there, self.back = chance.uniform(5e-5, 5e-4), chance.uniform(5e-5, 5e-4)
-        #: monotonic s here at time 0 there
+        #: Local monotonic time, in s, at time 0 of the peer.
         self.zero = chance.uniform(-1e5, 1e5)
         self.clock = OffsetEstimator()
         self.time = chance.uniform(0.0, 1e6)
@@ -43,13 +43,13 @@ class Wire:
         self.clock.connected(self.there + self.back + self.delay(self.chance) + self.delay(self.chance))
 
     def run(self, seconds: float) -> tuple[int, int]:
-        """Of how many looks, how many showed a conversion that is not within its bound."""
+        """Return the number of checks, and the number of conversions outside their bound."""
         wrong = looks = 0
         arrival = -math.inf
         until = self.time + seconds
         while self.time < until:
             self.time += PERIOD
-            # None passes another on its way.
+            # Packets do not overtake each other.
             arrival = max(arrival, self.local(self.time) + self.back + self.delay(self.chance))
             if arrival >= self.clock.due:
                 self.clock.take(self.time, arrival)
@@ -67,7 +67,7 @@ class Wire:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", DELAYS)
-def test_it_is_right_within_its_bound(kind: str) -> None:
+def test_conversions_are_correct_within_their_bound(kind: str) -> None:
     looks = wrong = 0
     for seed in range(12):
         wire = Wire(seed, DELAYS[kind])
@@ -82,7 +82,7 @@ def test_it_is_right_within_its_bound(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["none", "uniform", "exponential"])
-def test_the_bound_is_little_more_than_half_of_the_way(kind: str) -> None:
+def test_bound_is_about_half_of_the_round_trip(kind: str) -> None:
     wire = Wire(1, DELAYS[kind])
     wire.connect()
     wire.run(30.0)
@@ -92,7 +92,7 @@ def test_the_bound_is_little_more_than_half_of_the_way(kind: str) -> None:
     assert -relation.slope / (1.0 + relation.slope) == pytest.approx(wire.drift, abs=2e-5)
 
 
-def test_before_there_are_enough_packets_it_promises_nothing() -> None:
+def test_bound_is_infinite_before_enough_packets() -> None:
     clock = OffsetEstimator()
     assert [clock.relation] == [None]
     clock.connected(1e-4)
@@ -103,7 +103,7 @@ def test_before_there_are_enough_packets_it_promises_nothing() -> None:
     assert clock.relation.to_local(5.0) == pytest.approx(105.0, abs=1e-3)
 
 
-def test_without_a_handshake_it_promises_nothing() -> None:
+def test_bound_is_infinite_without_a_handshake() -> None:
     wire = Wire(2, DELAYS["none"])
     wire.clock.connected(math.inf)
     wire.run(3.0)
@@ -114,8 +114,8 @@ def test_without_a_handshake_it_promises_nothing() -> None:
 
 
 @pytest.mark.parametrize("uptime", [0.1, 30.0, 1e4])
-def test_a_peer_that_was_started_again_is_seen(uptime: float) -> None:
-    """Also where it has been up for longer than before, and comes back a day later."""
+def test_restart_of_the_peer_is_detected(uptime: float) -> None:
+    """The restart is detected even if the uptime is larger than before and the peer was away for hours."""
     wire = Wire(3, DELAYS["uniform"])
     wire.time = 5.0
     wire.connect()
@@ -126,10 +126,10 @@ def test_a_peer_that_was_started_again_is_seen(uptime: float) -> None:
     looks, wrong = wire.run(5.0)
     assert wire.clock.restarts == 1
     assert looks > 10
-    assert wrong <= 1  # the first packets may still belong to the old one
+    assert wrong <= 1  # the first packets may still be attributed to the old clock
 
 
-def test_one_packet_with_a_wrong_time_is_none_of_a_new_clock() -> None:
+def test_single_packet_with_a_wrong_time_is_not_a_restart() -> None:
     wire = Wire(4, DELAYS["none"])
     wire.connect()
     wire.run(3.0)
@@ -144,7 +144,7 @@ def late_by(seconds: float, chance: random.Random) -> float:
     return seconds
 
 
-def test_a_peer_that_is_held_up_keeps_its_clock() -> None:
+def test_delayed_peer_keeps_its_clock() -> None:
     wire = Wire(5, DELAYS["uniform"])
     wire.connect()
     wire.run(20.0)

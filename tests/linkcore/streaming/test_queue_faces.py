@@ -1,4 +1,4 @@
-"""The queue for threads and the queue for tasks do the same with the same packets, whatever the policy is."""
+"""The queue for threads and the queue for tasks behave the same with the same packets, for every policy."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Packet:
 
 
 class Unread:
-    """A connection that nothing reads."""
+    """Connection that is never read."""
 
     def hold(self, queue: object) -> None:
         pass
@@ -39,7 +39,7 @@ class Unread:
 
 
 def newest(waiting: deque[Any], packets: Sequence[Any], limit: int) -> tuple[Sequence[Any], int]:
-    """A policy that the library does not have: drop what comes to a full queue."""
+    """Drop the new packets if the queue is full; the library has no such policy."""
     room = max(limit - len(waiting), 0)
     return packets[:room], len(packets) - len(packets[:room])
 
@@ -51,7 +51,7 @@ policies = st.one_of(
     limits.map(lambda limit: Policy(limit, drop=None)),
     limits.map(lambda limit: Policy(limit, newest)),
 )
-#: The ages of packets that come together, s; or what the consumer does.
+#: Steps: the ages in s of packets that arrive together, or an action of the consumer.
 steps = st.lists(
     st.one_of(st.lists(st.sampled_from([0.0, 2 * LIFESPAN]), max_size=9), st.sampled_from(["take", "end", "close"])),
     max_size=30,
@@ -69,12 +69,12 @@ def counters(queue: BoundedQueue) -> tuple[int, ...]:
 
 @pytest.mark.property
 @given(policy=policies, steps=steps)
-def test_both_queues_do_the_same(policy: Policy, steps: list[list[float] | str]) -> None:
+def test_thread_and_task_queues_behave_the_same(policy: Policy, steps: list[list[float] | str]) -> None:
     both = faces(policy)
     number = 0
     for step in steps:
         if isinstance(step, list):
-            # In one thread, a reader that waits for room would wait for ever.
+            # In a single thread, a reader that waits for room would wait forever.
             room = policy.limit - both[0].waiting if policy.makes_reader_wait else len(step)
             packets = []
             for age in step[:room]:
@@ -95,7 +95,7 @@ def test_both_queues_do_the_same(policy: Policy, steps: list[list[float] | str])
 
 
 @pytest.mark.parametrize("face", [0, 1], ids=["threads", "tasks"])
-def test_a_policy_of_ones_own_decides_what_is_dropped(face: int) -> None:
+def test_custom_policy_selects_the_dropped_packets(face: int) -> None:
     queue = faces(Policy(2, newest))[face]
     queue.offer([Packet(number, Stamp.now()) for number in range(3)])
     queue.offer([Packet(3, Stamp.now())])
@@ -104,8 +104,8 @@ def test_a_policy_of_ones_own_decides_what_is_dropped(face: int) -> None:
 
 
 @pytest.mark.parametrize("face", [0, 1], ids=["threads", "tasks"])
-def test_what_makes_the_reader_wait_is_delivered_when_the_stream_closes(face: int) -> None:
-    """A new policy that drops promises nothing; one that makes the reader wait promises every packet."""
+def test_lossless_queue_keeps_packets_when_the_stream_closes(face: int) -> None:
+    """A policy that makes the reader wait guarantees every packet; a policy that drops packets does not."""
     for policy, waiting in ((Policy(2, drop=None), 1), (Policy(2, newest), 0), (latest, 0)):
         fan_out, queue = FanOut(Packet), faces(policy)[face]
         fan_out.add(queue, Packet)

@@ -1,4 +1,4 @@
-"""What is asked of the system for the threads that must not be late, and what becomes of it."""
+"""Real-time options that are requested from the system for urgent threads, and their results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def as_usual(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 class System:
-    """What the system was asked for, by the number of the thread."""
+    """Fake system calls, which record the requested priorities and CPUs by native thread id."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, refuses: bool = False) -> None:
         self.priorities: dict[int, tuple[int, int]] = {}
@@ -43,12 +43,12 @@ class System:
         monkeypatch.setattr(os, "sched_setaffinity", lambda number, cpus: self.cpus.update({number: set(cpus)}))
 
 
-linux = pytest.mark.skipif(sys.platform != "linux", reason="asks the system for what Linux has")
+linux = pytest.mark.skipif(sys.platform != "linux", reason="uses scheduling calls that only Linux has")
 
 
 @linux
 @pytest.mark.real_time
-def test_readers_have_it_whenever_they_began(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_realtime_options_apply_to_old_and_new_readers(monkeypatch: pytest.MonkeyPatch) -> None:
     system = System(monkeypatch)
     cpu = min(os.sched_getaffinity(0))
     high = (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 20)
@@ -58,7 +58,7 @@ def test_readers_have_it_whenever_they_began(monkeypatch: pytest.MonkeyPatch) ->
         report = realtime_options(priority=20, cpu=cpu)
         assert (report.granted, report.refused) == (("priority", "cpu"), {})
         assert (system.priorities[before], system.cpus[before]) == (high, {cpu})
-        assert system.priorities[threading.get_native_id()] == usual  # this thread was only asked for a try
+        assert system.priorities[threading.get_native_id()] == usual  # this thread has only tried the options
         with scripted_stream(second) as after:
             assert (system.priorities[after], system.cpus[after]) == (high, {cpu})
             realtime_options()
@@ -67,7 +67,7 @@ def test_readers_have_it_whenever_they_began(monkeypatch: pytest.MonkeyPatch) ->
 
 
 class scripted_stream:  # noqa: N801 - a context manager
-    """A stream that is read; the number of its thread."""
+    """Context manager: a stream that is being read; yields the native id of its reader thread."""
 
     def __init__(self, transport: ScriptedTransport) -> None:
         self.stream = scripted(transport)
@@ -85,9 +85,7 @@ class scripted_stream:  # noqa: N801 - a context manager
 
 
 @linux
-def test_what_is_refused_is_reported_once_and_nothing_else_fails(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_refused_option_is_reported_once(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     system = System(monkeypatch, refuses=True)
     monkeypatch.setattr(linkcore.streaming.scheduling, "_call_mlock", lambda is_wanted: _refuse())
     with caplog.at_level(logging.WARNING):
@@ -98,7 +96,7 @@ def test_what_is_refused_is_reported_once_and_nothing_else_fails(
     assert "Operation not permitted" in report.refused["priority"]
     assert "late by milliseconds" in str(report)
     assert [record.levelname for record in caplog.records] == ["WARNING"]
-    with urgent():  # has what was granted
+    with urgent():  # applies the granted options
         assert system.cpus[threading.get_native_id()] == {0}
         assert system.priorities[threading.get_native_id()] == (os.SCHED_OTHER, 0)
 
@@ -107,7 +105,7 @@ def _refuse() -> None:
     raise OSError(12, "Cannot allocate memory")
 
 
-def test_the_collector_and_the_interval_are_set() -> None:
+def test_realtime_options_set_gc_and_switch_interval() -> None:
     assert realtime_options(gc=False).granted == ("gc",)
     assert not gc.isenabled()
     frozen = gc.get_freeze_count()
@@ -117,7 +115,7 @@ def test_the_collector_and_the_interval_are_set() -> None:
     assert sys.getswitchinterval() == pytest.approx(0.001)
 
 
-def test_what_cannot_be_is_refused_before_anything_is_done() -> None:
+def test_realtime_options_reject_invalid_values() -> None:
     for options in (
         {"priority": 0},
         {"priority": 100},

@@ -1,4 +1,4 @@
-"""Sending on a stream's own connection: at once or not at all."""
+"""Sending on the connection of a stream: data is sent immediately or not at all."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tests.waiting import until
 pytestmark = pytest.mark.simulated_time
 
 
-def test_connects_if_nothing_has_yet(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_send_connects_an_idle_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream._connection.send(b"text\n", 1.0)
     assert transport.sent == [b"text\n"]
     assert stream.connection is ConnectionState.CONNECTED
 
 
-def test_nobody_there() -> None:
+def test_send_raises_when_the_connection_is_refused() -> None:
     transport = ScriptedTransport(ConnectFailed("refused"))
     stream = scripted(transport)
     with pytest.raises(ConnectFailed):
@@ -33,7 +33,7 @@ def test_nobody_there() -> None:
     stream.close()
 
 
-def test_nothing_is_kept_for_the_next_connection() -> None:
+def test_send_does_not_keep_data_for_the_next_connection() -> None:
     transport = ScriptedTransport(None, ConnectFailed("gone for now"))
     stream = scripted(transport, backoff=Backoff(first=30, most=30))
     stream._connection.send(b"one\n", 1.0)
@@ -45,7 +45,7 @@ def test_nothing_is_kept_for_the_next_connection() -> None:
     stream.close()
 
 
-def test_half_a_text_ends_the_connection(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_partly_sent_text_ends_the_connection(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream._connection.send(b"one\n", 1.0)
     transport.make_room(2)
     with pytest.raises(LinkTimeout, match="did not accept"):
@@ -56,14 +56,14 @@ def test_half_a_text_ends_the_connection(stream: Stream[Count], transport: Scrip
     assert transport.sent == [b"one\n", b"tw", b"three\n"]
 
 
-def test_closed(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_send_raises_closed_after_close(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream.close()
     with pytest.raises(Closed):
         stream._connection.send(b"text\n", 1.0)
     assert transport.sent == []
 
 
-def test_a_recording_takes_nothing(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
+def test_send_raises_for_a_recording(stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.log") as recorder:
         recorder.add(stream, {"name": "script"})
         transport.put(counts(1, 2))

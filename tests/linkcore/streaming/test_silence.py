@@ -1,4 +1,4 @@
-"""The peer's silence is told from a stall of one's own: by the reader, which alone can know."""
+"""Silence of the peer: the reader distinguishes it from a stall of this process."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def monitor(limit: float | None = 2.0) -> SilenceMonitor:
 # -- the monitor, without clock or thread ----------------------------------------------------------------
 
 
-def test_waits_that_ran_out_add_up() -> None:
+def test_expired_waits_add_up_to_silence() -> None:
     silence, told = monitor(), list[float]()
     silence.watch(0.5, told.append)
     assert silence.wait == 0.5
@@ -34,7 +34,7 @@ def test_waits_that_ran_out_add_up() -> None:
     assert silence.wait == pytest.approx(1.5)
     with pytest.raises(LinkTimeout, match="script: nothing was received for 2 s"):
         silence.timed_out()
-    assert told == [0.5], "once for each silence"
+    assert told == [0.5], "the watcher must be called once for each silence"
 
 
 def test_a_packet_ends_the_silence() -> None:
@@ -50,8 +50,8 @@ def test_a_packet_ends_the_silence() -> None:
     assert told == [0.5] * 3
 
 
-def test_time_that_only_passed_is_no_silence() -> None:
-    """The process was suspended for an hour: no wait ran out, and then a packet comes."""
+def test_suspended_time_does_not_count_as_silence() -> None:
+    """The process was suspended for an hour. No wait expired, and then a packet arrives."""
     silence, told = monitor(), list[float]()
     silence.watch(0.5, told.append)
     silence.last = 3700.0
@@ -59,7 +59,7 @@ def test_time_that_only_passed_is_no_silence() -> None:
     assert not silence.is_quiet
 
 
-def test_several_limits_are_met_in_turn() -> None:
+def test_several_limits_are_reported_in_turn() -> None:
     silence, told = monitor(), list[str]()
     silence.watch(1.0, lambda seconds: told.append(f"one {seconds:g}"))
     silence.watch(0.25, lambda seconds: told.append(f"quarter {seconds:g}"))
@@ -74,7 +74,7 @@ def test_several_limits_are_met_in_turn() -> None:
         silence.timed_out()
 
 
-def test_sums_that_are_rounded_meet_their_limit() -> None:
+def test_rounded_sums_reach_their_limit() -> None:
     silence, told = monitor(0.3), list[float]()
     silence.watch(0.1, told.append)
     silence.watch(0.2, told.append)
@@ -85,10 +85,10 @@ def test_sums_that_are_rounded_meet_their_limit() -> None:
         silence.timed_out()
 
 
-def test_without_a_limit_it_is_only_told() -> None:
+def test_silence_without_limit_is_reported_but_raises_nothing() -> None:
     silence, told = monitor(None), list[float]()
     assert silence.wait is None
-    silence.timed_out()  # a transport that gives up by itself: nothing is known of how long it waited
+    silence.timed_out()  # a transport that times out on its own, after an unknown time
     remove = silence.watch(0.5, told.append)
     silence.timed_out()
     silence.timed_out()
@@ -98,17 +98,17 @@ def test_without_a_limit_it_is_only_told() -> None:
     assert silence.wait is None
 
 
-def test_who_went_away_is_not_told() -> None:
+def test_removed_watcher_is_not_called() -> None:
     silence, told = monitor(), list[float]()
     remove = silence.watch(0.5, told.append)
     remove()
     remove()
-    assert silence.wait == 0.5, "until the next packet"
+    assert silence.wait == 0.5, "the wait changes only with the next packet"
     silence.timed_out()
     assert told == []
 
 
-def test_bytes_without_a_packet_are_silence() -> None:
+def test_bytes_without_a_packet_count_as_silence() -> None:
     silence, told = monitor(), list[float]()
     silence.watch(0.5, told.append)
     for now in (100.2, 100.4, 100.6):
@@ -121,13 +121,13 @@ def test_bytes_without_a_packet_are_silence() -> None:
         silence.no_packet(102.2)
 
 
-def test_half_a_packet_after_a_stall_is_no_silence() -> None:
-    """It was read late, and its other half waits in the socket."""
+def test_partial_packet_after_a_stall_is_not_silence() -> None:
+    """The packet was read late, and its other half is still in the socket."""
     silence, told = monitor(), list[float]()
     silence.watch(0.5, told.append)
     before = silence.is_quiet
     silence.no_packet(160.0)
-    # By it the reader knows that the next packet has to end the silence.
+    # The flag makes the reader end the silence at the next packet.
     assert (before, silence.is_quiet) == (False, True)
     silence.end(160.001)
     silence.no_packet(160.1)
@@ -135,7 +135,7 @@ def test_half_a_packet_after_a_stall_is_no_silence() -> None:
     assert told == []
 
 
-def test_whoever_raises_when_told_harms_nobody(caplog: pytest.LogCaptureFixture) -> None:
+def test_error_in_a_watcher_is_logged_only(caplog: pytest.LogCaptureFixture) -> None:
     silence, told = monitor(), list[float]()
 
     def fail(seconds: float) -> None:
@@ -149,7 +149,7 @@ def test_whoever_raises_when_told_harms_nobody(caplog: pytest.LogCaptureFixture)
 
 
 @pytest.mark.parametrize("seconds", [0, -1, 2.1, float("nan")])
-def test_what_could_never_be_told_is_refused(seconds: float) -> None:
+def test_watch_rejects_limits_beyond_the_silence(seconds: float) -> None:
     with pytest.raises(BadValue, match="expected a positive number, at most silence=2"):
         monitor().watch(seconds, print)
 
@@ -157,7 +157,7 @@ def test_what_could_never_be_told_is_refused(seconds: float) -> None:
 # -- in a stream ----------------------------------------------------------------------------------------
 
 
-def test_a_silent_peer_is_told_and_then_lost() -> None:
+def test_silence_is_reported_before_the_connection_is_lost() -> None:
     transport = ScriptedTransport()
     stream = scripted(transport, silence=0.1, backoff=Backoff(first=60, most=60))
     told: list[tuple[float, bool]] = []
@@ -175,7 +175,7 @@ def test_a_silent_peer_is_told_and_then_lost() -> None:
     stream.close()
 
 
-def test_bytes_without_packets_count_as_silence() -> None:
+def test_stream_with_bytes_but_no_packets_raises_link_timeout() -> None:
     transport = ScriptedTransport()
     stream = scripted(transport, silence=0.5, backoff=Backoff(tries=0))
     stop = threading.Event()
@@ -195,7 +195,7 @@ def test_bytes_without_packets_count_as_silence() -> None:
         stream.close()
 
 
-#: Reads a stream while a C call holds the interpreter's lock for 1 s, which is five times the silence that ends it.
+#: Program that reads a stream while a C call holds the interpreter lock for 1 s, five times the silence limit.
 _STALLED = """
 import ctypes, sys, threading
 from linkcore.net.transport import TcpTransport
@@ -217,7 +217,7 @@ stream.close()
 
 @pytest.mark.real_time
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="has no usleep to hold the interpreter's lock with")
-def test_a_stall_of_ones_own_is_no_silence() -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no usleep that could hold the interpreter lock")
+def test_stall_of_this_process_is_not_silence() -> None:
     out = output_of(_STALLED)
     assert out.split("\n")[0] == "True 0 connected []"

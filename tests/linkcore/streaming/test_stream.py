@@ -1,4 +1,4 @@
-"""The reader thread, its subscribers, reconnecting, and counters that add up."""
+"""Streams: the reader thread, subscribers, reconnections, and counters that add up."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def adds_up(stream: Stream[Count]) -> None:
     assert stats.received == stats.decoded + stats.failed
 
 
-def test_nothing_starts_before_it_is_used(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_unused_stream_does_not_connect(stream: Stream[Count], transport: ScriptedTransport) -> None:
     assert transport.opened == 0
     assert stream.connection is ConnectionState.IDLE
     assert not own_threads()
 
 
-def test_delivers_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_packets_are_delivered_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
     got: list[int] = []
     subscription = stream.subscribe(lambda count: got.append(count.number), policy=block)
     transport.put(counts(1, 2), counts(3), Finished())
@@ -54,7 +54,7 @@ def test_delivers_in_order(stream: Stream[Count], transport: ScriptedTransport) 
     assert stream.stats.bytes == 15
 
 
-def test_stamps_say_when_the_bytes_came(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_stamp_is_the_arrival_time(stream: Stream[Count], transport: ScriptedTransport) -> None:
     before = linkcore.clock.now()
     transport.put(counts(1))
     count = stream.wait(10)
@@ -63,7 +63,7 @@ def test_stamps_say_when_the_bytes_came(stream: Stream[Count], transport: Script
     assert count.received.age >= 0
 
 
-def test_a_raising_callback_harms_nobody(
+def test_raising_callback_does_not_affect_others(
     stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture
 ) -> None:
     got: list[int] = []
@@ -78,11 +78,11 @@ def test_a_raising_callback_harms_nobody(
     assert got == list(range(9))
     assert failing.stats.raised == 9
     assert stream.stats.failed == 0
-    # Each power of two, not each packet: 1, 2, 4, 8.
+    # Errors are logged at powers of two (1, 2, 4, 8), not for each packet.
     assert sum("raised" in record.message for record in caplog.records) == 4
 
 
-def test_a_sleeping_callback_harms_nobody(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_sleeping_callback_does_not_affect_others(stream: Stream[Count], transport: ScriptedTransport) -> None:
     wake, asleep = threading.Event(), threading.Event()
     got: list[int] = []
 
@@ -125,7 +125,9 @@ def test_latest_policy_keeps_the_newest(stream: Stream[Count], transport: Script
     assert got == [0, 49]
 
 
-def test_block_makes_the_reader_wait_and_loses_nothing(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_block_policy_makes_the_reader_wait_and_drops_nothing(
+    stream: Stream[Count], transport: ScriptedTransport
+) -> None:
     gate = threading.Semaphore(0)
     got: list[int] = []
 
@@ -142,7 +144,7 @@ def test_block_makes_the_reader_wait_and_loses_nothing(stream: Stream[Count], tr
     assert subscription.stats.dropped == 0
 
 
-def test_close_frees_a_reader_that_waits_for_room(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_close_ends_a_reader_waiting_for_room(stream: Stream[Count], transport: ScriptedTransport) -> None:
     wake, asleep = threading.Event(), threading.Event()
 
     def sleep(count: Count) -> None:
@@ -160,7 +162,7 @@ def test_close_frees_a_reader_that_waits_for_room(stream: Stream[Count], transpo
     adds_up(stream)
 
 
-def test_close_from_the_callback(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_callback_can_close_the_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
     closed = threading.Event()
 
     def close(count: Count) -> None:
@@ -175,7 +177,7 @@ def test_close_from_the_callback(stream: Stream[Count], transport: ScriptedTrans
     assert stream.connection is ConnectionState.CLOSED
 
 
-def test_a_subscription_closes_itself_from_its_callback(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_callback_can_close_its_subscription(stream: Stream[Count], transport: ScriptedTransport) -> None:
     got: list[int] = []
 
     def once(count: Count) -> None:
@@ -198,7 +200,7 @@ def test_a_subscription_closes_itself_from_its_callback(stream: Stream[Count], t
     assert stats.waiting == 0
 
 
-def test_bad_packets_are_counted_and_end_nothing(
+def test_bad_packets_are_counted_without_ending_the_stream(
     stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture
 ) -> None:
     got: list[int] = []
@@ -216,7 +218,7 @@ def test_skipped_bytes_are_counted_across_connections(stream: Stream[Count], tra
     transport.put(b"xxx" + counts(1) + b"\x05\x00", ConnectionLost("cut"), b"yy" + counts(2), Finished())
     assert stream.join(10)
     assert got == [1, 2]
-    # Three before, the two of the packet that the cut ended, two after.
+    # Three bytes before the first packet, two of the packet that the loss cut, and two after it.
     assert stream.stats.skipped == 7
     assert stream.stats.resyncs == 2
     assert stream.stats.reconnects == 1
@@ -244,7 +246,7 @@ def test_subscriptions_survive_a_reconnect(stream: Stream[Count], transport: Scr
     assert [(type(error), str(error)) for error in lost] == [(ConnectionLost, str(cause))]
 
 
-def test_old_data_is_not_shown_as_fresh() -> None:
+def test_latest_is_none_after_a_lost_connection() -> None:
     transport = ScriptedTransport()
     stream = scripted(transport, backoff=Backoff(first=60, most=60))
     transport.put(counts(7))
@@ -275,20 +277,20 @@ def test_latest_does_not_wait_for_a_connection() -> None:
     assert stream.latest is None
 
 
-def test_a_first_connection_that_fails_is_told_at_once() -> None:
+def test_failed_first_connection_raises_immediately() -> None:
     transport = ScriptedTransport(ConnectFailed("refused"), ConnectFailed("refused"))
     stream = scripted(transport)
     with pytest.raises(ConnectFailed, match="refused"):
         stream.subscribe(print)
     with pytest.raises(ConnectFailed, match="refused"):
         stream.wait(1)
-    # The third time there is somebody: nothing of the failures remains.
+    # The third attempt succeeds, and the failures have no further effect.
     transport.put(counts(1))
     assert stream.wait(10).number == 1
     stream.close()
 
 
-def test_gives_up_when_the_backoff_says_so() -> None:
+def test_iteration_raises_after_the_last_try_of_the_backoff() -> None:
     gone = ConnectFailed("gone")
     transport = ScriptedTransport(None, gone, gone, gone)
     stream = scripted(transport, backoff=Backoff(0, 1, 0, 0, tries=3))
@@ -301,8 +303,8 @@ def test_gives_up_when_the_backoff_says_so() -> None:
     stream.close()
 
 
-def test_the_backoff_is_reset_by_packets_only() -> None:
-    """Connections that bring no packet use the tries up; one that does gives them back."""
+def test_backoff_restarts_only_after_a_packet() -> None:
+    """Connections without a packet use up the tries; a connection with a packet restores them."""
     transport = ScriptedTransport()
     stream = scripted(transport, backoff=Backoff(0, 1, 0, 0, tries=2))
     cut = ConnectionLost("cut")
@@ -315,7 +317,7 @@ def test_the_backoff_is_reset_by_packets_only() -> None:
     stream.close()
 
 
-def test_a_silent_peer_is_noticed_by_the_deadline(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_deadline_is_reported_once_for_each_silence(stream: Stream[Count], transport: ScriptedTransport) -> None:
     late = threading.Event()
     ages: list[float] = []
 
@@ -326,14 +328,14 @@ def test_a_silent_peer_is_noticed_by_the_deadline(stream: Stream[Count], transpo
     subscription = stream.subscribe(lambda count: None, deadline=0.02, on_deadline=on_deadline)
     assert late.wait(10)
     late.clear()
-    # Once for each silence: only a packet arms it again.
+    # The deadline is reported once for each silence; only a packet arms it again.
     transport.put(counts(1))
     assert late.wait(10)
     assert subscription.stats.missed_deadlines == len(ages) == 2
     assert all(age >= 0.02 for age in ages)
 
 
-def test_a_deadline_callback_that_raises_is_only_logged(
+def test_error_in_on_deadline_is_logged_only(
     stream: Stream[Count], transport: ScriptedTransport, caplog: pytest.LogCaptureFixture
 ) -> None:
     got = threading.Event()
@@ -348,7 +350,7 @@ def test_a_deadline_callback_that_raises_is_only_logged(
     assert "on_deadline" in caplog.text
 
 
-def test_who_waits_for_a_connection_that_fails_hears_of_it_whoever_tries_next(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_connection_raises_even_when_another_try_follows(monkeypatch: pytest.MonkeyPatch) -> None:
     transport = ScriptedTransport(ConnectFailed("refused"), None)
     stream = scripted(transport)
     connection = stream._connection
@@ -357,7 +359,7 @@ def test_who_waits_for_a_connection_that_fails_hears_of_it_whoever_tries_next(mo
     def with_another_try() -> None:
         settle()
         monkeypatch.setattr(connection, "_settle", settle)
-        connection._begin(is_patient=True)  # as `latest` of another thread, before the one that waits is awake
+        connection._begin(is_patient=True)  # as `latest` in another thread does, before the waiting thread wakes up
 
     monkeypatch.setattr(connection, "_settle", with_another_try)
     with pytest.raises(ConnectFailed, match="refused"):
@@ -366,9 +368,7 @@ def test_who_waits_for_a_connection_that_fails_hears_of_it_whoever_tries_next(mo
     stream.close()
 
 
-def test_a_missed_deadline_without_a_callback_is_logged(
-    stream: Stream[Count], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_missed_deadline_without_callback_is_logged(stream: Stream[Count], caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         subscription = stream.subscribe(lambda count: None, deadline=0.01)
         until(lambda: "nothing was received for" in caplog.text)
@@ -393,7 +393,7 @@ def test_bytes_without_packets_count_as_silence() -> None:
     stream.close()
 
 
-def test_iteration_ends_when_closed(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_iteration_ends_when_the_stream_is_closed(stream: Stream[Count], transport: ScriptedTransport) -> None:
     transport.put(counts(1))
     seen = []
     for count in stream:
@@ -404,7 +404,7 @@ def test_iteration_ends_when_closed(stream: Stream[Count], transport: ScriptedTr
         next(iter(stream))
 
 
-def test_iteration_that_is_left_takes_its_queue_away(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_closed_iteration_removes_its_queue(stream: Stream[Count], transport: ScriptedTransport) -> None:
     transport.put(counts(1))
     iterator = stream.iterate(drop_oldest(8))
     assert next(iterator).number == 1
@@ -413,7 +413,7 @@ def test_iteration_that_is_left_takes_its_queue_away(stream: Stream[Count], tran
     assert not stream._connection.fan_out._routes
 
 
-def test_an_ended_stream_ends_new_users_at_once(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_ended_stream_ends_new_iterations_immediately(stream: Stream[Count], transport: ScriptedTransport) -> None:
     transport.put(counts(1), Finished())
     assert [count.number for count in stream.iterate(block)] == [1]
     assert list(stream) == []
@@ -428,14 +428,14 @@ def test_wait_times_out(stream: Stream[Count]) -> None:
         stream.wait(0.01)
 
 
-def test_wait_takes_only_what_comes_after(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_wait_returns_only_later_packets(stream: Stream[Count], transport: ScriptedTransport) -> None:
     transport.put(counts(1))
     assert stream.wait(10).number == 1
     with pytest.raises(LinkTimeout):
         stream.wait(0.01)
 
 
-def test_traffic_is_every_byte_and_event_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_traffic_contains_every_byte_and_event_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
     seen: list[Chunk | ConnectionEvent] = []
     stream.subscribe(seen.append, Traffic, policy=block)
     pieces = [counts(1)[:3], counts(1)[3:] + counts(2), b"junk"]
@@ -446,7 +446,7 @@ def test_traffic_is_every_byte_and_event_in_order(stream: Stream[Count], transpo
     assert [item.data for item in seen[:lost] if isinstance(item, Chunk)] == pieces
 
 
-def test_traffic_that_begins_inside_a_packet_has_its_head(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_traffic_includes_the_start_of_a_partial_packet(stream: Stream[Count], transport: ScriptedTransport) -> None:
     packet = counts(0x01020304)
     transport.put(counts(1) + packet[:2])
     assert stream.wait(10).number == 1
@@ -457,7 +457,7 @@ def test_traffic_that_begins_inside_a_packet_has_its_head(stream: Stream[Count],
     assert b"".join(item.data for item in seen if isinstance(item, Chunk)) == packet
 
 
-def test_finish_delivers_what_waits(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_finish_delivers_queued_packets(stream: Stream[Count], transport: ScriptedTransport) -> None:
     wake, asleep = threading.Event(), threading.Event()
     got: list[int] = []
 
@@ -476,7 +476,7 @@ def test_finish_delivers_what_waits(stream: Stream[Count], transport: ScriptedTr
     assert got == [1, 2, 3]
 
 
-def test_bad_arguments_are_told_before_anything_starts(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_invalid_arguments_raise_before_connecting(stream: Stream[Count], transport: ScriptedTransport) -> None:
     with pytest.raises(BadValue, match="deadline"):
         stream.subscribe(print, deadline=0)
     with pytest.raises(BadValue, match="without a deadline"):
@@ -486,7 +486,7 @@ def test_bad_arguments_are_told_before_anything_starts(stream: Stream[Count], tr
     assert transport.opened == 0
 
 
-def test_used_after_close(stream: Stream[Count]) -> None:
+def test_use_after_close_raises_closed(stream: Stream[Count]) -> None:
     stream.close()
     with pytest.raises(Closed):
         stream.subscribe(print)
@@ -496,7 +496,7 @@ def test_used_after_close(stream: Stream[Count]) -> None:
 
 @pytest.mark.slow
 def test_counters_add_up_under_load(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    """Many chunks, subscribers of every policy that come and go, bad packets among them."""
+    """Many chunks with some bad packets, while subscribers of every policy come and go."""
     total = 0
     delivered = []
 

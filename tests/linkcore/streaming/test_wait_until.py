@@ -1,4 +1,4 @@
-"""Waiting for a packet for which something holds."""
+"""Waiting for a packet that meets a condition."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ def at_once(call: Callable[[], object]) -> threading.Thread:
     return thread
 
 
-def test_every_packet_is_looked_at_until_one_will_do(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_wait_until_checks_packets_in_order_until_one_matches(
+    stream: Stream[Count], transport: ScriptedTransport
+) -> None:
     seen: list[int] = []
 
     def is_forty(count: Count) -> bool:
@@ -34,12 +36,12 @@ def test_every_packet_is_looked_at_until_one_will_do(stream: Stream[Count], tran
 
     transport.put(counts(0))
     assert stream.wait_until(is_forty, 10).number == 40
-    # The first one may have been the newest and then have come.
+    # The first packet may be checked twice: as the newest one, and when it arrives.
     assert list(dict.fromkeys(seen)) == list(range(41))
     assert len(seen) <= 42
 
 
-def test_the_newest_will_do(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_wait_until_accepts_the_newest_packet(stream: Stream[Count], transport: ScriptedTransport) -> None:
     transport.put(counts(7))
     until(lambda: stream.latest is not None)
     assert stream.wait_until(lambda count: count.number == 7, 0).number == 7
@@ -47,13 +49,13 @@ def test_the_newest_will_do(stream: Stream[Count], transport: ScriptedTransport)
         stream.wait_until(lambda count: count.number == 8, 0)
 
 
-def test_an_event_that_is_over_will_not(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_wait_until_ignores_past_events(stream: Stream[Count], transport: ScriptedTransport) -> None:
     stream.start()
     feed = stream.of(ConnectionEvent)
     found = threading.Event()
 
     def cut() -> None:
-        # Again and again: an event that comes before it is waited for does not count.
+        # Repeat it, because an event that arrives before the wait starts does not count.
         while not found.wait(0.01):
             transport.put(ConnectionLost("cut"), counts(1))
 
@@ -68,7 +70,7 @@ def test_an_event_that_is_over_will_not(stream: Stream[Count], transport: Script
         feed.wait_until(lambda event: event.state is ConnectionState.LOST, 0.01)
 
 
-def test_the_error_says_how_many_there_were(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_wait_until_error_counts_the_checked_packets(stream: Stream[Count], transport: ScriptedTransport) -> None:
     seen: list[Count] = []
 
     def never(count: Count) -> bool:
@@ -81,7 +83,9 @@ def test_the_error_says_how_many_there_were(stream: Stream[Count], transport: Sc
     assert seen
 
 
-def test_what_ends_the_waiting(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_wait_until_ends_on_errors_and_on_the_end_of_the_stream(
+    stream: Stream[Count], transport: ScriptedTransport
+) -> None:
     stream.start()
 
     def fail(count: Count) -> bool:

@@ -1,4 +1,4 @@
-"""Cycles that are missing by the peer's own clock, counted alike while packets come and in columns of a recording."""
+"""Missing cycles according to the peer's clock: live counts equal the counts from columns of a recording."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def moment(frame: bytes) -> float | None:
 
 
 class Frames:
-    """Cuts bytes where the test has."""
+    """Framer that returns the frames of the test."""
 
     skipped = resyncs = 0
     rest = b""
@@ -39,7 +39,7 @@ class Frames:
 
 
 class Timed:
-    """A protocol whose packets are nothing but their time."""
+    """Protocol whose packets contain only their time."""
 
     unknown = tails = 0
 
@@ -52,7 +52,7 @@ class Timed:
 
 
 def counters(times: Sequence[float | None], *periods: float, cuts: int = 1) -> MissedCycles:
-    """What is missing and what comes twice, the same whether the receiver sees it by itself or asks for each packet."""
+    """Count missing cycles and duplicates; check that the fast path of the receiver gets the same counts."""
     frames = [b"" if time is None else _TIME.pack(time) for time in times]
     chunks = [frames[at : at + cuts] for at in range(0, len(frames), cuts)]
     counter = MissedCycles(moment, periods)
@@ -72,7 +72,7 @@ def counted(times: Sequence[float | None], *periods: float, cuts: int = 1) -> Mi
 
 
 def plainly(times: Sequence[float | None], period: float) -> tuple[int, int, float, int]:
-    """Missing cycles, gaps, the longest gap and duplicates, by each step from one packet to the next."""
+    """Compute missing cycles, gaps, the longest gap and duplicates from the step between each two packets."""
     known = [time for time in times if time is not None]
     steps = [later - earlier for earlier, later in itertools.pairwise(known)]
     gaps = [step for step in steps if 1.5 * period < step <= 3600.0]
@@ -80,9 +80,9 @@ def plainly(times: Sequence[float | None], period: float) -> tuple[int, int, flo
     return missing, len(gaps), max(gaps, default=0.0), steps.count(0.0)
 
 
-#: Steps of a clock that goes on, in periods: some are short, and some are too long, so that cycles are missing.
+#: Steps of a running clock, in periods. Some are too short; others are too long, so that cycles are missing.
 _ONWARD = st.one_of(st.just(1.0), st.sampled_from([0.01, 0.5, 1.49, 1.51, 1.99, 3.0]), st.floats(0.01, 5.0))
-#: The same packet again, packets in the wrong order, a clock that was started again or set, a packet without a time.
+#: Other steps: a duplicate packet, packets in the wrong order, a clock that was restarted or set, no time at all.
 _OTHER = st.sampled_from([0.0, -1.0, -2.5, -1e5, 1e9, None])
 
 
@@ -92,16 +92,14 @@ _OTHER = st.sampled_from([0.0, -1.0, -2.5, -1e5, 1e9, None])
     st.sampled_from([0.002, 0.008]),
     st.integers(1, 12),
 )
-@example([1.0, 0.01, 1.99, 1.0], 0.002, 4)  # of so many packets the time is right, but one step is too long
+@example([1.0, 0.01, 1.99, 1.0], 0.002, 4)  # the total time of the packets is correct, but one step is too long
 @example([1.99, 0.01, 1.0, 1.0], 0.002, 4)
 @example([1.0, 0.0, 2.0, 1.0], 0.002, 4)
 @example([2.0, -1.0, 2.0, 1.0], 0.002, 4)
 @example([1.0, -1e5, 1.0, 1.0], 0.002, 4)
 @example([1.0, None, 2.0, 1.0], 0.002, 4)
-def test_packets_that_arrive_at_once_are_counted_as_one_by_one(
-    steps: list[float | None], period: float, cuts: int
-) -> None:
-    # All the packets of the first batch follow on each other, so the following batches begin with the first step.
+def test_counts_do_not_depend_on_batching(steps: list[float | None], period: float, cuts: int) -> None:
+    # The packets of the first batch are consecutive, so the first step begins with the second batch.
     times: list[float | None] = [10.0 + number * period for number in range(cuts)]
     now = 10.0 + (cuts - 1) * period
     for step in steps:
@@ -111,7 +109,7 @@ def test_packets_that_arrive_at_once_are_counted_as_one_by_one(
     assert (*found.missing, found.duplicates) == plainly(times, period)
 
 
-def test_a_packet_that_follows_on_the_last_costs_no_call(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_consecutive_packet_costs_no_call(monkeypatch: pytest.MonkeyPatch) -> None:
     cycles = MissedCycles(moment, (0.002,), time=_TIME.unpack, size=_TIME.size)
     chunks = [[_TIME.pack(number * 0.002)] for number in (1, 2, 3, 4, 9, 10)]
     receiver = Receiver("frames", cast(PacketProtocol, Timed(chunks, cycles)), StreamCounters())
@@ -137,7 +135,7 @@ def test_a_packet_that_follows_on_the_last_costs_no_call(monkeypatch: pytest.Mon
     st.integers(1, 7),
     st.lists(st.integers(1, 3), min_size=61, max_size=61),
 )
-def test_received_and_missing_are_all_cycles_of_the_clock(
+def test_received_and_missing_add_up_to_all_cycles(
     missing: list[int], period: float, start: float, cuts: int, copies: list[int]
 ) -> None:
     cycles = np.concatenate([[0], np.cumsum([each + 1 for each in missing])])
@@ -153,7 +151,7 @@ def test_received_and_missing_are_all_cycles_of_the_clock(
 
 
 @pytest.mark.parametrize(("step", "period"), [(0.002, 0.002), (0.008, 0.008)])
-def test_the_period_is_learnt_where_it_is_one_of_two(step: float, period: float) -> None:
+def test_period_is_learnt_from_two_candidates(step: float, period: float) -> None:
     times = [number * step for number in range(20) if number not in (7, 8, 15)]
     assert counted(list(times), 0.002, 0.008) == pytest.approx((3, 2, 3 * step))
     found = gaps_of(np.array(times), np.array(times), (0.002, 0.008))
@@ -161,8 +159,8 @@ def test_the_period_is_learnt_where_it_is_one_of_two(step: float, period: float)
     assert [(gap.start, gap.end) for gap in found] == [(times[6], times[7]), (times[12], times[13])]
 
 
-def test_a_late_state_is_not_a_missing_one() -> None:
-    """Of 12.5 cycles of 8 ms, robot states come after 12 and 13."""
+def test_late_state_is_not_counted_as_missing() -> None:
+    """If the period is 12.5 cycles of 8 ms, robot states arrive after 12 or 13 cycles."""
     assert counted([0.0, 0.096, 0.2, 0.304, 0.4], 0.1) == Missing()
     assert counted([0.0, 0.104, 0.296, 0.4], 0.1).cycles == 1
 
@@ -183,22 +181,22 @@ def test_duplicates_of_past_connections_stay_counted() -> None:
     assert stream.statistics.duplicates == 4
 
 
-def test_another_clock_is_no_gap() -> None:
-    """It was started again, or jumped: no cycle of it is known to be missing."""
+def test_restarted_clock_is_not_a_gap() -> None:
+    """If the clock was restarted or has jumped, the number of missing cycles is unknown."""
     assert counted([100.0, 100.002, 0.0, 0.002, 0.004], 0.002) == Missing()
     assert counted([0.0, 5000.0, 5000.002, float("inf"), 1.0, float("nan"), 1.002], 0.002) == Missing()
     assert gaps_of(np.array([1.0, 1.002, 0.0, 0.002, 9000.0]), np.arange(5.0), (0.002,)) == []
 
 
-def test_what_has_no_time_is_passed_over() -> None:
+def test_packets_without_time_are_skipped() -> None:
     assert counted([-0.002, None, 0.0, None, None, 0.006], 0.002) == Missing(2, 1, 0.006)
 
 
-def test_before_a_connection_nothing_is_missing() -> None:
+def test_no_cycle_is_missing_between_connections() -> None:
     times = np.array([0.0, 0.002, 0.4, 0.402, 0.5])
     assert [gap.cycles for gap in gaps_of(times, times, (0.002,), begins=[2])] == [48]
 
 
-def test_for_people() -> None:
+def test_missing_text_is_readable() -> None:
     assert Missing(363, 2, 0.4).text(112) == "363 of 475 cycles are missing (2 gaps, the longest 0.400 s)"
     assert Missing(1, 1, 0.004).text(9) == "1 of 10 cycles is missing (1 gap, the longest 0.004 s)"

@@ -1,4 +1,4 @@
-"""The loop that cuts a stream. The packets are as simple as can be: ``#``, a size of two digits, a payload, ``.``."""
+"""Framer, which cuts a stream into packets. A packet here is ``#``, a size of two digits, a payload and ``.``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class HashBoundary:
         return []
 
     def check(self, buffer: bytes | bytearray, at: int) -> tuple[int, int]:
-        assert at < len(buffer), "asked where nothing is"
+        assert at < len(buffer), "the framer checks beyond the end of the buffer"
         there = len(buffer) - at
         if there < 3:
             return 0, 3
@@ -36,7 +36,7 @@ class HashBoundary:
             return 0, 0
         if there < size or buffer[at + size - 1 : at + size] == b".":
             return size, size
-        # A damaged end is forgiven when the next packet stands where it should.
+        # A damaged end is accepted if the next packet starts at the expected offset.
         if there < size + 3:
             return size, size + 3
         return size if self.declared(buffer, at + size) else 0, 0
@@ -53,7 +53,7 @@ class HashBoundary:
 
 
 class WholeBoundary(HashBoundary):
-    """Cuts whole packets of one size in one go, as those of the robot's interfaces do."""
+    """Boundary that cuts whole packets of one size in one step, like the boundaries of the robot's interfaces."""
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
         found: list[bytes] = []
@@ -88,13 +88,13 @@ def bytewise(data: bytes) -> list[bytes]:
 ONE, TWO, THREE = packet(b"one"), packet(b""), packet(b"three" * 15)
 
 
-def test_packets_are_cut_at_their_boundaries() -> None:
+def test_framer_cuts_packets_at_their_boundaries() -> None:
     frames, framer = fed(ONE + TWO + THREE)
     assert frames == [ONE, TWO, THREE]
     assert (framer.skipped, framer.resyncs, framer.rest) == (0, 0, b"")
 
 
-def test_an_unfinished_packet_waits() -> None:
+def test_framer_keeps_an_unfinished_packet() -> None:
     frames, framer = fed(ONE + THREE[:-1])
     assert frames == [ONE]
     assert framer.rest == THREE[:-1]
@@ -103,13 +103,13 @@ def test_an_unfinished_packet_waits() -> None:
 
 
 @pytest.mark.parametrize("boundary", [HashBoundary, WholeBoundary])
-def test_nothing_is_nothing(boundary: type[HashBoundary]) -> None:
+def test_framer_ignores_empty_input(boundary: type[HashBoundary]) -> None:
     frames, framer = fed(b"", ONE[:2], b"", ONE[2:], b"", TWO, boundary=boundary)
     assert frames == [ONE, TWO]
     assert framer.rest == b""
 
 
-def test_whether_a_packet_may_begin_with_the_next_byte() -> None:
+def test_is_between_packets_after_whole_packets_only() -> None:
     framer = Framer(HashBoundary())
     assert framer.is_between_packets
     for piece, is_between in ((ONE[:1], False), (ONE[1:], True), (b"x", False), (TWO[:-1], False), (TWO[-1:], True)):
@@ -118,7 +118,7 @@ def test_whether_a_packet_may_begin_with_the_next_byte() -> None:
 
 
 @pytest.mark.parametrize("garbage", [b"x", b"##", b"#0", b"#00", b"#xx", b"long and without end"])
-def test_a_lost_boundary_is_found_again_and_counted(garbage: bytes) -> None:
+def test_framer_resynchronises_after_garbage_and_counts_bytes(garbage: bytes) -> None:
     frames, framer = fed(ONE + garbage + TWO + ONE)
     assert frames == [ONE, TWO, ONE]
     assert (framer.skipped, framer.resyncs) == (len(garbage), 1)
@@ -127,13 +127,13 @@ def test_a_lost_boundary_is_found_again_and_counted(garbage: bytes) -> None:
     assert (framer.skipped, framer.resyncs) == (3 * len(garbage), 2)
 
 
-def test_a_size_that_lies_does_not_swallow_what_is_inside() -> None:
+def test_wrong_size_does_not_swallow_following_packets() -> None:
     frames, framer = fed(b"#30abc." + ONE + TWO + THREE)
     assert frames == [ONE, TWO, THREE]
     assert (framer.skipped, framer.resyncs) == (7, 1)
 
 
-def test_what_cannot_be_told_yet_waits_for_the_next_header() -> None:
+def test_damaged_end_is_decided_by_the_next_header() -> None:
     damaged = ONE[:-1] + b"!"
     frames, framer = fed(damaged)
     assert frames == []
@@ -143,7 +143,7 @@ def test_what_cannot_be_told_yet_waits_for_the_next_header() -> None:
     assert frames == [TWO]
 
 
-def test_somebody_else_is_told_by_the_first_bytes_and_only_by_them() -> None:
+def test_wrong_peer_is_recognised_by_the_first_bytes_only() -> None:
     with pytest.raises(WrongPeer, match=r"expected hashes, but this is a dog: it begins with b'wauwau'") as caught:
         fed(b"wauwau")
     assert isinstance(caught.value, RemoteError)
@@ -151,43 +151,43 @@ def test_somebody_else_is_told_by_the_first_bytes_and_only_by_them() -> None:
     assert fed(b"xwau" + TWO)[0] == [TWO]
 
 
-def test_a_peer_that_sends_no_packet_is_given_up() -> None:
+def test_peer_without_packets_raises_wrong_peer_after_the_limit() -> None:
     framer = Framer(HashBoundary(), limit=1000)
     assert framer.feed(b"x" * 1000) == []
     with pytest.raises(WrongPeer, match="without a valid packet"):
         framer.feed(b"x" * 10)
-    # Somebody who has sent a packet once is right, however much is lost later.
+    # A peer that has sent one packet is accepted, however many bytes are skipped later.
     framer = Framer(HashBoundary(), limit=1000)
     framer.feed(ONE)
     for _ in range(100):
         assert framer.feed(b"x" * 100) == []
     assert framer.feed(TWO) == [TWO]
-    # And without a limit nobody is doubted, not even who says that he is somebody else.
+    # Without a limit every peer is accepted, even one that identifies itself as something else.
     framer = Framer(HashBoundary(), limit=None)
     assert framer.feed(b"wauwau" * 1000 + ONE) == [ONE]
 
 
-def test_exactly_as_much_as_the_limit_is_forgiven() -> None:
+def test_limit_of_skipped_bytes_is_exact() -> None:
     framer = Framer(HashBoundary(), limit=1000)
     framer.feed(b"x" * 1002)
     assert framer.skipped == 1000
     with pytest.raises(WrongPeer, match="received 1002 bytes"):
         framer.feed(b"xx")
-    # By default it is 64 KiB.
+    # The default limit is 64 KiB.
     framer = Framer(HashBoundary())
     framer.feed(b"x" * (65536 + 2))
     with pytest.raises(WrongPeer, match="received 65538 bytes"):
         framer.feed(b"xx")
 
 
-def test_packets_that_were_cut_in_one_go_prove_the_peer_as_well() -> None:
+def test_packets_cut_in_one_go_confirm_the_peer() -> None:
     framer = Framer(WholeBoundary(), limit=1000)
     assert framer.feed(ONE + TWO + b"x") == [ONE, TWO]
     assert framer.feed(b"x" * 5000) == []
     assert framer.feed(TWO) == [TWO]
 
 
-def test_out_of_step_it_does_not_look_again_for_each_byte() -> None:
+def test_resynchronising_does_not_search_for_each_byte() -> None:
     class SlowBoundary(HashBoundary):
         pace = 50
         searches = 0
@@ -218,13 +218,13 @@ def test_out_of_step_it_does_not_look_again_for_each_byte() -> None:
 )
 @example(b"#30abc.#04.#08abcd.#09", HashBoundary, None)
 @example(b"#04.xxx#04.#04.", WholeBoundary, None)
-def test_it_does_not_matter_how_the_bytes_are_cut(
+def test_frames_do_not_depend_on_chunking(
     stream: bytes, boundary: type[HashBoundary], data: st.DataObject | None
 ) -> None:
     if HashBoundary().peer(stream):
         return
     whole, framer = fed(stream, boundary=boundary)
-    # What is undecided yet is decided with these.
+    # These bytes decide packets that are still undecided.
     more = b"x" * 99
     in_the_end, _ = fed(stream + more, boundary=boundary)
     ways = [bytewise(stream)]

@@ -1,4 +1,4 @@
-"""HTTP messages: what is written is read again however it is cut, and nothing else is taken for a message."""
+"""HTTP messages: encoded messages are parsed in any chunks, and all other bytes are rejected."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Message = HttpRequest | HttpResponse
 def read(parser: HttpParser, pieces: Iterable[bytes]) -> Message | None:
     found = None
     for piece in pieces:
-        assert found is None, "whole before its end"
+        assert found is None, "the parser returned a message before its last byte"
         found = parser.feed(piece)
     return found
 
@@ -37,7 +37,7 @@ places = st.lists(st.integers(0, 10_000), max_size=6)
 
 @pytest.mark.property
 @given(st.sampled_from(["GET", "PUT", "POST"]), words, headers, st.binary(max_size=300), places)
-def test_a_request_is_read_however_it_is_cut(
+def test_request_does_not_depend_on_chunking(
     method: str, target: str, fields: dict[str, str], body: bytes, places: list[int]
 ) -> None:
     data = HttpRequest(method, f"/{target}", fields, body).encode("robot:80")
@@ -55,7 +55,7 @@ def test_a_request_is_read_however_it_is_cut(
     st.lists(st.binary(min_size=1, max_size=60), max_size=5),
     places,
 )
-def test_a_response_is_read_however_its_body_is_told_and_cut(
+def test_response_does_not_depend_on_coding_or_chunking(
     status: int, coding: str, parts: list[bytes], places: list[int]
 ) -> None:
     body = b"".join(parts)
@@ -75,7 +75,7 @@ def test_a_response_is_read_however_its_body_is_told_and_cut(
 
 @pytest.mark.property
 @given(st.sampled_from(["request", "response"]), st.binary(max_size=200), places)
-def test_any_bytes_are_a_message_or_a_packet_error(kind: str, data: bytes, places: list[int]) -> None:
+def test_arbitrary_bytes_are_a_message_or_a_packet_error(kind: str, data: bytes, places: list[int]) -> None:
     for begin in (b"", b"GET / HTTP/1.1\r\n", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"):
         parser = HttpParser("request" if kind == "request" else "response")
         try:
@@ -87,7 +87,7 @@ def test_any_bytes_are_a_message_or_a_packet_error(kind: str, data: bytes, place
             pass
 
 
-def test_an_interim_response_is_passed_over_and_no_content_is_whole_at_once() -> None:
+def test_interim_response_is_skipped_and_204_has_no_body() -> None:
     data = b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 204 No Content\r\nA: b\r\na: c\r\n\r\n"
     found = HttpParser("response").feed(data)
     assert found == HttpResponse(204, "No Content", {"a": "b, c"}, b"")
@@ -111,7 +111,7 @@ def test_an_interim_response_is_passed_over_and_no_content_is_whole_at_once() ->
         ("response", b"HTTP/1.1 200 OK\r\nContent-Length: 3\r\n\r\nab", None),
     ],
 )
-def test_what_is_no_message(kind: str, data: bytes, error: str | None) -> None:
+def test_invalid_message_raises_packet_error(kind: str, data: bytes, error: str | None) -> None:
     parser = HttpParser("request" if kind == "request" else "response")
     if error is None:
         assert parser.feed(data) is None
@@ -122,7 +122,7 @@ def test_what_is_no_message(kind: str, data: bytes, error: str | None) -> None:
             parser.feed(data)
 
 
-def test_a_line_break_does_not_get_into_a_header() -> None:
+def test_line_break_in_the_target_is_rejected() -> None:
     with pytest.raises(BadValue, match="is not a valid line of HTTP"):
         HttpRequest("GET", "/a b\r\nX: y").encode("robot")
 
@@ -135,13 +135,13 @@ def test_a_line_break_does_not_get_into_a_header() -> None:
         b"GET " + b"/" * (LONGEST_HEAD - 100) + b" HTTP/1.2\r\n\r\n",
     ],
 )
-def test_a_head_made_to_be_read_in_many_ways_is_refused_at_once(data: bytes) -> None:
-    """An expression that tries each of them takes hours for the first."""
+def test_ambiguous_head_is_rejected_quickly(data: bytes) -> None:
+    """A backtracking regular expression would need hours for the first of these heads."""
     with pytest.raises(PacketError):
         HttpParser("request").feed(data)
 
 
-def test_the_lines_between_chunks_are_bounded_in_all() -> None:
+def test_total_length_of_chunk_lines_is_limited() -> None:
     parser = HttpParser("response")
     parser.feed(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n")
     chunk = b"1;" + b"x" * 2000 + b"\r\na\r\n"

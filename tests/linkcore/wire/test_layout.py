@@ -1,4 +1,4 @@
-"""A layout against bytes written by hand: every offset here is counted, none is asked of the code."""
+"""Layouts compared with bytes written by hand: every offset in this module was counted independently of the code."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Mode(OpenInt):
 
 @packet(header=SIZE)
 class Cells(State):
-    """Nothing but 8-byte cells: swapped as a whole."""
+    """State of 8-byte cells only, so all bytes are swapped in one step."""
 
     time: float = wire(Float64b, "s", "time")
     q: Vector = wire(Float64b[3], "rad", "joints")
@@ -50,7 +50,7 @@ CELLS = struct.pack(">i d 3d Q d 2d", 68, 1.5, -1.0, 0.25, 1e300, 0x1234, 5.0, 5
 
 @packet(header=SIZE_AND_TYPE, type=7)
 class Mixed(State):
-    """Widths of every kind, and two fields that are sent element by element in turn."""
+    """State with fields of all widths, and two interleaved fields."""
 
     count: int = wire(Int16ub, "", "count")
     currents: Vector = wire(Float32b[2], "A", "currents")
@@ -65,7 +65,7 @@ MIXED = struct.pack(">iB H 2f dBdB 2I B", 42, 7, 500, 0.5, -2.0, 1.25, 5, -1.25,
 
 @packet(header=SIZE_AND_TYPE, type=8)
 class Note(State):
-    """Text in it: no fixed number of bytes."""
+    """State with text, so its number of bytes is not fixed."""
 
     number: int = wire(Int16ub, "", "number")
     title: str = wire(Text(Int8ub), "", "title")
@@ -109,7 +109,7 @@ def plain(value: Any) -> Any:
         (Note, NOTE, {"number": 300, "title": "top", "level": -2, "text": "body"}),
     ],
 )
-def test_bytes_written_by_hand(cls: type[State], data: bytes, values: dict[str, Any]) -> None:
+def test_layout_reads_and_writes_handwritten_bytes(cls: type[State], data: bytes, values: dict[str, Any]) -> None:
     layout = cls.LAYOUTS.of()
     state = layout.decode(data)
     assert {name: plain(getattr(state, name)) for name in values} == values
@@ -122,7 +122,7 @@ def test_bytes_written_by_hand(cls: type[State], data: bytes, values: dict[str, 
     assert layout.decode(data + b"more").tail == (b"" if layout.has_text else b"more")
 
 
-def test_sizes_offsets_and_strides() -> None:
+def test_layout_has_correct_sizes_offsets_and_strides() -> None:
     assert Cells.LAYOUTS.of().size == 68
     assert {name: place.offset for name, place in Cells.LAYOUTS.of().places.items()} == {
         "time": 4,
@@ -141,18 +141,18 @@ def test_sizes_offsets_and_strides() -> None:
         "checksum": (33, 4),
         "flag": (41, 1),
     }
-    # With text in it the size is the least there can be, and the offsets those of empty text.
+    # For a layout with text, the size is the minimum, and the offsets assume empty text.
     assert Note.LAYOUTS.of().size == 9
     assert repr(Note.LAYOUTS.of()) == "<Layout Note since 0.0, 9+ bytes>"
     assert repr(mixed) == "<Layout Mixed since 0.0, 42 bytes>"
 
 
-def test_vectors_are_read_only_and_of_one_type_everywhere() -> None:
+def test_vectors_are_read_only_with_the_declared_type() -> None:
     cells, mixed = Cells.LAYOUTS.of().decode(CELLS), Mixed.LAYOUTS.of().decode(MIXED)
     for vector in (cells.q, mixed.currents, mixed.q):
         assert vector.dtype == np.float64
         assert vector.dtype.isnative
-    # As wide as on the wire, not as wide as a C long happens to be.
+    # The width is the width on the wire, which may differ from the width of a C long.
     assert mixed.checksum.dtype == np.uint32
     for vector in (cells.q, mixed.currents, mixed.q, mixed.checksum):
         with pytest.raises(ValueError, match="read-only"):
@@ -160,7 +160,7 @@ def test_vectors_are_read_only_and_of_one_type_everywhere() -> None:
 
 
 @pytest.mark.parametrize(("cls", "data"), [(Cells, CELLS), (Mixed, MIXED), (Note, NOTE)])
-def test_too_short_says_what_is_missing(cls: type[State], data: bytes) -> None:
+def test_short_packet_error_reports_lengths(cls: type[State], data: bytes) -> None:
     layout = cls.LAYOUTS.of()
     for length in range(5, layout.size):
         with pytest.raises(PacketError, match="packet too short") as caught:
@@ -174,27 +174,27 @@ def test_too_short_says_what_is_missing(cls: type[State], data: bytes) -> None:
         )
 
 
-def test_text_that_runs_past_the_end_names_its_true_offset() -> None:
+def test_error_after_text_reports_the_true_offset() -> None:
     layout = Note.LAYOUTS.of()
     with pytest.raises(PacketError, match="title runs past the end") as caught:
         layout.decode(struct.pack(">iB H B 2s", 10, 8, 300, 3, b"to"))
     assert (caught.value.offset, caught.value.expected, caught.value.actual) == (7, 11, 10)
     with pytest.raises(PacketError, match="level runs past the end") as caught:
         layout.decode(struct.pack(">iB H B 3s", 11, 8, 300, 3, b"top"))
-    # Behind three characters of text, not where it would be behind none.
+    # The offset is after three characters of text, not the offset for empty text.
     assert (caught.value.offset, caught.value.expected, caught.value.actual) == (11, 12, 11)
     with pytest.raises(PacketError, match="text is too short") as caught:
         layout.decode(NOTE[:-3])
     assert (caught.value.offset, caught.value.expected, caught.value.actual) == (12, 2, 1)
 
 
-def test_what_is_not_given_is_zero() -> None:
+def test_omitted_fields_are_encoded_as_zero() -> None:
     assert Cells.LAYOUTS.of().encode({}) == struct.pack(">i8x24x8x8x16x", 68)
     assert Mixed.LAYOUTS.of().encode({}) == struct.pack(">iB37x", 42, 7)
     assert Note.LAYOUTS.of().encode({}) == struct.pack(">iB4x", 9, 8)
 
 
-def test_tail_counts_in_the_size() -> None:
+def test_tail_is_included_in_the_size() -> None:
     data = Mixed.LAYOUTS.of().encode({"count": 500}, tail=b"new")
     assert data[:5] == struct.pack(">iB", 45, 7)
     assert Mixed.LAYOUTS.decode(data).tail == b"new"
@@ -234,7 +234,7 @@ def test_tail_counts_in_the_size() -> None:
         (Note, {"level": 128}),
     ],
 )
-def test_what_cannot_be_sent_is_a_bad_value(cls: type[State], fields: dict[str, Any]) -> None:
+def test_encode_rejects_invalid_values(cls: type[State], fields: dict[str, Any]) -> None:
     with pytest.raises(BadValue) as caught:
         cls.LAYOUTS.of().encode(fields)
     assert isinstance(caught.value, (LocalError, ValueError))

@@ -1,3 +1,5 @@
+"""Packets: declared fields, layouts for each version, and states."""
+
 from __future__ import annotations
 
 import copy
@@ -23,7 +25,7 @@ class Colour(OpenInt):
 
 @packet(header=SIZE, reorder=("2.0", ["time", "force", "pose"]))
 class Grown(State):
-    """What one release after the other appended, the oldest in another order."""
+    """State whose fields were appended by one release after another; the oldest release has another order."""
 
     time: float = wire(Float64b, "s", "time since start")
     pose: Vector = wire(Float64b[2], "m", "pose")
@@ -34,7 +36,7 @@ class Grown(State):
 
 @packet(header=SIZE_AND_TYPE, type=3)
 class Board(State):
-    """Another width before 2.0, fields that went away, and a block that is there or not."""
+    """State with another field width before 2.0, removed fields, and an optional block."""
 
     bits: int = wire(Int32ub, "bits", "bits", before=("2.0", Int16ub))
     old: int | None = wire(Int8ub, "", "old", until="2.0")
@@ -46,7 +48,7 @@ class Board(State):
 
 @packet(header=SIZE_AND_TYPE, type=9)
 class Said(State):
-    """A form with a number and one without; where the new one leaves too little text, the old is meant."""
+    """State with a number in its new layout; if the new layout leaves too little text, the old one is used."""
 
     number: int | None = wire(Int32sb, "", "number", since="2.0")
     text: str = wire(Text(least=4), "", "text", before=("2.0", Text()))
@@ -54,7 +56,7 @@ class Said(State):
 
 @packet(header=SIZE_AND_TYPE, type=10)
 class Lost(State):
-    """A field that the later releases of a generation no longer send."""
+    """State with a field that later releases of the same generation no longer send."""
 
     early: int | None = wire(Int32ub, "", "early", since="1.7", until="1.8")
     late: int | None = wire(Int8ub, "", "late", since="1.8")
@@ -63,7 +65,7 @@ class Lost(State):
 
 @packet(header=SIZE_AND_TYPE, type=12)
 class Twined(State):
-    """A group that is sent element by element in turn, and later grew."""
+    """State with an interleaved group of fields, which a later version extended."""
 
     before: int = wire(Int8ub, "", "before")
     position: Vector = wire(Float64b[2], "rad", "position", interleave="joint")
@@ -76,7 +78,7 @@ class Whole(State):
     payload: bytes = wire(Raw(), "", "payload")
 
 
-def test_fields_say_what_was_declared() -> None:
+def test_fields_have_their_declared_unit_and_text() -> None:
     assert list(Grown.FIELDS) == ["time", "pose", "force", "status", "extra"]
     assert Grown.FIELDS["force"].unit == "N"
     assert Grown.time.__doc__ == "time since start [s]"
@@ -84,14 +86,14 @@ def test_fields_say_what_was_declared() -> None:
     assert Grown.__doc__ is not None
 
 
-def test_one_layout_for_each_distinct_order() -> None:
+def test_versions_with_the_same_fields_share_a_layout() -> None:
     assert [(layout.first, layout.size) for layout in Grown.LAYOUTS.all] == [
         ((0, 0), 44),
         ((2, 0), 44),
         ((2, 5), 52),
         ((3, 2), 76),
     ]
-    # 3.0 has no status, as 2.0 had none: one layout.
+    # 3.0 has no status, like 2.0, so both have the same layout.
     assert Grown.LAYOUTS.of("3.0") is Grown.LAYOUTS.of("2.0")
     assert Grown.LAYOUTS.of("2.9") is Grown.LAYOUTS.of("3.1") is Grown.LAYOUTS.of((2, 5, 3))
     assert Grown.LAYOUTS.of() is Grown.LAYOUTS.of("9.9")
@@ -105,7 +107,7 @@ def test_one_layout_for_each_distinct_order() -> None:
     ]
 
 
-def test_the_old_order_is_another_layout_of_the_same_class() -> None:
+def test_old_field_order_is_another_layout_of_the_class() -> None:
     old, new = Grown("1.0", pose=[1, 2], force=[3, 4]), Grown("2.0", pose=[1, 2], force=[3, 4])
     assert struct.unpack(">i5d", bytes(old)) == (44, 0, 3, 4, 1, 2)
     assert struct.unpack(">i5d", bytes(new)) == (44, 0, 1, 2, 3, 4)
@@ -114,7 +116,7 @@ def test_the_old_order_is_another_layout_of_the_same_class() -> None:
     assert old.extra is None
 
 
-def test_a_group_that_grew_has_its_values_elsewhere() -> None:
+def test_interleaved_group_can_gain_a_field() -> None:
     old, new = (
         Twined("1.0", before=1, position=[2, 3], count=[4, 5]),
         Twined("2.0", before=1, position=[2, 3], mode=[1, 9]),
@@ -129,7 +131,7 @@ def test_a_group_that_grew_has_its_values_elsewhere() -> None:
     assert old.count.dtype == np.uint16
 
 
-def test_a_version_that_does_not_send_the_packet_says_so() -> None:
+def test_version_without_the_packet_raises_packet_error() -> None:
     @packet(header=SIZE, reorder=None)
     class Late(State):
         x: float = wire(Float64b, "", "x", since="2.0", until="4.0")
@@ -145,10 +147,10 @@ def sizes(cls: type[State], size: int, version: tuple[int, ...] | None = None) -
     return [layout.first for layout in cls.LAYOUTS.fitting(size, version)]
 
 
-def test_layout_by_length() -> None:
+def test_layout_is_chosen_by_length() -> None:
     assert sizes(Grown, 52)[0] == (2, 5)
     assert sizes(Grown, 76)[0] == (3, 2)
-    # Longer than all that is known, or than the longest that fits: the rest is the tail.
+    # If the packet is longer than the longest layout that fits, the rest is the tail.
     assert sizes(Grown, 60)[0] == (2, 5)
     assert sizes(Grown, 800)[0] == (3, 2)
     with pytest.raises(PacketError, match="too short") as caught:
@@ -156,38 +158,39 @@ def test_layout_by_length() -> None:
     assert (caught.value.expected, caught.value.actual, caught.value.offset) == (44, 43, 43)
 
 
-def test_layout_by_length_and_version() -> None:
-    # The old order and the new have the same length: the version tells them apart.
+def test_layout_is_chosen_by_length_and_version() -> None:
+    # The old and the new order have the same length, so only the version distinguishes them.
     assert sizes(Grown, 44, (1, 0)) == [(0, 0)]
     assert sizes(Grown, 44, (2, 0)) == [(2, 0)]
-    # A longer packet than the version's own: only what extends its layout comes into question.
+    # If the packet is longer than the layout of its version, only extensions of this layout are candidates.
     assert sizes(Grown, 76, (2, 0)) == [(3, 2), (2, 5), (2, 0)]
     assert sizes(Grown, 76, (1, 0)) == [(0, 0)]
     with pytest.raises(PacketError, match=r"Grown of firmware 3\.2.*expected 76 bytes, got 52"):
         sizes(Grown, 52, (3, 2))
 
 
-def test_what_a_release_took_away_may_still_come_in_its_first_builds() -> None:
+def test_removed_field_is_accepted_in_the_next_release() -> None:
     early = Lost("1.7", early=7)
     assert Lost.LAYOUTS.decode(bytes(early), (1, 8)).early == 7
-    # But not in another generation, where as many bytes are a tail.
+    # In another generation, the same bytes are a tail instead.
     assert Lost.LAYOUTS.decode(bytes(early), (3, 0)).to_dict() == {"late": 0, "later": 0}
     assert Lost.LAYOUTS.decode(bytes(early), (3, 0)).tail == b"\x07"
 
 
 @pytest.mark.parametrize("version", ["1.0", "2.0", "2.1"])
 @pytest.mark.parametrize("more", [0, 5])
-def test_the_block_is_there_when_its_flag_says_so(version: str, more: int) -> None:
+def test_block_is_present_when_its_flag_is_set(version: str, more: int) -> None:
     state = Board(version, bits=9, has_more=bool(more), more=more, colour=Colour.RED)
     for firmware in (tuple(map(int, version.split("."))), None):
         again = Board.LAYOUTS.decode(bytes(state), firmware)
-        if len(bytes(state)) != 12 or firmware is not None:  # 12 bytes are the old form with or the new without
+        # Without a version, 12 bytes are either the old form with the block or the new form without it.
+        if len(bytes(state)) != 12 or firmware is not None:
             assert again.to_dict() == state.to_dict()
     assert state.more == (more or None)
     assert state.colour is Colour.RED
 
 
-def test_a_block_with_a_tail_goes_by_its_flag() -> None:
+def test_block_with_a_tail_follows_its_flag() -> None:
     data = Board.LAYOUTS.of("2.1", {"has_more": True}).encode({"has_more": 1, "more": 3, "last": 4}, b"\x09\x09")
     state = Board.LAYOUTS.decode(data, (2, 1))
     assert (state.more, state.last, state.tail) == (3, 4, b"\x09\x09")
@@ -196,10 +199,10 @@ def test_a_block_with_a_tail_goes_by_its_flag() -> None:
     assert (state.more, state.last, state.tail) == (None, 4, b"\x09\x09\x09")
 
 
-def test_text_too_short_for_the_new_form_is_the_old_one() -> None:
+def test_short_text_is_decoded_with_the_old_layout() -> None:
     new, old = Said("2.0", number=5, text="long enough"), Said("1.0", text="short")
     assert (Said.LAYOUTS.decode(bytes(new)).number, Said.LAYOUTS.decode(bytes(new)).text) == (5, "long enough")
-    # Nine bytes of it are the least that the new form has, which says nothing where there is text.
+    # The new layout has at least nine bytes, but with text this length does not identify the layout.
     for text in ("short", "abcd", "x"):
         state = Said.LAYOUTS.decode(bytes(Said("1.0", text=text)))
         assert (state.number, state.text) == (None, text)
@@ -207,7 +210,7 @@ def test_text_too_short_for_the_new_form_is_the_old_one() -> None:
         Said.LAYOUTS.decode(bytes(old), (2, 0))
 
 
-def test_a_state_is_frozen() -> None:
+def test_states_are_immutable() -> None:
     state: Any = Grown("3.2")
     for name in ("time", "pose", "extra", "tail", "received", "anything"):
         with pytest.raises(AttributeError):
@@ -217,14 +220,14 @@ def test_a_state_is_frozen() -> None:
     assert not hasattr(state, "__dict__")
 
 
-def test_equal_bytes_are_equal_states() -> None:
+def test_states_with_equal_bytes_are_equal() -> None:
     one, same, other = Grown("3.2", time=1.0), Grown("3.2", time=1.0), Grown("3.2", time=2.0)
     assert one == same
     assert hash(one) == hash(same)
     assert one != other
     assert len({one, same, other}) == 2
     assert one != bytes(one)
-    assert Whole() != Said("1.0")  # another class, and not even asked for its bytes
+    assert Whole() != Said("1.0")  # a different class, so the bytes are not compared
 
 
 @pytest.mark.parametrize(
@@ -239,8 +242,8 @@ def test_equal_bytes_are_equal_states() -> None:
         Whole(payload=b"\x00\xff"),
     ],
 )
-def test_pickle_and_copy(state: State) -> None:
-    stamped = type(state).LAYOUTS.of()  # any layout: only that the class has one
+def test_states_can_be_pickled_and_copied(state: State) -> None:
+    stamped = type(state).LAYOUTS.of()  # any layout will do
     assert stamped.packet is type(state)
     again = pickle.loads(pickle.dumps(state))
     assert again == state
@@ -249,7 +252,7 @@ def test_pickle_and_copy(state: State) -> None:
     assert copy.deepcopy(state) is state
 
 
-def test_the_stamp_stays_with_the_state() -> None:
+def test_pickled_state_keeps_its_stamp() -> None:
     stamp = Stamp(12.5, 1.7e9)
     state = Grown.LAYOUTS.decode(bytes(Grown("3.2")), None, stamp)
     assert state.received == stamp
@@ -257,7 +260,7 @@ def test_the_stamp_stays_with_the_state() -> None:
     assert Grown("3.2").received is None
 
 
-def test_plain_values() -> None:
+def test_to_dict_and_str_use_plain_values() -> None:
     assert Grown("2.5", time=1.5, pose=[1, 2]).to_dict() == {
         "time": 1.5,
         "pose": [1.0, 2.0],
@@ -270,14 +273,14 @@ def test_plain_values() -> None:
     assert repr(Board("2.0", colour=1)) == "Board(bits=0, has_more=False, colour=RED)"
 
 
-def test_text_from_the_wire_cannot_break_a_line_or_a_page() -> None:
+def test_received_text_is_escaped_in_str_and_html() -> None:
     evil = Said("1.0", text="<script>&\n\x1b[2J\r")
     assert str(evil).isprintable()
     html = evil._repr_html_()
     assert "<script>" not in html
     assert "&lt;script&gt;&amp;" in html
     assert "\x1b" not in html
-    # What the schema says is escaped as well.
+    # Texts of the schema are escaped as well.
     assert "force &amp; &lt;torque&gt;" in Grown("2.0")._repr_html_()
     assert "<td>N</td>" in Grown("2.0")._repr_html_()
 
@@ -290,7 +293,7 @@ def test_dtype_follows_the_version() -> None:
     assert many["time"].tolist() == [1.0, 2.0]
 
 
-def test_lengths_from_the_wire_do_not_pile_up() -> None:
+def test_layouts_cache_is_bounded_for_any_lengths() -> None:
     for size in range(76, 2000):
         state = Grown.LAYOUTS.decode(bytes(size))
         assert len(state.tail) == size - 76

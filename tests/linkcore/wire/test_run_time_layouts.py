@@ -1,4 +1,4 @@
-"""Layouts of fields that are known only at run time: names and types that a peer has told, as RTDE does."""
+"""Layouts that are known only at run time, from names and types that the peer sends, as in RTDE."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from linkcore.wire.layout import Layout
 from linkcore.wire.packet import State, packet, wire
 from tests.oracle import parse
 
-#: Size, type of package, number of the recipe.
+#: Header with the size, the type of the package, and the number of the recipe.
 HEADER = Header(size=Int16ub, type=Int8ub, recipe=Int8ub)
 
-#: The vendor's names of types.
+#: Shapes by the vendor's names of the types.
 TYPES: dict[str, Shape] = {
     "BOOL": Coded(Int8ub, bool),
     "UINT8": Int8ub,
@@ -61,7 +61,7 @@ recipes = st.lists(st.sampled_from(sorted(TYPES)), max_size=40).map(
 
 
 def same(one: Any, other: Any) -> bool:
-    """Equal in every bit, NaN included."""
+    """Whether two values are equal in every bit, including NaN."""
     if isinstance(one, np.ndarray):
         return np.array(other, one.dtype).tobytes() == one.tobytes()
     if isinstance(one, float):
@@ -69,7 +69,7 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def test_by_hand() -> None:
+def test_run_time_layout_reads_handwritten_bytes() -> None:
     layout = layout_of({"timestamp": "DOUBLE", "actual_q": "VECTOR6D", "runtime_state": "UINT32"})
     assert layout.size == 4 + 8 + 48 + 4
     data = struct.pack(">HBBd6dI", 64, ord("U"), 1, 12.5, *range(6), 2)
@@ -89,7 +89,7 @@ def test_by_hand() -> None:
 
 @pytest.mark.property
 @given(recipe=recipes, data=st.data())
-def test_what_is_lowered_at_run_time_is_construct(recipe: dict[str, str], data: st.DataObject) -> None:
+def test_run_time_layout_equals_construct(recipe: dict[str, str], data: st.DataObject) -> None:
     layout = layout_of(recipe)
     raw = data.draw(st.binary(min_size=layout.size, max_size=layout.size + 3))
     slowly = parse(layout, raw)
@@ -104,5 +104,5 @@ def test_what_is_lowered_at_run_time_is_construct(recipe: dict[str, str], data: 
         assert same(taken, value) or same(np.array(taken), value)
         assert same(getattr(state, name), value)
     assert state.tail == raw[layout.size :]
-    if "BOOL" not in recipe.values():  # True is written as 1, whatever it was read from
+    if "BOOL" not in recipe.values():  # True is written as 1, whatever byte it was read from
         assert layout.encode(slowly)[HEADER.width :] == raw[HEADER.width : layout.size]

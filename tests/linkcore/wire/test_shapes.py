@@ -1,3 +1,5 @@
+"""Shapes of fields: codes, masks of digital bits, text and raw bytes."""
+
 from __future__ import annotations
 
 import copy
@@ -25,7 +27,7 @@ def test_known_numbers_are_members() -> None:
 
 
 @given(st.integers(-(2**63), 2**64))
-def test_any_whole_number_is_a_mode(number: int) -> None:
+def test_mode_accepts_any_integer(number: int) -> None:
     mode = Mode(number)
     assert mode == number
     assert int(mode) == number
@@ -37,7 +39,7 @@ def test_any_whole_number_is_a_mode(number: int) -> None:
 
 
 @pytest.mark.parametrize("value", ["IDLE", 5.5, None])
-def test_what_is_no_whole_number_is_no_mode(value: Any) -> None:
+def test_mode_rejects_non_integers(value: Any) -> None:
     with pytest.raises(ValueError, match=r"not a (whole number|valid)"):
         Mode(value)
 
@@ -48,7 +50,7 @@ def test_unknown_numbers_do_not_become_members() -> None:
 
 
 def parsed(shape: Shape, data: bytes) -> Any:
-    """What construct makes of these bytes."""
+    """Parse the bytes with construct."""
     return as_construct(shape).parse(data)
 
 
@@ -63,7 +65,7 @@ FLOAT_MODE = Coded(Float64b, Mode)
 @example(-0.0)
 @example(float(NOT_A_CODE))
 @example(2.0**31)
-def test_a_float_holds_a_code_or_none(number: float) -> None:
+def test_float_without_a_code_reads_as_not_a_code(number: float) -> None:
     assert FLOAT_MODE.read is not None
     mode = FLOAT_MODE.read(number)
     if math.isfinite(number) and abs(number) < 2**31 and number == math.floor(number):
@@ -73,28 +75,28 @@ def test_a_float_holds_a_code_or_none(number: float) -> None:
     assert parsed(FLOAT_MODE, struct.pack(">d", number)) == mode
 
 
-def test_codes_in_floats_and_integers_are_written() -> None:
+def test_coded_values_are_written_as_floats_and_integers() -> None:
     assert built(FLOAT_MODE, Mode.IDLE) == struct.pack(">d", 5.0)
     assert built(Coded(Int8ub, Mode), Mode.IDLE) == b"\x05"
     assert built(Coded(Int8ub, bool), True) == b"\x01"
     assert parsed(Coded(Int8ub, bool), b"\x02") is True
 
 
-# -- digital bits: an integer on some controllers, a double on others; nobody knows which, so both must read
+# -- digital bits: some controllers send an integer and others a double; it is unknown which, so both must be read
 
 
 @given(st.integers(0, 2**48 - 1))
-def test_mask_as_an_integer(mask: int) -> None:
+def test_mask_is_read_from_an_integer(mask: int) -> None:
     assert parsed(Mask64, struct.pack(">Q", mask)) == mask
 
 
 @given(st.integers(0, 2**48 - 1))
-def test_mask_as_a_double(mask: int) -> None:
+def test_mask_is_read_from_a_double(mask: int) -> None:
     assert parsed(Mask64, struct.pack(">d", float(mask))) == mask
 
 
-def test_the_mask_of_the_vendors_example() -> None:
-    # Inputs 0 and 2: five, as the vendor's table says.
+def test_mask_equals_the_vendor_example() -> None:
+    # Inputs 0 and 2 give five, as in the vendor's table.
     assert parsed(Mask64, bytes.fromhex("0000000000000005")) == 5
     assert parsed(Mask64, bytes.fromhex("4014000000000000")) == 5
     assert parsed(Mask64, bytes.fromhex("0000000000030000")) == 0x30000
@@ -102,13 +104,13 @@ def test_the_mask_of_the_vendors_example() -> None:
 
 
 @pytest.mark.parametrize("number", [0.5, -1.0, math.nan, math.inf, -math.inf, 2.0**48, 1e300])
-def test_what_is_no_mask_reads_as_its_bits(number: float) -> None:
+def test_mask_of_an_invalid_double_is_its_bits(number: float) -> None:
     (bits,) = struct.unpack(">Q", struct.pack(">d", number))
     assert parsed(Mask64, struct.pack(">d", number)) == bits
 
 
 @given(st.binary(min_size=8, max_size=8))
-def test_any_eight_bytes_are_a_mask(data: bytes) -> None:
+def test_any_eight_bytes_read_as_a_mask(data: bytes) -> None:
     mask = parsed(Mask64, data)
     assert type(mask) is int
     assert 0 <= mask < 2**64
@@ -119,9 +121,9 @@ def test_any_eight_bytes_are_a_mask(data: bytes) -> None:
 
 @given(st.binary(max_size=40))
 @example(b"\xff\xfe plain \xc3")
-def test_text_never_fails(data: bytes) -> None:
+def test_text_reads_any_bytes(data: bytes) -> None:
     text = parsed(Text(), data)
-    text.encode("utf-8")  # no lone surrogates: it can be printed and written to a file
+    text.encode("utf-8")  # must not raise, so the text can be printed and written to a file
     try:
         assert text == data.decode("utf-8")
     except UnicodeDecodeError:
@@ -130,12 +132,12 @@ def test_text_never_fails(data: bytes) -> None:
 
 @given(st.text(max_size=40))
 def test_text_round_trips(text: str) -> None:
-    # What cannot be encoded, a lone surrogate, is written as its escape.
+    # A lone surrogate cannot be encoded, so its escape is written.
     written = built(Text(), text)
     assert parsed(Text(), written) == text.encode("utf-8", "backslashreplace").decode()
 
 
-def test_prefixed_text_and_bytes() -> None:
+def test_prefixed_text_and_bytes_are_read_and_written() -> None:
     assert parsed(Text(Int8ub), b"\x02abc") == "ab"
     assert built(Text(Int8ub), "ab") == b"\x02ab"
     assert parsed(Raw(), b"\x00\xff") == b"\x00\xff"

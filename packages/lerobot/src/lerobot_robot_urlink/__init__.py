@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+# Before urlink: the warning about another distribution named linkcore must come before an import fails.
 import linkcore  # noqa: F401
 
 from .leader import URLeader, URLeaderConfig

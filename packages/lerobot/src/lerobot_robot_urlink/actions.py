@@ -1,4 +1,4 @@
-"""What the numbers of an action mean, and the joint positions that they lead to."""
+"""Kinds of actions: the meaning of their numbers, and conversion to joint positions."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from .joints import JOINT_DELTAS, POSE, POSE_DELTAS, POSITIONS, named
 
 __all__ = ["KINDS", "Actions", "pose_numbers"]
 
-#: kind of action -> the names of its numbers
+#: Names of the numbers of each kind of action.
 KINDS = {"joints": POSITIONS, "joint_deltas": JOINT_DELTAS, "pose": POSE, "pose_deltas": POSE_DELTAS}
-#: rad that a joint may be away from where it is led, for a pose; more means a singularity, or another pose of the arm.
+#: Maximum angle, in rad, by which a pose may turn a joint; a larger angle means a singularity or another posture.
 _LEAP = 1.5
-#: Length below which a column of a rotation has no direction.
+#: Length below which a column of a rotation matrix has no usable direction.
 _SHORT = 1e-3
 
 Floats = NDArray[np.float64]
 
 
 def pose_numbers(pose: Any) -> list[float]:
-    """The nine numbers of `POSE` for a pose (6,)."""
+    """Return the nine numbers of `POSE` for a pose, shape (6,)."""
     matrix = poses.to_matrix(pose)
     found: list[float] = [*matrix[:3, 3].tolist(), *matrix[:3, 0].tolist(), *matrix[:3, 1].tolist()]
     return found
 
 
 def _matrix(numbers: Floats) -> Floats:
-    """The homogeneous matrix of the nine numbers, whose columns need be neither of length 1 nor at right angles."""
+    """Return the homogeneous matrix of the nine numbers; their columns need not be orthonormal."""
     first, second = numbers[3:6], numbers[6:]
     if np.linalg.norm(first) > _SHORT:
         first = first / np.linalg.norm(first)
@@ -49,13 +49,13 @@ def _matrix(numbers: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Actions:
-    """Actions of one kind, for an arm with the tool that it has.
+    """Actions of one kind, for an arm with its current tool.
 
     Attributes:
-        kind: one of `KINDS`.
-        robot: whose kinematics hold.
-        tcp: (6,) pose of the TCP in the frame of the flange.
-        max_step: rad that a joint is led further by one action, at most.
+        kind: Kind of action, one of `KINDS`.
+        robot: Robot whose kinematics are used.
+        tcp: Pose of the TCP in the flange frame, shape (6,).
+        max_step: Maximum change of a joint's set-point by one action, in rad.
     """
 
     kind: str
@@ -65,32 +65,33 @@ class Actions:
 
     @classmethod
     def of(cls, kind: str, robot: Robot, state: RealtimeState, max_step: float) -> Actions:
-        """With the tool that a state shows."""
+        """Return actions for the tool that a state shows."""
         flange = robot.kinematics.forward(state.q_actual)
         return cls(kind, robot, poses.compose(poses.invert(flange), state.tool_vector_actual), max_step)
 
     def read(self, action: dict[str, Any]) -> Floats:
-        """The numbers of an action.
+        """Read the numbers of an action.
 
         Raises:
-            BadValue: one is missing, or is no finite number.
+            BadValue: If a number is missing or not finite.
         """
         try:
             values = np.array([float(action[name]) for name in KINDS[self.kind]])
         except (KeyError, TypeError, ValueError) as error:
-            raise BadValue(f"an action needs {', '.join(KINDS[self.kind])}: {error!r}") from None
+            raise BadValue(f"invalid action, {error!r}; expected the numbers {', '.join(KINDS[self.kind])}") from None
         if not np.isfinite(values).all():
-            raise BadValue(f"an action of {values.tolist()}; expected finite numbers")
+            raise BadValue(f"action {values.tolist()}; expected finite numbers")
         return values
 
     def lead(self, values: Floats, led: Floats) -> Floats:
-        """Where an action leads the joints, (6,) rad, from where they are led: no further than a step, within limits.
+        """Return the joint set-points after an action, shape (6,), in rad.
 
-        Of a pose all joints go the same fraction of their way, so that the tool stays near the way to it.
+        The motion starts at the set-points `led`. No joint moves by more than a step or beyond its limits. For a pose,
+        all joints move by the same fraction of their distance, so that the tool stays close to its path.
 
         Raises:
-            BadValue: the pose is none, or needs a joint to turn more than 1.5 rad.
-            Unreachable: the pose is out of reach.
+            BadValue: If the pose is not valid, or would turn a joint by more than 1.5 rad.
+            Unreachable: If the pose is out of reach.
         """
         low, high = self.robot.kinematics.position_limits.T
         if self.kind in ("joints", "joint_deltas"):
@@ -101,8 +102,8 @@ class Actions:
         furthest = float(np.abs(away).max())
         if furthest > _LEAP:
             raise BadValue(
-                f"an action whose pose turns a joint by {furthest:.3f} rad; expected at most {_LEAP:g} rad: it is "
-                "beyond a singularity, or too far away"
+                f"the pose of the action turns a joint by {furthest:.3f} rad; expected at most {_LEAP:g} rad (the "
+                "pose is beyond a singularity or too far away)"
             )
         scaled: Floats = np.clip(led + away * min(1.0, self.max_step / max(furthest, self.max_step)), low, high)
         return scaled
@@ -116,7 +117,7 @@ class Actions:
         return poses.from_matrix(matrix)
 
     def named(self, q: Floats, led: Floats) -> dict[str, float]:
-        """As an action: leading the joints from `led` to `q`."""
+        """Return the action that moves the set-points of the joints from `led` to `q`."""
         names = KINDS[self.kind]
         if self.kind == "joints":
             return named(names, q.tolist())

@@ -1,4 +1,4 @@
-"""The gripper beside the arm: asked for in a thread of its own, since its answers take longer than a set-point may."""
+"""Gripper of an arm, commanded in a dedicated thread, because its replies take longer than a set-point may take."""
 
 from __future__ import annotations
 
@@ -13,30 +13,32 @@ from .joints import GRIPPER
 
 __all__ = ["Fingers", "closing"]
 
-#: Seconds between two looks at the fingers, and for the thread to end.
+#: Interval, in s, at which the fingers are read; maximum time, in s, for the thread to end.
 _POLL, _END = 0.05, 20.0
 
 
 def closing(action: dict[str, Any]) -> int:
-    """The position of a Robotiq gripper, 0 (open) to 255 (closed), that an action asks for.
+    """Return the requested position of a Robotiq gripper, 0 (open) to 255 (closed).
+
+    Values outside 0 to 1 are limited to this range.
 
     Raises:
-        BadValue: it asks for none, or for no number; one beyond 0 to 1 is the end of that.
+        BadValue: If the action has no position of the gripper, or if it is not a number.
     """
     try:
         return round(255.0 * min(max(float(action[GRIPPER]), 0.0), 1.0))
     except (KeyError, TypeError, ValueError) as error:
-        raise BadValue(f"an action needs {GRIPPER}: {error!r}") from None
+        raise BadValue(f"invalid action, {error!r}; expected the number {GRIPPER}") from None
 
 
 class Fingers:
-    """Moves the fingers where they are wanted, and looks where they are.
+    """Move the fingers to the wanted position, and read their position.
 
     Args:
-        robot: whose gripper it is; activated here, by which its fingers close and open unless they were active.
+        robot: Robot with the gripper. The gripper is activated here: its fingers close and open unless it is active.
 
     Attributes:
-        wanted: returns the position, 0 to 255, or None; the thread asks it.
+        wanted: Function that returns the wanted position, 0 to 255, or None; the thread calls it.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -62,16 +64,16 @@ class Fingers:
                 self._error, told, self.wanted = error, None, lambda: None
 
     def position(self) -> float:
-        """Where they were at the last look, 0 (open) to 1 (closed)."""
+        """Return the last position of the fingers, 0 (open) to 1 (closed)."""
         return self._position / 255.0
 
     def check(self) -> None:
-        """Raise the error that has come since the last check: a `GripperFault`, or that of the connection."""
+        """Raise the error since the last check: a `GripperFault`, or an error of the connection."""
         error, self._error = self._error, None
         if error is not None:
             raise error
 
     def close(self) -> None:
-        """End the thread; the fingers go on to where they were told."""
+        """End the thread; the fingers continue to their last target."""
         self._over.set()
         self._thread.join(_END)

@@ -1,4 +1,4 @@
-"""The teleoperator "ur_leader": an arm that a person leads by hand, and another one follows."""
+"""Teleoperator "ur_leader": an arm that a person moves by hand, and that another arm follows."""
 
 from __future__ import annotations
 
@@ -19,17 +19,20 @@ __all__ = ["URLeader", "URLeaderConfig"]
 @TeleoperatorConfig.register_subclass("ur_leader")
 @dataclass(kw_only=True)
 class URLeaderConfig(TeleoperatorConfig):
-    """Which arm leads.
+    """Configuration of the leading arm.
 
     Attributes:
-        address: of its controller.
+        address: Address of its controller.
     """
 
     address: str
 
 
 class URLeader(Teleoperator):
-    """An arm whose joint positions are actions. It is only read: a person lets it go by the button for freedrive."""
+    """Arm whose joint positions are actions.
+
+    It is only read. To move it, a person presses its freedrive button.
+    """
 
     config_class = URLeaderConfig
     name = "ur_leader"
@@ -41,28 +44,28 @@ class URLeader(Teleoperator):
 
     @cached_property
     def action_features(self) -> dict[str, type]:
-        """Positions of the joints."""
+        """Names and types of the joint positions."""
         return dict.fromkeys(POSITIONS, float)
 
     @cached_property
     def feedback_features(self) -> dict[str, type]:
-        """It takes none."""
+        """Names and types of feedback; empty, because the arm accepts none."""
         return {}
 
     @property
     def is_connected(self) -> bool:
-        """It is connected."""
+        """Whether the arm is connected."""
         return self._robot is not None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Connect to the controller, to read.
+        """Connect to the controller, read-only.
 
         Raises:
-            DeviceAlreadyConnectedError: it is connected.
-            LinkError: the controller is not there.
+            DeviceAlreadyConnectedError: If it is already connected.
+            LinkError: If the controller cannot be reached.
         """
         if self._robot is not None:
-            raise DeviceAlreadyConnectedError(f"{self} is connected already")
+            raise DeviceAlreadyConnectedError(f"{self} is already connected")
         robot = urlink.connect(self.config.address, read_only=True)
         try:
             robot.realtime.wait(5.0)
@@ -73,31 +76,31 @@ class URLeader(Teleoperator):
 
     @property
     def is_calibrated(self) -> bool:
-        """An arm of this kind knows where its joints are."""
+        """Whether the arm is calibrated; always true, because its joints need no calibration."""
         return True
 
     def calibrate(self) -> None:
-        """Nothing has to be done."""
+        """Do nothing, because no calibration is needed."""
 
     def configure(self) -> None:
-        """Nothing has to be done."""
+        """Do nothing, because no configuration is needed."""
 
     def get_action(self) -> dict[str, float]:
-        """Where the joints are.
+        """Return the joint positions.
 
         Raises:
-            DeviceNotConnectedError: it is not connected.
-            LinkTimeout: nothing has come of the arm for a second.
+            DeviceNotConnectedError: If it is not connected.
+            LinkTimeout: If no state has arrived from the arm for a second.
         """
         if self._robot is None:
             raise DeviceNotConnectedError(f"{self} is not connected")
         return named(POSITIONS, newest(self._robot).q_actual.tolist())
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """It takes none."""
+        """Do nothing, because the arm accepts no feedback."""
 
     def disconnect(self) -> None:
-        """Disconnect; without effect if it is not connected."""
+        """Disconnect; do nothing if it is not connected."""
         robot, self._robot = self._robot, None
         if robot is not None:
             robot.close()

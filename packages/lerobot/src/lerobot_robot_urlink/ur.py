@@ -1,4 +1,4 @@
-"""The robot "ur": observations out of the real-time stream, actions as set-points of a servo, chunks as a stream."""
+"""Robot "ur": observations from the real-time stream, actions as set-points of a servo, chunks as a point stream."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ __all__ = ["UR", "URConfig"]
 @RobotConfig.register_subclass("ur")
 @dataclass(kw_only=True)
 class URConfig(RobotConfig):
-    """How an arm is used.
+    """Configuration of an arm.
 
     Attributes:
-        address: of the controller: ``192.168.56.101``, or ``sim://ur5e``.
-        fps: actions a second that are meant to be sent.
-        action: what an action is: ``joints``, ``joint_deltas``, ``pose`` or ``pose_deltas``.
-        max_step: rad that a joint is led further by one action, at most; what an action asks for beyond is left out.
-        watchdog: seconds without an action after which the robot brakes by itself.
-        gripper: a Robotiq gripper is part of observations and actions. Connecting activates it: **the fingers close and
-            open** unless it is active.
-        observe_tool: the pose of the tool is part of an observation.
-        observe_force: the force at the tool is, too; ``lerobot-rollout`` leaves it out.
-        cameras: name -> configuration of a camera.
+        address: Address of the controller: ``192.168.56.101``, or ``sim://ur5e``.
+        fps: Intended number of actions per second.
+        action: Kind of action: ``joints``, ``joint_deltas``, ``pose`` or ``pose_deltas``.
+        max_step: Maximum change of a joint's set-point by one action, in rad. Any excess is left out.
+        watchdog: Time, in s, without an action after which the robot brakes on its own.
+        gripper: Whether a Robotiq gripper is part of observations and actions. Connecting activates it: **the fingers
+            close and open** unless it is active.
+        observe_tool: Whether the pose of the tool is part of an observation.
+        observe_force: Whether the force at the tool is part of an observation. ``lerobot-rollout`` ignores it.
+        cameras: Configurations of the cameras, by name.
     """
 
     address: str
@@ -53,14 +53,15 @@ class URConfig(RobotConfig):
 
 
 class UR(Robot):
-    """An arm as LeRobot has it.
+    """Universal Robots arm as a robot of LeRobot.
 
-    The arm moves from the first action on, by a servo of the library: it passes the interlock, ends with a stop, whose
-    error the next action raises, and brakes by itself where no action comes for `URConfig.watchdog` seconds, also
-    because this process has died. After such an end the next action begins anew from where the arm is. Chunks of
-    actions are points of a stream of the library, for which the same holds; the arm brakes where they end.
+    The first action starts a servo of urlink, which moves the arm. The servo passes the interlock, and ends when the
+    robot stops; the next action raises the error of the stop. If no action arrives for `URConfig.watchdog` seconds, the
+    arm brakes on its own, even if this process has died. After such an end, the next action starts again from the
+    current position of the arm. Chunks of actions are points of a point stream of urlink, which behaves in the same
+    way. The arm brakes at the end of a chunk.
 
-    The fingers of a gripper are moved by an action only after its part for the arm was accepted.
+    An action moves the fingers of a gripper only after its part for the arm was accepted.
     """
 
     config_class = URConfig
@@ -69,25 +70,29 @@ class UR(Robot):
     def __init__(self, config: URConfig) -> None:
         super().__init__(config)
         if not (0.0 < config.fps <= 500.0 and config.max_step > 0.0):
-            raise BadValue(f"fps={config.fps}, max_step={config.max_step}; expected 0 to 500, and more than 0")
+            raise BadValue(
+                f"fps={config.fps}, max_step={config.max_step}; expected fps above 0 and at most 500, "
+                "and max_step above 0"
+            )
         if config.action not in KINDS:
             raise BadValue(f"action={config.action!r}; expected one of {', '.join(KINDS)}")
         self.config = config
         self.cameras = make_cameras_from_configs(config.cameras)
         self._robot: urlink.Robot | None = None
         self._fingers: Fingers | None = None
-        #: how the arm is led now: by actions, or by chunks of them; what they mean, and where they have led it
+        #: current servo (for actions) or point stream (for chunks); meaning of the actions; last set-points of the
+        #: joints
         self._way: urlink.motion.Servo | urlink.motion.PointStream | None = None
         self._actions: Actions | None = None
         self._led: Any = None
-        #: where the arm was led at the last observation, and the time of the stream then, s
+        #: set-points of the joints at the last observation, and the time of the stream, in s
         self._observed: tuple[Any, float] | None = None
 
-    # -- what it has -----------------------------------------------------------------------------------
+    # -- features --------------------------------------------------------------------------------------
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """Positions and velocities of the joints, where the tool is, the gripper, and pictures."""
+        """Names and types of joint values, pose of the tool, gripper, force, and images."""
         config = self.config
         names = [*POSITIONS, *VELOCITIES, *(POSE if config.observe_tool else ())]
         names += [*([GRIPPER] if config.gripper else []), *(FORCE if config.observe_force else ())]
@@ -96,25 +101,25 @@ class UR(Robot):
 
     @cached_property
     def action_features(self) -> dict[str, type]:
-        """What `URConfig.action` says, and the gripper."""
+        """Names and types of the numbers of `URConfig.action`, and of the gripper."""
         return dict.fromkeys([*KINDS[self.config.action], *([GRIPPER] if self.config.gripper else [])], float)
 
-    # -- its connection --------------------------------------------------------------------------------
+    # -- connection ------------------------------------------------------------------------------------
 
     @property
     def is_connected(self) -> bool:
-        """The arm and every camera are."""
+        """Whether the arm and every camera are connected."""
         return self._robot is not None and all(camera.is_connected for camera in self.cameras.values())
 
     def connect(self, calibrate: bool = True) -> None:
         """Connect to the controller, the gripper and the cameras; the arm does not move.
 
         Raises:
-            DeviceAlreadyConnectedError: it is connected.
-            LinkError: the controller, or the gripper, is not there.
+            DeviceAlreadyConnectedError: If it is already connected.
+            LinkError: If the controller or the gripper cannot be reached.
         """
         if self._robot is not None:
-            raise DeviceAlreadyConnectedError(f"{self} is connected already")
+            raise DeviceAlreadyConnectedError(f"{self} is already connected")
         robot = urlink.connect(self.config.address)
         try:
             robot.realtime.wait(5.0)
@@ -128,17 +133,17 @@ class UR(Robot):
 
     @property
     def is_calibrated(self) -> bool:
-        """An arm of this kind knows where its joints are."""
+        """Whether the arm is calibrated; always true, because its joints need no calibration."""
         return True
 
     def calibrate(self) -> None:
-        """Nothing has to be done."""
+        """Do nothing, because no calibration is needed."""
 
     def configure(self) -> None:
-        """Nothing has to be done."""
+        """Do nothing, because no configuration is needed."""
 
     def disconnect(self) -> None:
-        """Let the arm stand, and disconnect; without effect if it is not connected."""
+        """Stop the arm and disconnect; do nothing if it is not connected."""
         robot, self._robot = self._robot, None
         if robot is None:
             return
@@ -152,15 +157,15 @@ class UR(Robot):
             for camera in self.cameras.values():
                 camera.disconnect()
 
-    # -- the loop --------------------------------------------------------------------------------------
+    # -- control loop ----------------------------------------------------------------------------------
 
     def get_observation(self) -> dict[str, Any]:
-        """The newest state of the arm, and pictures.
+        """Return the newest state of the arm, and images.
 
         Raises:
-            DeviceNotConnectedError: it is not connected.
-            LinkTimeout: nothing has come of the arm for a second.
-            GripperFault: of the gripper, since the last action or observation.
+            DeviceNotConnectedError: If it is not connected.
+            LinkTimeout: If no state has arrived from the arm for a second.
+            GripperFault: If the gripper reported a fault since the last action or observation.
         """
         state = newest(self._connected())
         stream = self._way if isinstance(self._way, urlink.motion.PointStream) else None
@@ -178,19 +183,19 @@ class UR(Robot):
         return found
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Lead the arm by an action.
+        """Move the arm by an action.
 
         Returns:
-            the action that was sent: no joint further than `URConfig.max_step` from where it was led before, and none
+            The action that was sent. No joint moves further than `URConfig.max_step` from its previous set-point, or
             beyond its limits.
 
         Raises:
-            DeviceNotConnectedError: it is not connected.
-            BadValue: a number is missing or not finite, or a pose is too far away; nothing was sent.
-            Unreachable: a pose is out of reach; nothing was sent.
-            SafetyStop, NotRunning, NotEnabled: the arm may not be moved now.
-            GripperFault: of the gripper, since the last action or observation; nothing was sent.
-            LinkError: what else ended the servo.
+            DeviceNotConnectedError: If it is not connected.
+            BadValue: If a number is missing or not finite, or a pose is too far away. Nothing is sent.
+            Unreachable: If a pose is out of reach. Nothing is sent.
+            SafetyStop, NotRunning, NotEnabled: If the arm must not be moved now.
+            GripperFault: If the gripper reported a fault since the last action or observation. Nothing is sent.
+            LinkError: If another error ended the servo.
         """
         robot, actions, fingers = self._connected(), self._meaning(), self._fingers
         values, wanted = actions.read(action), None if fingers is None else closing(action)
@@ -219,28 +224,31 @@ class UR(Robot):
         return sent
 
     def send_chunk(self, chunk: Sequence[dict[str, Any]], period: float | None = None) -> list[dict[str, float]]:
-        """Lead the arm through the actions of a policy that has seen the last observation.
+        """Move the arm through the actions that a policy computed from the last observation.
 
-        The first action is for the moment of that observation, the next for `period` s later. They replace what is left
-        of the chunk before: the arm goes over to where they are by now, with continuous speed and acceleration, and
-        brakes at the end unless another chunk comes. The chunk may be late by its own length.
+        The first action is for the moment of that observation, and each further action for `period` s later. The chunk
+        replaces the rest of the previous chunk. The arm changes to the current point of the new chunk with continuous
+        speed and acceleration, and brakes at its end unless another chunk arrives. A chunk may be late by up to its own
+        length.
 
         Args:
-            chunk: two actions or more.
-            period: s from one to the next; None for that of `URConfig.fps`.
+            chunk: At least two actions.
+            period: Time between two actions, in s; None for the period of `URConfig.fps`.
 
         Returns:
-            the actions that were sent: of each no joint is further than `URConfig.max_step` from the one before, and of
-            the first from where the arm was led at the observation.
+            The actions that were sent. No joint moves further than `URConfig.max_step` from one action to the next, or
+            from its set-point at the observation to the first action.
 
         Raises:
-            LocalError: nothing was observed; or firmware before 3.4.
-            BadValue: as for `send_action`; or all of them are past, or too far apart for the arm. Nothing was sent.
-            DeviceNotConnectedError, Unreachable, SafetyStop, NotRunning, NotEnabled, LinkError: as for `send_action`.
+            LocalError: If there was no observation, or the firmware is older than 3.4.
+            BadValue: If `send_action` would raise it, if all actions are in the past, or if they are too far apart for
+                the arm. Nothing is sent.
+            DeviceNotConnectedError, Unreachable, SafetyStop, NotRunning, NotEnabled, LinkError: If `send_action` would
+                raise it.
         """
         robot, actions, fingers = self._connected(), self._meaning(), self._fingers
         if self._observed is None:
-            raise urlink.LocalError("a chunk begins at the last observation; call get_observation first")
+            raise urlink.LocalError("a chunk needs an observation to start from; call get_observation first")
         led, since = self._observed
         seconds = 1.0 / self.config.fps if period is None else period
         wanted = [] if fingers is None else [closing(action) for action in chunk]

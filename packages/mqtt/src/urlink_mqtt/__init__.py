@@ -1,22 +1,22 @@
-"""Universal Robots arms over MQTT: a `Server` tells a broker how a robot is, and takes commands from it.
+"""Universal Robots arms over MQTT: a `Server` publishes the status of a robot, and accepts commands from a broker.
 
-Everything is JSON. Topics, below ``urlink/NAME``:
+All messages are JSON. Topics, below ``urlink/NAME``:
 
 ====================  ==================================================================================
-topic                 what it is
+topic                 content
 ====================  ==================================================================================
 ``info``              retained: model, firmware, commands
-``status``            retained, some times a second; its last will says that nobody serves the robot
-``motion``            a motion has begun, or is over, and how
-``answer``            to each command: which it was, and the error if there is one
+``status``            retained, several times per second; its last will reports that the robot is not served
+``motion``            start of a motion, or its end and result
+``answer``            answer to each command: its client, id and name, and the error if there is one
 ``command/COMMAND``   subscribed to: the command of a client
-``client/ID``         subscribed to: retained by a client that is there, empty when it is gone
+``client/ID``         subscribed to: retained by a client while it is present, empty when it has left
 ====================  ==================================================================================
 """
 
 from __future__ import annotations
 
-# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+# Before urlink: the warning about another distribution named linkcore must come before an import fails.
 import linkcore  # noqa: F401
 
 from .server import Broker, Server

@@ -1,4 +1,4 @@
-"""`urlink serve mqtt`."""
+"""Command line of `urlink serve mqtt`."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from .server import PREFIX, Broker, Server
 
 __all__ = ["add_arguments", "serve"]
 
-#: The variable of the environment that has the password: the command line is seen by all users of a computer.
+#: Environment variable with the password. The command line is not used, because all users of a computer can see it.
 _PASSWORD = "URLINK_MQTT_PASSWORD"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of MQTT."""
+    """Add the options of the broker and of serving."""
     parser.description = (
-        f"Serve robots over MQTT. The password of --user is in the environment: {_PASSWORD}. Whoever may publish to "
-        "the broker commands the robots where --allow-commands is given."
+        f"Serve robots over MQTT. The environment variable {_PASSWORD} holds the password of --user. With "
+        "--allow-commands, anyone who may publish to the broker can command the robots."
     )
     parser.add_argument(
         "--broker",
@@ -35,19 +35,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--port", type=int, metavar="N", help="connect to port N of the broker (default: 1883, with --tls 8883)"
     )
-    parser.add_argument("--user", metavar="NAME", help="by which to log in")
-    parser.add_argument("--tls", action="store_true", help="encrypted; the broker's certificate is checked")
-    parser.add_argument("--ca", metavar="FILE", help="certificates by which it is checked (those of the system)")
-    parser.add_argument("--prefix", default=PREFIX, metavar="TOPIC", help=f"what all topics begin with ({PREFIX})")
-    parser.add_argument("--status-rate", type=float, default=5.0, metavar="HZ", help="status messages a second (5)")
-    parser.add_argument("--allow-commands", action="store_true", help="take commands; without it all are refused")
+    parser.add_argument("--user", metavar="NAME", help="log in with this user name")
+    parser.add_argument("--tls", action="store_true", help="encrypt, and check the certificate of the broker")
+    parser.add_argument("--ca", metavar="FILE", help="certificates for this check (default: those of the system)")
+    parser.add_argument(
+        "--prefix", default=PREFIX, metavar="TOPIC", help=f"first part of all topics (default: {PREFIX})"
+    )
+    parser.add_argument(
+        "--status-rate", type=float, default=5.0, metavar="HZ", help="status messages per second (default: 5)"
+    )
+    parser.add_argument("--allow-commands", action="store_true", help="accept commands (default: refuse all commands)")
 
 
 def broker_address(text: str) -> tuple[str, int | None]:
-    """Host and port of a broker, from ``host``, ``host:port``, ``[::1]:port`` or a bare IPv6 address.
+    """Parse a broker's address: ``host``, ``host:port``, ``[::1]:port`` or an IPv6 address.
 
     Raises:
-        argparse.ArgumentTypeError: If it is not one of these.
+        argparse.ArgumentTypeError: If `text` has another form.
 
     >>> broker_address("broker.local:1884"), broker_address("::1")
     (('broker.local', 1884), ('::1', None))
@@ -65,14 +69,14 @@ def broker_address(text: str) -> tuple[str, int | None]:
 
 @contextlib.contextmanager
 def serve(robots: Mapping[str, Robot], args: argparse.Namespace) -> Iterator[None]:
-    """Serve robots as long as the context lasts.
+    """Serve the robots until the context ends.
 
     Raises:
-        BadValue: If two ports of the broker are given.
+        BadValue: If two different ports of the broker are given.
     """
     host, port = args.broker
     if port is not None and args.port not in (None, port):
-        raise BadValue(f"--broker names port {port} and --port names port {args.port}; expected one of them")
+        raise BadValue(f"--broker names port {port} and --port names port {args.port}; give only one of them")
     port = args.port if port is None else port
     broker = Broker(host, port, args.user, os.environ.get(_PASSWORD), args.tls or bool(args.ca), args.ca)
     with contextlib.ExitStack() as stack:

@@ -1,9 +1,9 @@
-"""What a client can ask of a robot, how it asks, and until when that may be carried out.
+"""Commands that a client can send to a robot, the form of their messages, and their expiry.
 
-A broker, a network or a server that is suspended delivers late: a command may have been given up by then. So each
-status has the time of the server's own clock; a client sends it back with its command and with the age that it may
-have at most. The server compares its clock with nothing but its own earlier time, and refuses what is late. Only
-``stop`` and ``cancel`` have no age: to stop late is better than not to stop.
+A suspended broker, network or server delivers a command late, and its client might have abandoned it by then. So each
+status contains the time of the server's own clock. A client sends this time back with its command, together with the
+maximum age of the command. The server compares its clock only with its own earlier time, and rejects late commands.
+Only ``stop`` and ``cancel`` have no age, because a late stop is better than no stop.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from urlink import BadValue, LinkTimeout, LocalError, Robot
 
 __all__ = ["COMMANDS", "LARGEST_AGE", "MOTIONS", "Asked", "ServerClock", "begin", "read"]
 
-#: Seconds of the largest age that a client may ask for.
+#: Largest age that a client may ask for, in s.
 LARGEST_AGE = 60.0
 
 _MOTIONS = ("move_joints", "move_linear", "speed_joints", "speed_linear")
@@ -34,7 +34,8 @@ def _of(part: Callable[[Robot], Any], name: str) -> Callable[[Robot], Callable[.
     return lambda robot: getattr(part(robot), name)
 
 
-#: name -> what of a robot carries it out. `stop` and `cancel` are the server's own.
+#: Name of a command, and the function that returns the robot's method for it. The server implements `stop` and
+#: `cancel`.
 COMMANDS: Mapping[str, Callable[[Robot], Callable[..., Any]]] = {
     **{name: _of(lambda robot: robot.motion, name) for name in _MOTIONS},
     **{name: _of(lambda robot: robot.io, name) for name in _OUTPUTS},
@@ -42,20 +43,20 @@ COMMANDS: Mapping[str, Callable[[Robot], Callable[..., Any]]] = {
     **{name: _of(lambda robot: robot.dashboard, name) for name in _DASHBOARD},
     "enable": _of(lambda robot: robot.safety, "enable"),
 }
-#: Those that move the arm, and end with the client that asked for them.
+#: Commands that move the arm. Their motions end when their client is lost.
 MOTIONS = frozenset(_MOTIONS)
 
 
 @dataclasses.dataclass(frozen=True)
 class Asked:
-    """A command as a client asks for it.
+    """Command as a client sends it.
 
     Attributes:
-        client: who asks; "" for nobody in particular.
-        id: by which the client knows the answer.
-        server, time: of the newest status that it has.
-        age: s for which it may be carried out after that time.
-        arguments: of the robot's method.
+        client: Id of the client; "" for none.
+        id: Id of the command, which its answer repeats.
+        server, time: Values from the newest status that the client has.
+        age: Time, in s, for which the command is valid after `time`.
+        arguments: Arguments of the robot's method.
     """
 
     client: str = ""
@@ -70,31 +71,33 @@ _NAMES = [field.name for field in dataclasses.fields(Asked)]
 
 
 def read(payload: bytes) -> Asked:
-    """A command out of a message; an empty message is one without anything.
+    """Read a command from a message; an empty message is a command without any values.
 
     Raises:
-        BadValue: it is no JSON object of these names, or a value has another type.
+        BadValue: If it is not a JSON object with these names, or a value has another type.
     """
     try:
         said = json.loads(payload or b"{}")
     except (ValueError, RecursionError) as error:
-        raise BadValue(f"the command is no JSON: {error}") from None
+        raise BadValue(f"the command is not valid JSON: {error}") from None
     if not isinstance(said, dict) or said.keys() - set(_NAMES):
         raise BadValue(f"the command is {str(said)[:80]}; expected an object with some of {', '.join(_NAMES)}")
     for name, kind in (("client", str), ("id", str), ("server", str), ("time", float | int), ("age", float | int)):
         if name in said and (not isinstance(said[name], kind) or isinstance(said[name], bool)):
-            raise BadValue(f"{name} is {str(said[name])[:80]!r}; expected {'text' if kind is str else 'a number of s'}")
+            raise BadValue(
+                f"{name} is {str(said[name])[:80]!r}; expected {'text' if kind is str else 'a number of seconds'}"
+            )
     if not isinstance(said.get("arguments", {}), dict):
-        raise BadValue("arguments are no object of names and values")
+        raise BadValue("arguments are not an object; expected an object of names and values")
     return Asked(**said)
 
 
 def begin(robot: Robot, name: str, arguments: Mapping[str, Any]) -> Any:
-    """Carry a command out; of a motion its handle.
+    """Execute a command; return the handle of a motion, or the result of another command.
 
     Raises:
-        BadValue: no such command, or the arguments are not those of the method; nothing was sent.
-        LinkError: whatever the method raises.
+        BadValue: If the command does not exist, or the arguments do not fit its method. Nothing is sent.
+        LinkError: If the method raises it.
     """
     if name not in COMMANDS:
         raise BadValue(f"no command {name!r:.80}; expected one of cancel, stop, {', '.join(sorted(COMMANDS))}")
@@ -105,18 +108,18 @@ def begin(robot: Robot, name: str, arguments: Mapping[str, Any]) -> Any:
         inspect.signature(method).bind(**arguments)
         return method(**arguments)
     except TypeError as error:
-        # Also text where a number belongs, say: arguments are looked at before anything is sent.
+        # For example text instead of a number. The methods check their arguments before they send anything.
         raise BadValue(f"{name}: {error}") from error
 
 
 class ServerClock:
-    """The clock of one server, by which commands expire.
+    """Clock of one server, used to expire commands.
 
     Args:
         now: Monotonic clock, in seconds.
 
     Attributes:
-        now: as given.
+        now: Monotonic clock, in seconds.
     """
 
     def __init__(self, now: Callable[[], float] = clock.now) -> None:
@@ -124,27 +127,29 @@ class ServerClock:
         self._server = uuid.uuid4().hex
 
     def described(self) -> dict[str, Any]:
-        """The time, and whose it is, as a client sends them back."""
+        """Return the time and the id of the server, in the form in which a client sends them back."""
         return {"server": self._server, "time": self.now()}
 
     def check(self, asked: Asked) -> None:
-        """Refuse a command that must not be carried out any more.
+        """Reject a command that must no longer be executed.
 
         Raises:
-            BadValue: it has no time and age, or an age that is too large.
-            LinkTimeout: it is older than it may be.
-            LocalError: the time is that of another server.
+            BadValue: If it has no time or age, or its age is too large.
+            LinkTimeout: If it is older than its `age`.
+            LocalError: If the time is from another server.
         """
         if not asked.server or not math.isfinite(asked.time) or not 0 < asked.age <= LARGEST_AGE:
             raise BadValue(
-                "a command needs server and time, as the newest status has them, and age: the seconds for which it may "
-                f"be carried out after that time, more than 0 and at most {LARGEST_AGE:g}"
+                "a command needs server and time (from the newest status), and age: the seconds for which it is valid "
+                f"after that time, more than 0 and at most {LARGEST_AGE:g}"
             )
         if asked.server != self._server:
-            raise LocalError("the command was meant for a server that is gone, or for another robot")
+            raise LocalError(
+                "the command is for an earlier server or another robot; use the newest status of this robot"
+            )
         late = self.now() - asked.time
         if not 0 <= late <= asked.age:
             raise LinkTimeout(
-                f"the command came {late:.1f} s after the status that its client had, and was to be refused after "
-                f"{asked.age:g} s: nothing was done"
+                f"the command arrived {late:.1f} s after the status that it refers to, but was valid for "
+                f"{asked.age:g} s; it was not executed"
             )

@@ -1,4 +1,4 @@
-"""A robot as a broker of MQTT has it: one connection, whose last will says that nobody serves the robot any more."""
+"""Server of a robot over MQTT: one connection, whose last will reports that the robot is no longer served."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ __all__ = ["PREFIX", "Broker", "Server"]
 
 _log = logging.getLogger("urlink.mqtt")
 
-#: What all topics begin with, where nothing else is chosen.
+#: Default for the first part of all topics.
 PREFIX = "urlink"
-#: s without a word after which broker and server take each other for lost, half as much again at the broker.
+#: Keepalive, in s. After this silence, broker and server consider each other lost; the broker waits 1.5 times as long.
 _KEEPALIVE = 5
-#: s that the broker may take to answer when the server begins, and to take the last status when it ends.
+#: Maximum time, in s, for the broker to answer when the server starts, and to accept the last status when it ends.
 _SOON = 10.0
-#: Messages that wait while the broker is away: answers and ends of motions, none of which is a status.
+#: Maximum number of queued messages while the broker is away: answers and ends of motions, but no status.
 _QUEUED = 100
-#: One level of a topic, without wildcards.
+#: one level of a topic, without wildcards
 _LEVEL = re.compile(r"[A-Za-z0-9_.-]+")
 _FIELDS = ("q_actual", "qd_actual", "tool_vector_actual", "tcp_force", "motor_temperatures", "speed_scaling")
 _MODES = ("robot_mode", "safety_mode", "program_state")
 
 
 class Broker(NamedTuple):
-    """Where a broker is, and how to log in.
+    """Address of a broker, and login data.
 
     Attributes:
-        host: name or address.
-        port: None for 1883, or 8883 if it is encrypted.
-        user, password: None for none.
-        tls: encrypted, with the broker's certificate checked.
-        ca: file of certificates by which it is checked; None for those of the system.
+        host: Name or address.
+        port: TCP port; None for 1883, or 8883 with TLS.
+        user, password: Login data; None for none.
+        tls: Whether to encrypt, and to check the broker's certificate.
+        ca: File of certificates for this check; None for the certificates of the system.
     """
 
     host: str = "localhost"
@@ -62,22 +62,23 @@ class Broker(NamedTuple):
 
 
 class Server:
-    """Serves a robot over MQTT from now until it is closed; a context manager.
+    """Serve a robot over MQTT until the server is closed; a context manager.
 
-    A motion ends when the client that asked for it is gone by its topic ``client/ID``, for which a last will is meant,
-    and when the broker is lost, since nobody could stop the arm then.
+    A motion ends when its client has left according to its topic ``client/ID``, which should have a last will. It also
+    ends when the connection to the broker is lost, because no client could stop the arm then.
 
     Args:
-        robot: is not closed with the server.
-        name: of the robot, one level of its topics.
-        broker: where it is.
-        prefix: what all topics begin with.
-        status_rate: status messages a second.
-        allow_commands: take commands; if not, each is refused.
+        robot: Robot to serve. It is not closed with the server.
+        name: Name of the robot, one level of its topics.
+        broker: Broker to connect to.
+        prefix: First part of all topics.
+        status_rate: Number of status messages per second.
+        allow_commands: Whether to accept commands. If false, all commands are refused.
 
     Raises:
-        BadValue: a name that is no level of a topic, a rate that is not from 0.1 to 100, or no certificates in a file.
-        ConnectFailed: the broker cannot be reached within 10 s, or refuses.
+        BadValue: If the name cannot be a level of a topic, if the rate is not from 0.1 to 100, or if the file contains
+            no certificates.
+        ConnectFailed: If the broker cannot be reached within 10 s, or refuses the connection.
     """
 
     def __init__(
@@ -91,25 +92,25 @@ class Server:
         allow_commands: bool = False,
     ) -> None:
         if not _LEVEL.fullmatch(name) or not all(map(_LEVEL.fullmatch, prefix.split("/"))):
-            raise BadValue(f"{prefix}/{name} is no topic; expected levels of letters, digits, '_', '.' and '-'")
+            raise BadValue(f"invalid topic {prefix}/{name}; expected levels of letters, digits, '_', '.' and '-'")
         if not 0.1 <= status_rate <= 100:
-            raise BadValue(f"status_rate={status_rate!r}; expected 0.1 to 100 a second")
+            raise BadValue(f"status_rate={status_rate!r}; expected 0.1 to 100 per second")
         self.topic = f"{prefix}/{name}"
         self._robot = robot
         self._allows = allow_commands and _takes_commands(robot)
         self._clock = ServerClock()
         self._present: set[str] = set()
         self._held: tuple[str, Motion] | None = None
-        #: motions that were requested and are not answered yet, each with its client
+        #: requested motions without an answer, each with its client
         self._requested: list[tuple[str, PendingCall]] = []
-        #: commands that were executed, and when they expire: a broker may deliver a message again
+        #: executed commands, and when they expire; needed because a broker might deliver a message again
         self._executed: dict[tuple[str, bytes], float] = {}
         self._ended = threading.Event()
         self._answered = threading.Event()
         self._refused = f"no answer within {_SOON:g} s"
-        # A stop never waits for another command to be sent.
+        # A separate lane for stops, so that a stop never waits for another command.
         self._stops, self._others = (ThreadPoolExecutor(1, f"{name} {lane}") for lane in ("stops", "commands"))
-        # MQTT 5, in which a subscriber can see that a command was published with the retain flag.
+        # With MQTT 5, a subscriber can see that a command was published with the retain flag.
         self._client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         self._client.max_queued_messages_set(_QUEUED)
         self._client.reconnect_delay_set(1, 5)
@@ -135,15 +136,15 @@ class Server:
         try:
             self._client.connect(broker.host, int(where.rpartition(":")[2]), keepalive=_KEEPALIVE)
         except (OSError, ValueError) as error:
-            raise ConnectFailed(f"no broker at {where}: {error}") from error
+            raise ConnectFailed(f"cannot connect to the broker at {where}: {error}") from error
         self._client.loop_start()
         if not clock.wait(self._answered.wait, _SOON) or self._refused:
             self._client.disconnect()
             self._client.loop_stop()
-            raise ConnectFailed(f"no broker at {where}: {self._refused}")
+            raise ConnectFailed(f"cannot connect to the broker at {where}: {self._refused}")
 
     def close(self) -> None:
-        """End the motion of a client, say that nobody serves the robot, and leave the broker; idempotent."""
+        """End the motion of a client, report the end of serving, and disconnect; idempotent."""
         if self._ended.is_set():
             return
         self._ended.set()
@@ -151,7 +152,7 @@ class Server:
         for lane in (self._others, self._stops):
             lane.shutdown(cancel_futures=True)
         self._cancel()
-        with contextlib.suppress(ValueError, RuntimeError):  # the broker is away: it says the last will
+        with contextlib.suppress(ValueError, RuntimeError):  # if the broker is away, it publishes the last will instead
             self._put("status", {"served": False}, retain=True).wait_for_publish(1.0)
         self._client.disconnect()
         self._client.loop_stop()
@@ -162,7 +163,7 @@ class Server:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    # -- what the robot says ---------------------------------------------------------------------------
+    # -- state -----------------------------------------------------------------------------------------
 
     def _put(self, topic: str, said: dict[str, Any], *, qos: int = 1, retain: bool = False) -> Any:
         payload = json.dumps(_plain(said), allow_nan=False)
@@ -171,10 +172,10 @@ class Server:
     def _tell(self, period: float) -> None:
         while not clock.wait(self._ended.wait, period):
             try:
-                # Those that cannot be sent now are not worth sending later.
+                # A status that cannot be sent now is not worth sending later.
                 self._put("status", self._status(), qos=0, retain=True)
             except LinkError as error:
-                _log.warning("%s: no status: %s", self.topic, error)
+                _log.warning("%s: could not publish the status: %s", self.topic, error)
 
     def _status(self) -> dict[str, Any]:
         robot, state = self._robot, self._robot.realtime.latest
@@ -195,12 +196,12 @@ class Server:
             said |= {name: None if mode is None else mode.name for name, mode in modes.items()}
         return said
 
-    # -- what it is told: in the thread of the client, which must not be kept --------------------------
+    # -- commands: in the client's thread, which must not be blocked -----------------------------------
 
     def _connected(self, client: Client, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         self._refused = str(reason) if reason.is_failure else ""
         if not reason.is_failure:
-            # Here, so that it holds for the connection after a lost one too.
+            # Subscribe here, so that it also happens after each reconnect.
             options = SubscribeOptions(qos=1, retainAsPublished=True)
             client.subscribe([(f"{self.topic}/command/+", options), (f"{self.topic}/client/+", options)])
             identity = self._robot.identity
@@ -217,46 +218,49 @@ class Server:
 
     def _disconnected(self, client: Client, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         self._present.clear()
-        with contextlib.suppress(RuntimeError):  # closed
+        with contextlib.suppress(RuntimeError):  # the server is closed
             self._abandon(list(self._requested))
             self._stops.submit(self._cancel)
 
     def _heard(self, client: Client, data: Any, message: MQTTMessage) -> None:
         kind, name = message.topic.removeprefix(f"{self.topic}/").split("/", 1)
-        with contextlib.suppress(RuntimeError):  # closed
+        with contextlib.suppress(RuntimeError):  # the server is closed
             if kind == "client" and message.payload:
                 self._present.add(name)
             elif kind == "client":
                 self._present.discard(name)
                 self._abandon([each for each in self._requested if each[0] == name])
                 self._stops.submit(self._lost, name)
-            elif not message.retain:  # published before anybody was here: nobody waits for it now
+            elif not message.retain:  # retained commands are old: no client waits for them now
                 self._take(name, bytes(message.payload))
 
     def _take(self, name: str, payload: bytes) -> None:
-        """Pass a command on to its lane. It counts as entered now, so a stop that comes later overtakes it."""
+        """Pass a command on to its lane.
+
+        The call counts as entered now, so that a stop which arrives later takes effect on it.
+        """
         requested = ("", PendingCall())
         if name == "cancel":
             self._abandon(list(self._requested))
         elif name in MOTIONS:
-            with contextlib.suppress(BadValue):  # which the lane answers
+            with contextlib.suppress(BadValue):  # the lane reports this error in its answer
                 requested = (read(payload).client, requested[1])
             self._requested.append(requested)
         lane = self._stops if name in ("stop", "cancel") else self._others
         lane.submit(self._carry_out, name, payload, requested)
 
     def _abandon(self, requested: list[tuple[str, PendingCall]]) -> None:
-        """Do not execute these motions, wherever they are."""
+        """Abandon these motions, in any state."""
         for _, call in requested:
             call.give_up(self._stops.submit)
 
-    # -- in the lanes ----------------------------------------------------------------------------------
+    # -- in the threads of the lanes -------------------------------------------------------------------
 
     def _carry_out(self, name: str, payload: bytes, requested: tuple[str, PendingCall]) -> None:
         asked, said = Asked(), {}
         call = requested[1]
         try:
-            # What cannot be read stops the arm all the same.
+            # An unreadable stop still stops the arm.
             with contextlib.suppress(*((BadValue,) if name in ("stop", "cancel") else ())):
                 asked = read(payload)
             self._note(name, payload)
@@ -271,22 +275,22 @@ class Server:
         self._put("answer", {"client": asked.client, "id": asked.id, "command": name, "error": None, **said})
 
     def _note(self, name: str, payload: bytes) -> None:
-        """Refuse a message that was executed before.
+        """Reject a message that was already executed.
 
         Raises:
-            LocalError: If the same message has come within the time for which a command can be valid.
+            LocalError: If the same message arrived within the time for which a command can be valid.
         """
         if name in ("stop", "cancel"):
-            return  # to stop twice does no harm
+            return  # stopping twice does no harm
         now = self._clock.now()
         self._executed = {each: until for each, until in self._executed.items() if until > now}
         if (name, payload) in self._executed:
-            raise LocalError(f"this {name} was received before; each command needs an id of its own")
+            raise LocalError(f"this {name} was received before; each command needs its own id")
         self._executed[name, payload] = now + LARGEST_AGE
 
     def _done(self, name: str, asked: Asked) -> dict[str, Any]:
         if not self._allows:
-            raise LocalError("this server takes no commands: --allow-commands, and not --read-only, lets it")
+            raise LocalError("this server accepts no commands; start it with --allow-commands and without --read-only")
         if name == "cancel":
             self._cancel()
         elif name == "stop":
@@ -301,14 +305,15 @@ class Server:
     def _moved(self, name: str, asked: Asked) -> dict[str, Any]:
         client = asked.client
         if client not in self._present:
-            raise LocalError(f"a motion needs a client that is there: a retained message in {self.topic}/client/ID")
+            raise LocalError(f"client {client!r} is not present; publish a retained message to {self.topic}/client/ID")
         held = self._held
         if held is not None and held[0] != client and not held[1].done:
-            raise LocalError(f"client {held[0]} moves the arm ({held[1].name}); it is not preempted by another")
+            raise LocalError(f"client {held[0]} is moving the arm ({held[1].name}); another client cannot preempt it")
         self._clock.check(asked)
         motion: Motion = begin(self._robot, name, asked.arguments)
         self._held = (client, motion)
-        if client not in self._present or not self._client.is_connected():  # gone while it was sent
+        # The client might have left while the command was being sent.
+        if client not in self._present or not self._client.is_connected():
             motion.cancel()
         self._put("motion", {"id": asked.id, **_of_motion(client, motion)})
         motion.add_done_callback(lambda motion: self._put("motion", {"id": asked.id, **_of_motion(client, motion)}))
@@ -341,7 +346,7 @@ def _failed(error: BaseException) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON holds: what is no number is null."""
+    """Convert to values that JSON can represent: NaN and infinity become null."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, float):

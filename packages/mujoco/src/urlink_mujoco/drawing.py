@@ -1,8 +1,8 @@
-"""Pictures of a world, drawn in one thread of their own.
+"""Images of a world, drawn in a dedicated thread.
 
-An OpenGL context belongs to the thread in which it is current: MuJoCo's renderer neither draws nor is freed elsewhere
-(`EGL_BAD_ACCESS`), and what is collected is freed in whichever thread the collector happens to run. So renderers are
-made, used and, when the world is gone or the interpreter ends, freed in the same thread.
+An OpenGL context belongs to the thread that made it current. MuJoCo's renderer can be used and freed only in this
+thread (`EGL_BAD_ACCESS`), but the garbage collector frees objects in any thread. So renderers are made, used and freed
+in the same thread; they are freed when the world no longer exists or the interpreter ends.
 """
 
 from __future__ import annotations
@@ -21,19 +21,26 @@ __all__ = ["Drawing"]
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
-#: What each drawing thread has of its own, which is freed in that thread when it ends.
+#: Objects of each drawing thread, which are freed in this thread when it ends.
 _kept = threading.local()
 
 
 class Drawing:
-    """Draws states of a model. It has its own `MjData`, so that the world goes on meanwhile."""
+    """Drawing of states of a model.
+
+    It has its own `MjData`, so that the world can advance in the meantime.
+    """
 
     def __init__(self, model: Any) -> None:
         self._model = model
         self._thread = ThreadPoolExecutor(1, "urlink-mujoco-drawing")
 
     def picture(self, state: NDArray[np.float64], camera: str, size: tuple[int, int], depth: bool) -> NDArray[Any]:
-        """A camera's picture of a state, size as height and width; whatever OpenGL or MuJoCo raises."""
+        """Return the image of a state from a camera, with size as height and width.
+
+        Raises:
+            Exception: If OpenGL or MuJoCo raises it.
+        """
         return self._thread.submit(_drawn, self._model, state, camera, size, depth).result()
 
 

@@ -1,9 +1,9 @@
-"""The fingers of a gripper: bodies with the measures of a Robotiq 2F-85, led by the gripper of a simulated controller.
+"""Fingers of a gripper: bodies with the dimensions of a Robotiq 2F-85, driven by the simulated controller's gripper.
 
-Two plates slide along the y axis of the flange, always by the same way. The controller's gripper says where they go and
-how hard they may press (`FOR`: 20 to 235 N, of the data sheet). Where something holds them up, it is told of an object
-of that width (`SimulatedGripper.place`), so that its clients see what they see of a gripper. Real fingers swing and are
-as soft as their pads; the shape of these is a guess.
+Two plates slide along the y axis of the flange, always by the same distance. The controller's gripper sets their target
+and their maximum force (`FOR`: 20 to 235 N, from the data sheet). If an object blocks them, the gripper is notified of
+an object of this width (`SimulatedGripper.place`), so that clients see the same values as of a real gripper. Real
+fingers pivot and have soft pads; the shape of these fingers is assumed.
 """
 
 from __future__ import annotations
@@ -15,22 +15,25 @@ if TYPE_CHECKING:
 
 __all__ = ["COG", "MASS", "TCP", "TOOL", "Fingers"]
 
-#: kg and m in the frame of the flange, of the data sheet, about; m and rotation vector of the point between the pads.
+#: Mass, in kg, and centre of gravity in the flange frame, in m, approximately from the data sheet; pose of the point
+#: between the pads, in m and as a rotation vector.
 MASS, COG, TCP = 0.925, (0.0, 0.0, 0.058), (0.0, 0.0, 0.145, 0.0, 0.0, 0.0)
-#: m between the open fingers.
+#: Distance between the open fingers, in m.
 _STROKE = 0.085
-#: N at `FOR` of 0 and 255.
+#: Force, in N, for `FOR` of 0 and of 255.
 _WEAKEST, _STRONGEST = 20.0, 235.0
-#: N/m of the servo, and N per m/s: critically damped for what the drive of a finger seems to weigh, kg.
+#: Stiffness of the servo, in N/m, and moving mass of the drive of a finger, in kg (assumed). The damping, in N per m/s,
+#: is critical for this mass.
 _STIFFNESS, _DRIVE = 20_000.0, 0.8
 _DAMPING = 2.0 * (_STIFFNESS * (_DRIVE + 0.1)) ** 0.5
-#: m by which fingers are behind, below m/s, for s: something holds them up.
+#: Fingers count as blocked if they are behind by the first value, in m, and slower than the second, in m/s, for the
+#: third, in s.
 _BEHIND, _SLOW, _HELD_FOR = 0.0015, 0.002, 0.01
-#: m by which fingers that hold something go on: it is gone.
+#: Distance, in m, that fingers must move on from an object until it counts as removed.
 _GONE = 0.003
 
-#: The pads have priority: an object in the grasp rubs as they do. They are stiffer than what MuJoCo has as default, or
-#: the fingers would sink into light things: the stiffness of a contact is in proportion to the masses in it.
+#: The pads have priority, so a grasped object has their friction. They are stiffer than MuJoCo's default. Otherwise the
+#: fingers would sink into light objects, because the stiffness of a contact is proportional to the masses in it.
 TOOL = f"""
 <mujoco>
   <compiler autolimits="true"/>
@@ -69,12 +72,12 @@ TOOL = f"""
 
 
 class Fingers:
-    """The fingers of one arm.
+    """Fingers of one arm.
 
     Args:
-        model: of MuJoCo.
-        prefix: of their names in it.
-        controller: whose gripper leads them.
+        model: MuJoCo model.
+        prefix: Prefix of the names of the arm in the model.
+        controller: Controller whose gripper drives the fingers.
     """
 
     def __init__(self, model: Any, prefix: str, controller: Controller) -> None:
@@ -83,17 +86,18 @@ class Fingers:
         self._actuators = [model.actuator(name).id for name in names]
         self.dofs = [int(model.joint(name).dofadr[0]) for name in names]
         self._places = [int(model.joint(name).qposadr[0]) for name in names]
-        #: where they stood when something held them up, m from open; 1 if they closed upon it, -1 if they opened
+        #: position at which an object blocked the fingers, in m from open; direction: 1 if they were closing, -1 if
+        #: opening
         self._held: float | None = None
         self._direction = 1.0
         self._waited = 0.0
 
     def put(self, data: Any) -> None:
-        """Put the fingers where the gripper has them."""
+        """Put the fingers at the position of the gripper."""
         data.qpos[self._places] = _way(self._gripper.position)
 
     def lead(self, data: Any, seconds: float) -> None:
-        """Tell the gripper what holds its fingers up, and the servo where they go in the coming cycle."""
+        """Set the servo's target for the coming cycle, and notify the gripper of a grasped object."""
         registers, place = self._gripper.registers, float(data.qpos[self._places[0]])
         most = _WEAKEST + (_STRONGEST - _WEAKEST) * registers["FOR"] / 255
         asked, goal = _way(registers["POS"]), _way(self._gripper.position)
@@ -108,7 +112,7 @@ class Fingers:
             self._gripper.take_away()
             self._held = None
         if self._held is not None:
-            # As hard as asked, also where the fingers have little way left to what they were asked for.
+            # Apply the requested force, even if the requested position is close to the position of the fingers.
             goal = asked + self._direction * most / _STIFFNESS
         for actuator in self._actuators:
             self._model.actuator_forcerange[actuator] = -most, most
@@ -116,5 +120,5 @@ class Fingers:
 
 
 def _way(position: float) -> float:
-    """Where each finger is at a position of the gripper, 0 to 255: m from open."""
+    """Return the distance of each finger from open, in m; `position` is 0 to 255."""
     return _STROKE / 2 * position / 255

@@ -1,19 +1,19 @@
-"""The world: a scene file of MuJoCo with the arms of one or several controllers in it.
+"""World of a MuJoCo scene file, with the arms of one or several controllers.
 
-Time is that of the controllers: in each of their cycles the world goes on by the same time, in equal steps of at most a
-millisecond. With several controllers the world goes with the one whose time is ahead, so that one that reboots or is
-stepped less holds nobody up. Nothing is random: the same file, controllers and calls give the same states to the last
-bit, on the same computer with the same release of MuJoCo.
+The controllers define the time: in each of their cycles, the world advances by the same time, in equal steps of at most
+one millisecond. With several controllers, the world follows the controller whose time is furthest ahead. So a
+controller that reboots, or is stepped less often, does not delay the others. Nothing is random: the same file,
+controllers and calls give the same states to the last bit, on the same computer with the same release of MuJoCo.
 
-In the file:
+These rules apply to the file:
 
-- a site of an arm's name (`arm`, if there is one) is its base frame; without one, that is the origin;
-- friction is that of elliptic cones, and the integrator `implicitfast`; both are set here, whatever the file says.
-  MuJoCo has pyramids as default, on which things slide easier along one direction than along another, and a part creeps
-  out of a grasp unless the friction is stiffer than the normal force (`impratio`, here at least 10);
-- a geom that has MuJoCo's own `solimp` begins its contacts without force. As that is, 90 % of the stiffness are there
-  at a depth of 0, so that contacts that come and go push by jerks: a box of 2 kg that is pushed at 0.05 m/s answers
-  with 7 +- 2.4 N along and +- 5 N across, and so with 5.89 N and less than 0.02 N.
+- A site with the name of an arm (`arm` for a single arm) is its base frame. Without such a site, the origin is.
+- The friction cones are elliptic, and the integrator is `implicitfast`. Both are set here and override the file. With
+  MuJoCo's default, pyramids, objects slide more easily in one direction than in another. A part creeps out of a grasp
+  unless the friction is stiffer than the normal force, so `impratio` is at least 10.
+- For geoms with MuJoCo's default `solimp`, the force of a contact starts at zero. With the default, 90 % of the
+  stiffness apply at a depth of 0, so contacts that come and go push in jerks. A box of 2 kg that is pushed at 0.05 m/s
+  then answers with 7 +- 2.4 N along and +- 5 N across; with the change, it is 5.89 N and less than 0.02 N.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 
 __all__ = ["MujocoWorld"]
 
-#: s, the longest step.
+#: Longest step, in s.
 _STEP = 1e-3
-#: `solimp`: what MuJoCo has unless a file says otherwise, and what is put in its place.
+#: `solimp`: MuJoCo's default, and the value that replaces it.
 _ABRUPT, _GRADUAL = (0.9, 0.95, 0.001, 0.5, 2.0), (0.0, 0.95, 0.001, 0.5, 2.0)
 
 
@@ -53,25 +53,25 @@ class MujocoWorld:
     """Bodies, and the arms among them.
 
     Args:
-        scene: the MJCF file.
-        arms: a controller, whose arm is called "arm", or several by the names of their arms. Their scene is this world
-            from now on; a gripper is mounted if the controller has one, and if TCP and payload are still zero they
-            become those of the gripper, as in an installation.
+        scene: Path of the MJCF file.
+        arms: A controller, whose arm is named "arm", or several controllers by the names of their arms. This world
+            becomes their scene. A gripper is mounted if the controller has one. If TCP and payload are still zero, they
+            are set to the values of the gripper, as in an installation.
 
     Attributes:
-        arms: the arms by name.
-        model, data: of MuJoCo. While controllers run, read them under `lock`.
-        lock: held while the world moves.
+        arms: Arms by name.
+        model, data: MuJoCo's model and data. While controllers run, read them only under `lock`.
+        lock: Lock that is held while the world moves.
 
     Raises:
-        LocalError: MuJoCo cannot read the file, or not with these arms in it.
-        BadValue: no arm, or a name that is no identifier.
+        LocalError: If MuJoCo cannot read the file, or cannot combine it with these arms.
+        BadValue: If there is no arm, or a name is not an identifier.
     """
 
     def __init__(self, scene: str | os.PathLike[str], arms: Controller | Mapping[str, Controller]) -> None:
         controllers = dict(arms) if isinstance(arms, Mapping) else {"arm": arms}
         if not controllers or not all(name.isidentifier() for name in controllers):
-            raise BadValue(f"a world has arms with names such as 'left', not {list(controllers)!r}")
+            raise BadValue(f"arms are named {list(controllers)!r}; expected at least one identifier such as 'left'")
         self.lock = threading.RLock()
         self.model = _compiled(os.fspath(scene), controllers, self.has_gripper)
         self.data = mujoco.MjData(self.model)
@@ -86,7 +86,7 @@ class MujocoWorld:
 
     @staticmethod
     def has_gripper(controller: Controller) -> bool:
-        """Whether a controller has a gripper, which is mounted then."""
+        """Whether a controller has a gripper. If it has, the gripper is mounted."""
         try:
             return controller.gripper is not None
         except LocalError:
@@ -95,7 +95,7 @@ class MujocoWorld:
     # -- time ----------------------------------------------------------------------------------------
 
     def advance_to(self, time: float) -> None:
-        """Let time pass up to that of an arm, s; the lock is held."""
+        """Advance the world to the time of an arm, in s. The lock must be held."""
         seconds = time - self._time
         if seconds < 1e-9:
             return
@@ -119,34 +119,34 @@ class MujocoWorld:
     # -- state ---------------------------------------------------------------------------------------
 
     def state(self) -> NDArray[np.float64]:
-        """All that MuJoCo goes on from, as numbers for `reset`."""
+        """Return MuJoCo's complete state as numbers for `reset`."""
         with self.lock:
             state = np.zeros(mujoco.mj_stateSize(self.model, STATE))
             mujoco.mj_getState(self.model, self.data, state, STATE)
         return state
 
     def reset(self, state: NDArray[np.float64] | None = None) -> None:
-        """Put everything but the arms where it was in a state, or in the beginning.
+        """Restore everything except the arms to a state, or to the first state.
 
-        Controllers go on: an arm is where its controller has it, and its gripper has been told what it has been told.
+        Controllers are not reset: each arm stays at its controller's position, and each gripper keeps its commands.
 
         Raises:
-            BadValue: not a state of this world.
+            BadValue: If `state` is not a state of this world.
         """
         with self.lock:
             wanted = self._first if state is None else np.asarray(state, dtype=np.float64)
             if wanted.shape != self._first.shape:
-                raise BadValue(f"a state of this world has {self._first.size} numbers, not {wanted.shape}")
+                raise BadValue(f"state has shape {wanted.shape}; expected ({self._first.size},), a state of this world")
             mujoco.mj_setState(self.model, self.data, wanted, STATE)
             for arm in self.arms.values():
                 arm.put()
             mujoco.mj_forward(self.model, self.data)
 
     def pose(self, body: str) -> NDArray[np.float64]:
-        """The pose of a body in the world, (6,): m, and rotation vector in rad.
+        """Return the pose of a body in the world, shape (6,): m, and rotation vector in rad.
 
         Raises:
-            BadValue: no such body.
+            BadValue: If the body does not exist.
         """
         with self.lock:
             found = self._body(body)
@@ -155,14 +155,14 @@ class MujocoWorld:
             return np.array((*found.xpos, *quaternion_to_rotvec((x, y, z, w))))
 
     def place(self, body: str, pose: Sequence[float]) -> None:
-        """Put a body with a free joint at a pose in the world, (6,), at rest.
+        """Put a body with a free joint at a pose in the world, shape (6,), at rest.
 
         Raises:
-            BadValue: no such body, it has no free joint, or not six finite numbers.
+            BadValue: If the body does not exist or has no free joint, or `pose` is not six finite numbers.
         """
         numbers = np.asarray(pose, dtype=np.float64)
         if numbers.shape != (6,) or not np.isfinite(numbers).all():
-            raise BadValue(f"a pose is six finite numbers, not {pose!r}")
+            raise BadValue(f"pose={pose!r}; expected six finite numbers")
         with self.lock:
             joint = int(self.model.body_jntadr[self._body(body).id])
             if joint < 0 or self.model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
@@ -178,27 +178,28 @@ class MujocoWorld:
             return self.data.body(name)
         except KeyError:
             known = ", ".join(filter(None, (self.model.body(i).name for i in range(1, self.model.nbody))))
-            raise BadValue(f"no body is called {name!r}; there are {known}") from None
+            raise BadValue(f"no body is named {name!r}; expected one of {known}") from None
 
-    # -- pictures ------------------------------------------------------------------------------------
+    # -- images --------------------------------------------------------------------------------------
 
     def picture(
         self, camera: str, *, width: int = 640, height: int = 480, depth: bool = False
     ) -> NDArray[np.uint8] | NDArray[np.float32]:
-        """What a camera of the file sees: (height, width, 3) of 0 to 255, or with `depth` (height, width) m.
+        """Return the image of a camera, shape (height, width, 3), with values of 0 to 255.
 
-        From any thread. MuJoCo draws with OpenGL, by `MUJOCO_GL=egl` without a screen.
+        With `depth`, return distances in m, shape (height, width). This can be called from any thread. MuJoCo draws
+        with OpenGL; without a screen, set `MUJOCO_GL=egl`.
 
         Raises:
-            BadValue: no such camera.
-            LocalError: there is no OpenGL, or the picture is larger than the file allows (`offwidth`, `offheight`).
+            BadValue: If the camera does not exist.
+            LocalError: If there is no OpenGL, or the image is larger than the file allows (`offwidth`, `offheight`).
         """
         if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_CAMERA, camera) < 0:
             known = ", ".join(self.model.camera(i).name for i in range(self.model.ncam)) or "none"
-            raise BadValue(f"no camera is called {camera!r}; there is {known}")
+            raise BadValue(f"no camera is named {camera!r}; the file has {known}")
         try:
             return self._drawing.picture(self.state(), camera, (height, width), depth)
-        except Exception as error:  # of OpenGL, of its platform, of MuJoCo: each has its own
+        except Exception as error:  # OpenGL, its platform and MuJoCo each raise their own errors
             raise LocalError(f"MuJoCo cannot draw {width} x {height}: {error}") from error
 
     def __repr__(self) -> str:
@@ -226,13 +227,13 @@ def _attach(spec: Any, name: str, controller: Controller, number: int, has_gripp
     for actuator in list(arm.actuators):
         arm.delete(actuator)
     for joint in arm.joints:
-        # The controller's arm has the friction, and stops before the ends of its joints.
+        # The controller's arm has the friction, and stops before the limits of its joints.
         joint.frictionloss, joint.limited = 0.0, mujoco.mjtLimited.mjLIMITED_FALSE
         joint.damping = np.zeros_like(joint.damping)
     if has_gripper:
         arm.attach(mujoco.MjSpec.from_string(TOOL), site=arm.site("tool0"), prefix="tool/")
     arm.option.gravity = spec.option.gravity
-    # An arm does not touch itself, but all others: things have the first bit as default.
+    # An arm does not touch itself, but touches everything else: other bodies have the first bit by default.
     own = 1 << (number + 1)
     for geom in arm.geoms:
         geom.contype, geom.conaffinity = own, 0x7FFFFFFF & ~own

@@ -1,8 +1,8 @@
-"""Universal Robots arms for Prometheus: `RobotCollector` reads them at each scrape, `serve_metrics` answers HTTP."""
+"""Universal Robots arms for Prometheus: `RobotCollector` reads them at each scrape, `serve_metrics` serves HTTP."""
 
 from __future__ import annotations
 
-# Before urlink, so that a warning about another distribution of that name comes before an import fails.
+# Before urlink: the warning about another distribution named linkcore must come before an import fails.
 import linkcore  # noqa: F401
 
 from .metrics import RobotCollector

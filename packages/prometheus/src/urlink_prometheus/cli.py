@@ -1,4 +1,4 @@
-"""`urlink serve prometheus`."""
+"""Command line of `urlink serve prometheus`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ __all__ = ["add_arguments", "serve"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the HTTP server."""
+    """Add the options of the HTTP server."""
     parser.description = "Serve metrics of robots at http://HOST:PORT/metrics, for Prometheus to scrape. It only reads."
-    parser.add_argument("--listen", default=HOST, metavar="HOST", help=f"address to listen at ({HOST}: this computer)")
-    parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"to listen at ({PORT})")
+    parser.add_argument(
+        "--listen", default=HOST, metavar="HOST", help=f"address to listen at (default: {HOST}, this computer only)"
+    )
+    parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"port to listen at (default: {PORT})")
 
 
 @contextlib.contextmanager
 def serve(robots: Mapping[str, Robot], args: argparse.Namespace) -> Iterator[None]:
-    """Serve them as long as the context lasts."""
+    """Serve the metrics of the robots until the context ends."""
     with contextlib.closing(RobotCollector(robots)) as collector, serve_metrics(collector, args.listen, args.port):
         yield

@@ -1,7 +1,7 @@
-"""The metrics of robots, computed when somebody scrapes: nothing is kept that could be old.
+"""Metrics of robots, computed at each scrape, so that no old value is kept.
 
-Each has the label ``robot``. What a robot does not tell, or has not told yet, is left out rather than shown as zero:
-temperatures of an arm that is lost are absent, and ``urlink_connected`` is 0.
+Each metric has the label ``robot``. A value that a robot does not send, or has not sent yet, is absent rather than
+zero. For example, a lost arm has no temperatures, and ``urlink_connected`` is 0.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from urlink.packets import ProgramState, RealtimeState, SafetyMode
 
 __all__ = ["RobotCollector"]
 
-#: Streams whose counters are shown.
+#: Streams whose counters are exported.
 _STREAMS = ("realtime", "primary")
-#: Counter of a stream -> what it counts. `missed` is None where the packets have no clock.
+#: Counters of a stream, and their descriptions. `missed` is None if the packets have no clock.
 _COUNTERS = {
-    "received": "packets that came off the wire",
+    "received": "packets received",
     "failed": "packets that could not be decoded",
-    "missed": "packets that never came, by the controller's own clock",
+    "missed": "packets that never arrived, by the controller's own clock",
     "duplicates": "packets that arrived twice, by the controller's own clock",
-    "dropped": "packets that slow loops over the stream did not get",
+    "dropped": "packets that were dropped because loops over the stream were slow",
     "reconnects": "connections after the first",
     "bytes": "bytes received",
-    "skipped": "bytes thrown away while looking for a lost frame boundary",
-    "unknown": "packets, or parts of one, of a type that no layout is known for",
+    "skipped": "bytes discarded while searching for a lost frame boundary",
+    "unknown": "packets, or parts of packets, of a type without a known layout",
 }
 _JOINTS = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
-#: Field of the real-time interface -> metric, what it is, and the label of its values; None for a single one.
+#: Fields of the real-time interface: metric, description, and labels of its values; None for a single value.
 _FIELDS: Mapping[str, tuple[str, str, tuple[str, ...] | None]] = {
     "motor_temperatures": ("urlink_motor_temperature_celsius", "temperature of a joint's motor", _JOINTS),
     "I_actual": ("urlink_joint_current_amperes", "current of a joint", _JOINTS),
@@ -50,10 +50,12 @@ _MODES = {
 
 
 class RobotCollector(Collector):
-    """What Prometheus asks at each scrape; a robot's streams are kept up while it is open.
+    """Collector that Prometheus asks at each scrape.
+
+    It keeps the robots' streams open until it is closed.
 
     Args:
-        robots: name -> robot; they are not closed with it.
+        robots: Robots by name. They are not closed with the collector.
     """
 
     def __init__(self, robots: Mapping[str, Robot]) -> None:
@@ -65,16 +67,16 @@ class RobotCollector(Collector):
         ]
 
     def close(self) -> None:
-        """Keep the streams up no more; idempotent."""
+        """Stop keeping the streams open; idempotent."""
         for subscription in self._subscriptions:
             subscription.close()
 
     def describe(self) -> list[Metric]:
-        """None beforehand: nothing is scraped when it is registered."""
+        """Return no metrics, so that the robots are not read when the collector is registered."""
         return []
 
     def collect(self) -> Iterator[Metric]:
-        """All metrics, of now."""
+        """Yield all metrics, with their current values."""
         yield from self._of_robots()
         yield from self._of_streams()
         states = {name: robot.realtime.latest for name, robot in self._robots.items()}
@@ -85,11 +87,11 @@ class RobotCollector(Collector):
 
     def _of_robots(self) -> Iterator[Metric]:
         about = InfoMetricFamily("urlink_robot", "model and firmware", labels=["robot"])
-        connected = GaugeMetricFamily("urlink_connected", "1 while the robot is heard", labels=["robot"])
+        connected = GaugeMetricFamily("urlink_connected", "1 while packets arrive from the robot", labels=["robot"])
         for name, robot in self._robots.items():
             is_connected = robot.realtime.connection is ConnectionState.CONNECTED
             connected.add_metric([name], float(is_connected))
-            with contextlib.suppress(LinkError):  # it has not said yet
+            with contextlib.suppress(LinkError):  # not known yet
                 about.add_metric([name], {"model": robot.model or "", "firmware": str(robot.firmware)})
         yield about
         yield connected
@@ -100,7 +102,7 @@ class RobotCollector(Collector):
             counter: CounterMetricFamily(f"urlink_stream_{counter}", what, labels=labels)
             for counter, what in _COUNTERS.items()
         }
-        rate = GaugeMetricFamily("urlink_stream_rate_hertz", "packets a second over the last second", labels=labels)
+        rate = GaugeMetricFamily("urlink_stream_rate_hertz", "packets per second over the last second", labels=labels)
         age = GaugeMetricFamily("urlink_stream_age_seconds", "time since the last packet was read", labels=labels)
         gap = GaugeMetricFamily(
             "urlink_stream_longest_gap_seconds", "longest gap by the controller's clock", labels=labels
@@ -134,7 +136,7 @@ def _gauges(metric: str, what: str, labels: tuple[str, ...] | None, values: Mapp
 
 
 def _modes(known: Mapping[str, RealtimeState]) -> Iterator[StateSetMetricFamily]:
-    """Each mode as a set of states, of which the one that holds is 1."""
+    """Yield each mode as a set of states; the current state is 1, the others are 0."""
     for field, (metric, what, kind) in _MODES.items():
         family = StateSetMetricFamily(metric, what, labels=["robot"])
         for name, state in known.items():

@@ -1,4 +1,4 @@
-"""The HTTP port at which Prometheus scrapes."""
+"""HTTP server for the scrapes of Prometheus."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from urlink import BadValue, LocalError
 
 __all__ = ["HOST", "PORT", "serve_metrics"]
 
-#: This computer alone.
+#: Default address: only this computer.
 HOST = "127.0.0.1"
-#: Chosen freely among those that the system does not give out by itself.
+#: Default port, chosen freely outside the range that the system assigns automatically.
 PORT = 9410
-#: s that the threads of the server have to end.
+#: Maximum time, in s, to wait for the end of the server's thread.
 _SOON = 5.0
 
 
 @contextlib.contextmanager
 def serve_metrics(collector: Collector, host: str = HOST, port: int = PORT) -> Iterator[int]:
-    """Answer scrapes for as long as the context lasts, which gives the port.
+    """Answer scrapes until the context ends; yield the port.
 
     Args:
-        collector: asked at each scrape.
-        host: address to listen at; anybody who reaches it reads the metrics.
-        port: 0 for one that is free.
+        collector: Collector that is asked at each scrape.
+        host: Address to listen at. Anyone who can reach it can read the metrics.
+        port: TCP port; 0 for a free port.
 
     Raises:
-        BadValue: a port that is none.
-        LocalError: the port is taken, or the address is not of this computer.
+        BadValue: If the port is not a valid number.
+        LocalError: If the port is in use, or the address does not belong to this computer.
     """
     if not 0 <= port <= 65535:
         raise BadValue(f"port={port!r}; expected 0 to 65535")

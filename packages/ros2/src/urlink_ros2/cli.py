@@ -1,4 +1,4 @@
-"""`urlink serve ros2`."""
+"""Command line of `urlink serve ros2`."""
 
 from __future__ import annotations
 
@@ -12,31 +12,33 @@ __all__ = ["add_arguments", "serve"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of ROS 2."""
-    parser.description = "Serve robots as nodes of ROS 2; several are in namespaces of their names."
-    parser.add_argument("--namespaced", action="store_true", default=None, help="in its namespace, also a single robot")
-    parser.add_argument("--prefixed", action="store_true", help="names of joints and frames begin with NAME_")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="states a second at most (all)")
+    """Add the options of the ROS 2 nodes."""
+    parser.description = "Serve robots as ROS 2 nodes. Several robots are in namespaces with their names."
+    parser.add_argument(
+        "--namespaced", action="store_true", default=None, help="use a namespace for a single robot too"
+    )
+    parser.add_argument("--prefixed", action="store_true", help="begin names of joints and frames with NAME_")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="maximum states per second (default: all)")
     parser.add_argument(
         "--controller",
         default="scaled_joint_trajectory_controller",
         metavar="NAME",
-        help="what the name of the action begins with (scaled_joint_trajectory_controller)",
+        help="first part of the action's name (default: scaled_joint_trajectory_controller)",
     )
 
 
 @contextlib.contextmanager
 def serve(robots: Mapping[str, Robot], args: argparse.Namespace) -> Iterator[None]:
-    """Serve them as long as the context lasts.
+    """Serve the robots until the context ends.
 
     Raises:
-        LocalError: there is no rclpy.
+        LocalError: If rclpy is not installed.
     """
     try:
         from .node import serve as serve_nodes
     except ImportError as error:
         raise LocalError(
-            f"{error}: source a ROS 2 installation, or pip install urlink-ros2[pypi] (CPython 3.11)"
+            f"{error}; source a ROS 2 installation, or pip install urlink-ros2[pypi] (CPython 3.11)"
         ) from error
     with serve_nodes(
         robots,

@@ -1,4 +1,4 @@
-"""The action `FollowJointTrajectory`."""
+"""Action `FollowJointTrajectory`: follows the trajectories of its goals, and reports feedback and results."""
 
 from __future__ import annotations
 
@@ -24,25 +24,29 @@ __all__ = ["TrajectoryAction"]
 
 _log = logging.getLogger("urlink.ros2")
 
-#: Seconds between two feedback messages.
+#: Interval, in s, between two feedback messages.
 _FEEDBACK = 0.05
 
-#: Seconds in which the executor sends the result of a goal, once there is one; rclpy does not tell when it has left.
+#: Time, in s, for the executor to send the result of a goal. rclpy does not report when the result was sent.
 _SENDING = 0.5
 
-#: Feedback messages that are kept until they are acknowledged. Fast DDS asks for an acknowledgement when so many wait.
+#: Number of feedback messages that are kept until they are acknowledged. Fast DDS requests an acknowledgement when this
+#: number of messages is waiting.
 _DEPTH = 2
-#: Seconds without an acknowledgement after which a client is lost; those that are there took 0.1 s at most.
+#: Time, in s, without an acknowledgement after which a client counts as lost. Existing clients took at most 0.1 s.
 _SILENT = 1.5
-#: Seconds from the beginning of a goal in which its client's subscription to the feedback is discovered.
+#: Time, in s, from the start of a goal within which its client's subscription to the feedback is discovered.
 _DISCOVERY = 1.0
 
-#: Seconds by which a goal may be ahead of its time.
+#: Maximum time, in s, by which the start of a goal may be in the future.
 _LONGEST_WAIT = 3600.0
 
 
 class _NumberedServer(ActionServer):  # type: ignore[misc,type-arg,unused-ignore]
-    """Numbers goals as they come: the callbacks of several may run side by side, and in another order."""
+    """Action server that numbers goals in the order of arrival.
+
+    The callbacks of several goals can run at the same time, and in a different order.
+    """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         self._count = 0
@@ -54,31 +58,31 @@ class _NumberedServer(ActionServer):  # type: ignore[misc,type-arg,unused-ignore
         if "goal" in data:
             self._count += 1
             self._numbers[bytes(data["goal"][1].goal_id.uuid)] = self._count
-            for old in list(self._numbers)[:-1000]:  # of goals that were rejected
+            for old in list(self._numbers)[:-1000]:  # these goals were rejected
                 self._numbers.pop(old, None)
         return data
 
     def number_of(self, handle: Any) -> int:
-        """The number of a goal that was accepted."""
+        """Return the number of a goal that was accepted."""
         return self._numbers.pop(bytes(handle.goal_id.uuid), 0)
 
 
 class TrajectoryAction:
-    """Serves the action for one robot.
+    """Action server of one robot.
 
-    A goal passes the interlock, preempts the ones that came before it, begins at its `header.stamp`, and is cancelled
-    where a client of the action is lost: ROS 2 does not tell whose a goal is.
+    A goal passes the interlock, preempts earlier goals, and starts at its `header.stamp`. It is cancelled when any
+    client of the action is lost, because ROS 2 does not report which client sent a goal.
 
     Args:
-        node: that serves it.
-        name: of the action.
-        robot: what is moved.
-        joints: their names, base to wrist 3.
-        watchdog: seconds without a set-point after which the arm brakes by itself.
-        expiry: whether a goal may have been given up.
+        node: Node that serves the action.
+        name: Name of the action.
+        robot: Robot to move.
+        joints: Names of the joints, base to wrist 3.
+        watchdog: Watchdog of trajectories, in s: without a set-point for this time, the arm brakes on its own.
+        expiry: Check for goals that their client might have abandoned.
 
     Raises:
-        ImportError: `control_msgs` is not installed.
+        ImportError: If `control_msgs` is not installed.
     """
 
     def __init__(self, node: Any, name: str, robot: Robot, joints: list[str], watchdog: float, expiry: Expiry) -> None:
@@ -92,7 +96,7 @@ class TrajectoryAction:
         self._expiry = expiry
         topic = f"{name}/_action/feedback"
         self._feedback_topic = node.resolve_topic_name(topic)
-        # In place of the action's own, of which rclpy does not tell what was acknowledged.
+        # This replaces the action's own publisher, for which rclpy does not report acknowledgements.
         self._publisher = node.create_publisher(
             FollowJointTrajectory.Impl.FeedbackMessage, topic, QoSProfile(depth=_DEPTH)
         )
@@ -114,16 +118,17 @@ class TrajectoryAction:
         )
 
     def end(self) -> None:
-        """Take no more goals, and cancel the one that runs; returns before it has ended."""
+        """Accept no more goals, and cancel the current goal. Do not wait for its end."""
         self._ending.set()
         motion = self._motion
         if motion is not None:
             motion.cancel()
 
     def wait_ended(self, seconds: float) -> None:
-        """Wait, at most so long, until no goal runs, and then until its client can have been told.
+        """Wait until no goal is running, and until its client can have received the result.
 
-        The executor has to go on meanwhile, since it sends the results.
+        The executor has to run in the meantime, because it sends the results. `seconds` is the maximum wait for the
+        goal.
         """
         with self._idle:
             clock.wait(partial(self._idle.wait_for, lambda: self._running == 0), seconds)
@@ -132,16 +137,16 @@ class TrajectoryAction:
             clock.sleep(left)
 
     def destroy(self) -> None:
-        """Serve it no more."""
+        """Stop serving the action."""
         self._server.destroy()
 
     def _accepted(self, request: Any) -> GoalResponse:
-        """Refuse at once what cannot be followed, or must not be now."""
+        """Reject a goal immediately if it cannot or must not be followed now."""
         refusal: object = self._robot.safety.refusal
         if self._ending.is_set():
-            refusal = "the serving ends"
+            refusal = "the server is shutting down"
         elif has_passed(request, self._now()):
-            refusal = "by its header.stamp it would have ended before now"
+            refusal = "according to its header.stamp, it would already have ended"
         else:
             try:
                 self._expiry.check()
@@ -153,13 +158,13 @@ class TrajectoryAction:
         return GoalResponse.REJECT
 
     def _now(self) -> float:
-        """Seconds of the clock of ROS."""
+        """Return the time of the ROS clock, in s."""
         return float(self._node.get_clock().now().nanoseconds * 1e-9)
 
     def _execute(self, handle: Any) -> Any:
         with self._idle:
             self._running += 1
-        # One call from here on: a stop of the robot ends a goal that has not begun.
+        # A single call from here on, so that a stop of the robot also ends a goal that has not started.
         try:
             return self._follow(handle, PendingCall())
         finally:
@@ -227,35 +232,39 @@ class TrajectoryAction:
         return self._ended(handle, ended, is_at_the_end, number)
 
     def _take_turn(self, handle: Any, number: int) -> float:
-        """Preempt what came before. When the goal is to begin, in seconds of the clock of ROS.
+        """Preempt earlier goals, and return the start time of this goal, in s of the ROS clock.
 
         Raises:
-            BadValue: the goal cannot be followed, and preempts nothing.
-            Cancelled: a newer one has come.
+            BadValue: If the goal cannot be followed. It preempts nothing.
+            Cancelled: If a newer goal has arrived.
         """
         now = self._now()
         begins = start_of(handle.request) or now
         if begins > now + _LONGEST_WAIT:
             raise BadValue(
-                f"header.stamp is {begins - now:.0f} s ahead; expected at most {_LONGEST_WAIT:.0f} s: is a clock wrong?"
+                f"header.stamp is {begins - now:.0f} s in the future; expected at most {_LONGEST_WAIT:.0f} s "
+                "(is a clock wrong?)"
             )
         read_goal(handle.request, self._joints, self._robot.realtime.wait().q_target)
         with self._turn:
             if number < self._newest:
-                raise Cancelled("a newer goal has come")
+                raise Cancelled("a newer goal has arrived")
             self._newest = number
             if begins > now and self._motion is not None:
                 self._motion.cancel()
         return begins
 
     def _check(self, handle: Any, watch: _Watch, number: int | None = None) -> None:
-        """Raise `Cancelled` where the goal must not go on; with its number, also where a newer one has come."""
+        """Raise `Cancelled` if the goal must not continue.
+
+        With the number of the goal, raise it also if a newer goal has arrived.
+        """
         if self._ending.is_set():
-            raise Cancelled("the serving ends")
+            raise Cancelled("the server is shutting down")
         if handle.is_cancel_requested:
-            raise Cancelled("its client cancels it")
+            raise Cancelled("its client cancelled it")
         if number is not None and number < self._newest:
-            raise Cancelled("a newer goal has come")
+            raise Cancelled("a newer goal has arrived")
         lost = watch.lost
         if lost is not None:
             raise Cancelled(lost)
@@ -298,15 +307,15 @@ class TrajectoryAction:
 
 
 class _Watch:
-    """Whether the clients of the action are still there, as far as DDS tells.
+    """Check whether the clients of the action still exist, as far as DDS reports it.
 
-    Each subscribes to the feedback. The subscription of one that ends in order is gone at once; that of one that was
-    killed stays for DDS's lease, 20 s in Fast DDS, but acknowledges nothing any more.
+    Each client subscribes to the feedback. The subscription of a client that ends normally disappears immediately. The
+    subscription of a killed client remains for DDS's lease (20 s in Fast DDS), but acknowledges no messages.
 
     Args:
-        node: that serves the action.
-        publisher: of the feedback.
-        topic: of the feedback.
+        node: Node that serves the action.
+        publisher: Publisher of the feedback.
+        topic: Topic of the feedback.
     """
 
     def __init__(self, node: Any, publisher: Any, topic: str) -> None:
@@ -316,33 +325,33 @@ class _Watch:
         self._began = clock.now()
         self._clients: set[bytes] = set()
         self._published = 0
-        # None until something of this goal was acknowledged: one that was killed before must not end it.
+        # None until a feedback of this goal is acknowledged: a client that was killed before must not end this goal.
         self._acknowledged: float | None = None
 
     def look(self) -> None:
-        """Before feedback is published: note whether all that was published is acknowledged."""
-        # Without waiting: rclpy keeps the interpreter's lock meanwhile.
+        """Note, before feedback is published, whether all earlier feedback is acknowledged."""
+        # Do not wait: rclpy holds the interpreter's lock during that.
         if self._published >= _DEPTH and self._publisher.wait_for_all_acked(Duration(seconds=0)):
             self._acknowledged = clock.now()
         self._published += 1
 
     @property
     def lost(self) -> str | None:
-        """Which one is lost, in words; None while all are there."""
+        """Description of the lost client; None if all clients exist."""
         now = clock.now()
         here = {bytes(each.endpoint_gid) for each in self._node.get_subscriptions_info_by_topic(self._topic)}
         if now < self._began + _DISCOVERY:
             self._clients |= here
         elif not here:
-            return "no client is left"
+            return "all clients of the action have disconnected"
         if self._clients - here:
-            return "a client of the action has gone"
+            return "a client of the action has disconnected"
         if self._acknowledged is not None and now - self._acknowledged > _SILENT:
-            return f"a client of the action has acknowledged nothing for {now - self._acknowledged:.1f} s"
+            return f"a client of the action has not acknowledged any feedback for {now - self._acknowledged:.1f} s"
         return None
 
 
 def _standing(state: RealtimeState) -> TrajectoryFeedback:
-    """The feedback of a goal whose time has not come."""
+    """Return the feedback of a goal that has not started."""
     off = state.q_target - state.q_actual
     return TrajectoryFeedback(0.0, 0.0, state.q_target, state.qd_target, state.q_actual, state.qd_actual, off)

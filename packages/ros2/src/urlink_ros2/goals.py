@@ -1,4 +1,4 @@
-"""Goals of `FollowJointTrajectory` as trajectories of the library."""
+"""Conversion of `FollowJointTrajectory` goals to trajectories of urlink."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ from urlink import (
 
 __all__ = ["Goal", "Late", "has_passed", "outcome", "read_goal", "seconds", "start_of"]
 
-#: rad and s, where a goal does not say; as `urlink.motion.Motions.follow`.
+#: Default tolerance, in rad, and time, in s, at the goal; the same as in `urlink.motion.Motions.follow`.
 _GOAL_TOLERANCE, _GOAL_TIME = 0.01, 1.0
-#: rad that a joint may be off where a trajectory begins that should have begun before; as `Motions.follow`.
+#: Maximum distance of a joint, in rad, from a trajectory that should already have started; as in `Motions.follow`.
 _START_TOLERANCE = 0.05
 
-#: Codes of a result that `FollowJointTrajectory` has none for: it has those from 0 to -5.
+#: Codes of results for which `FollowJointTrajectory` has no code: it defines 0 to -5.
 STOPPED, LINK_LOST, PREEMPTED, CANCELLED, FAILED = -101, -102, -103, -104, -105
 
 
 class Late(BadValue):
-    """A goal whose time, by its `header.stamp`, has passed."""
+    """Goal that is too late according to its `header.stamp`."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What is to be followed, and how closely.
+    """Trajectory of a goal, and its tolerances.
 
     Attributes:
-        trajectory: what to follow.
-        path_tolerance: rad; None for any distance.
-        goal_tolerance: rad.
-        goal_time: s.
+        trajectory: Trajectory to follow.
+        path_tolerance: Tolerance along the path, in rad; None for no limit.
+        goal_tolerance: Tolerance at the end, in rad.
+        goal_time: Maximum time to reach the goal after the end of the trajectory, in s.
     """
 
     trajectory: Trajectory
@@ -55,35 +55,39 @@ class Goal:
 
 
 def start_of(message: Any) -> float | None:
-    """When a goal is to begin, in seconds of the clock of ROS: its `header.stamp`; None for at once."""
+    """Return the start time of a goal, in s of the ROS clock, from `header.stamp`; None for now."""
     stamp = message.trajectory.header.stamp
     return seconds(stamp) if stamp.sec or stamp.nanosec else None
 
 
 def has_passed(message: Any, now: float) -> bool:
-    """Whether a goal would have ended before now, by its `header.stamp`; as joint_trajectory_controller rejects it."""
+    """Whether a goal would already have ended, according to its `header.stamp`.
+
+    joint_trajectory_controller rejects such a goal too.
+    """
     start, points = start_of(message), message.trajectory.points
     return start is not None and bool(points) and start + seconds(points[-1].time_from_start) < now
 
 
 def read_goal(message: Any, joints: Sequence[str], here: Any, passed: float = 0.0) -> Goal:
-    """A goal as it came, its joints in the order of the arm.
+    """Read a goal, and put its joints in the order of the arm.
 
-    Where the first point is not at time 0, the trajectory begins where the arm is. The library has one tolerance for
-    all joints: the strictest that is given. As the message has it, 0 is the default and -1 none.
+    If the first point is not at time 0, the trajectory starts at the current set-point of the arm. urlink has one
+    tolerance for all joints, so the strictest one is used. As the message defines, 0 selects the default and -1 means
+    no tolerance.
 
-    Points whose time has passed are left out, as joint_trajectory_controller does. That goes on from where the
-    trajectory is by now, and leaps if the arm is elsewhere; here the goal is refused then.
+    Points whose time has passed are left out, as in joint_trajectory_controller. That controller continues from the
+    current point of the trajectory, and jumps if the arm is elsewhere. Here, the goal is rejected instead.
 
     Args:
-        message: of the type `FollowJointTrajectory.Goal`.
-        joints: names, base to wrist 3.
-        here: (6,) rad, where the arm is led.
-        passed: seconds since it should have begun.
+        message: Message of the type `FollowJointTrajectory.Goal`.
+        joints: Names of the joints, base to wrist 3.
+        here: Current set-point of the joints, shape (6,), in rad.
+        passed: Time since the goal should have started, in s.
 
     Raises:
-        Late: the arm is not where the trajectory is by now.
-        BadValue: other joints, velocities for some points only, or what `Trajectory` refuses.
+        Late: If the arm is not at the current point of the trajectory.
+        BadValue: If the joints differ, if only some points have velocities, or if `Trajectory` rejects the points.
     """
     names = list(message.trajectory.joint_names)
     if sorted(names) != sorted(joints):
@@ -96,13 +100,13 @@ def read_goal(message: Any, joints: Sequence[str], here: Any, passed: float = 0.
             return None
         for number, row in enumerate(rows):
             if len(row) != len(order):
-                raise BadValue(f"point {number}: {len(row)} {name}; expected {len(order)}, in all points or in none")
+                raise BadValue(f"point {number} has {len(row)} {name}; expected {len(order)}, in all points or in none")
         return [[row[joint] for joint in order] for row in rows]
 
     times = [seconds(point.time_from_start) for point in message.trajectory.points]
     q, qd, qdd = column("positions"), column("velocities"), column("accelerations")
     if q is None:
-        raise BadValue("a trajectory without positions")
+        raise BadValue("the trajectory has no positions; expected positions in all points")
     begins = times[0]
     if begins > 0.0:
         times.insert(0, 0.0)
@@ -110,15 +114,15 @@ def read_goal(message: Any, joints: Sequence[str], here: Any, passed: float = 0.
         for rest in (qd, qdd):
             if rest is not None:
                 rest.insert(0, [0.0] * len(order))
-    # Points that have accelerations without velocities leave both to be chosen.
+    # Accelerations without velocities are not used; the trajectory chooses both.
     trajectory = Trajectory.from_arrays(times, q, qd, None if qd is None else qdd)
     if passed > 0.0:
         if passed > begins:
             off = float(np.abs(np.array(trajectory.sample(passed)[0]) - here).max())
             if passed >= trajectory.duration or off > _START_TOLERANCE:
                 raise Late(
-                    f"header.stamp was {passed:.2f} s ago, and the arm is {off:.3f} rad from where its trajectory is "
-                    f"now; the tolerance is {_START_TOLERANCE:g} rad"
+                    f"header.stamp was {passed:.2f} s ago, and the arm is {off:.3f} rad from the current point of the "
+                    f"trajectory; expected at most {_START_TOLERANCE:g} rad"
                 )
         left = [number for number, at in enumerate(times) if at > passed]
         start, rest = [[float(value) for value in here]], [[0.0] * len(order)]
@@ -145,18 +149,18 @@ def _strictest(tolerances: Sequence[Any], default: float | None) -> float | None
 
 
 def seconds(duration: Any) -> float:
-    """Of the message `Duration`."""
+    """Convert a `Duration` message to s."""
     return float(duration.sec + 1e-9 * duration.nanosec)
 
 
 def outcome(error: Exception, result: Any, is_at_the_end: bool, is_preempted: bool) -> tuple[int, str]:
-    """What ended a motion, or refused it: the code of the result, and what its text begins with.
+    """Return the code of a result, and the prefix of its text, for an error of a motion.
 
     Args:
-        error: of the library.
-        result: the type of the message, which has the codes.
-        is_at_the_end: the trajectory was over, and the arm on its way to the goal.
-        is_preempted: a newer goal has taken its place.
+        error: Error that ended or refused the motion.
+        result: Type of the message, which defines the codes.
+        is_at_the_end: Whether the time of the trajectory had passed, and the arm was still moving to the goal.
+        is_preempted: Whether a newer goal has replaced this one.
     """
     if isinstance(error, ToleranceExceeded):
         if is_at_the_end:

@@ -1,4 +1,4 @@
-"""The node of a robot, and nodes of several."""
+"""ROS 2 node of a robot, and a server for the nodes of several robots."""
 
 from __future__ import annotations
 
@@ -27,34 +27,34 @@ __all__ = ["JOINT_NAMES", "RobotNode", "serve"]
 
 _log = logging.getLogger("urlink.ros2")
 
-#: Seconds for which commands are refused after this process was held up: Fast DDS sends again what was lost with its
-#: heartbeats, every 3 s.
+#: Time, in s, for which commands are refused after this process was interrupted. Fast DDS sends lost messages again
+#: with its heartbeats, every 3 s.
 _SETTLING = 4.0
-#: Seconds between two looks at what changes seldom, and without a state after which a robot counts as lost.
+#: Interval, in s, at which seldom changes are published; time, in s, without a state until a robot counts as lost.
 _LOOK, _SILENT = 0.1, 0.5
 
-#: Seconds that a goal may take to end once it is cancelled; it takes two periods of its feedback.
+#: Maximum time, in s, for a cancelled goal to end; it takes two periods of its feedback.
 _END = 5.0
 
 
 class RobotNode:
-    """A node of ROS 2 for one robot: topics, services, and the action; made within a context of rclpy.
+    """ROS 2 node of one robot, with topics, services and the action.
 
     Args:
-        context: of rclpy.
-        robot: what is served; it is not closed with the node.
-        name: of the node.
-        namespace: of the node, and so of all names.
-        prefix: of the names of joints and frames, such as ``left_``.
-        rate: states a second that are published, at most; None for all.
-        controller: what the action's name begins with.
-        watchdog: seconds without a set-point after which an arm that follows a trajectory brakes by itself.
+        context: Context of rclpy, which must be initialised.
+        robot: Robot to serve. It is not closed with the node.
+        name: Name of the node.
+        namespace: Namespace of the node, and so of all its names.
+        prefix: Prefix of the names of joints and frames, such as ``left_``.
+        rate: Maximum number of states to publish per second; None for all states.
+        controller: First part of the action's name.
+        watchdog: Watchdog of trajectories, in s: without a set-point for this time, the arm brakes on its own.
 
     Attributes:
-        node: of rclpy; add it to an executor.
+        node: Node of rclpy; add it to an executor.
 
     Raises:
-        BadValue: a rate that is not positive.
+        BadValue: If `rate` is not positive.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class RobotNode:
         watchdog: float = 0.1,
     ) -> None:
         if rate is not None and not 0.0 < rate <= 1000.0:
-            raise BadValue(f"rate={rate}; expected more than 0 and at most 1000 states a second")
+            raise BadValue(f"rate={rate}; expected more than 0 and at most 1000 states per second")
         self.node = rclpy.create_node(name, namespace=namespace, context=context)
         self._robot = robot
         self._every = 1 if rate is None else max(round(robot.firmware.rate / rate), 1)
@@ -96,26 +96,32 @@ class RobotNode:
         self._publishers.describe(robot)
         self._subscription = robot.realtime.subscribe(self._publish, policy=drop_oldest(64))
         self.node.create_timer(_LOOK, self._look)
-        # Not by the timer: a busy executor is late by seconds, while the process runs.
+        # In a thread rather than a timer: a busy executor delays timers by seconds although the process runs.
         self._expiry.tick()
         threading.Thread(target=self._tick, name="urlink-ros2 tick", daemon=True).start()
 
     def end_motion(self) -> None:
-        """Take no more goals and messages, and cancel what a client moves; returns before it has ended."""
+        """Accept no more goals and messages, and cancel the motions of clients.
+
+        Do not wait for the end of the motions.
+        """
         if self._topics is not None:
             self._topics.end()
         if self._action is not None:
             self._action.end()
 
     def wait_motion_ended(self) -> None:
-        """Wait until what `end_motion` cancelled has ended and, by the executor, its client has been told."""
+        """Wait until motions cancelled by `end_motion` have ended, and clients are notified.
+
+        The executor has to run in the meantime, because it notifies the clients.
+        """
         if self._topics is not None:
             self._topics.wait_ended()
         if self._action is not None:
             self._action.wait_ended(_END)
 
     def close(self) -> None:
-        """Cancel what a client moves, wait until it has ended, and end the node."""
+        """Cancel the motions of clients, wait until they have ended, and destroy the node."""
         self._is_closed.set()
         self._subscription.close()
         self.end_motion()
@@ -140,15 +146,15 @@ class RobotNode:
         self._publishers.publish_changes(state, "" if refusal is None else str(refusal))
 
     def _halt(self) -> None:
-        with contextlib.suppress(SafetyStop):  # the arm stands already
-            self._robot.motion.stop()  # whatever moves it: also a script of a user
+        with contextlib.suppress(SafetyStop):  # the arm is already at rest
+            self._robot.motion.stop()  # stops every motion, even a script of a user
 
     def _set_speed(self, message: Any) -> None:
         try:
             self._expiry.check()
             self._robot.set_speed_slider(message.data)
         except LinkError as error:
-            _log.warning("the speed slider is not set: %s", error)
+            _log.warning("speed slider not set: %s", error)
 
 
 @contextlib.contextmanager
@@ -161,18 +167,18 @@ def serve(
     controller: str = "scaled_joint_trajectory_controller",
     watchdog: float = 0.1,
 ) -> Iterator[None]:
-    """Serve robots, by name, as long as the context lasts, with an executor of its own.
+    """Serve robots in their own executor until the context ends.
 
     Args:
-        robots: name -> robot.
-        namespaced: each in a namespace of its name; None where there are several.
-        prefixed: names of joints and frames begin with the name of the robot.
-        rate, controller, watchdog: see `RobotNode`.
+        robots: Robots by name.
+        namespaced: Whether each robot is in a namespace with its name. None does so only for several robots.
+        prefixed: Whether names of joints and frames begin with the name of the robot.
+        rate, controller, watchdog: See `RobotNode`.
     """
     if namespaced is None:
         namespaced = len(robots) > 1
     context = rclpy.Context()
-    # Signals stay with the program around us.
+    # The surrounding program handles signals.
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     executor = rclpy.executors.MultiThreadedExecutor(2 + 2 * len(robots), context=context)
     nodes: list[RobotNode] = []
@@ -194,7 +200,7 @@ def serve(
         thread.start()
         yield
     finally:
-        # While the executor runs: its shutdown waits for goals, and their results are sent by it.
+        # Do this while the executor runs: it sends the results of goals, and its shutdown waits for goals.
         for served in nodes:
             served.end_motion()
         for served in nodes:
@@ -210,7 +216,10 @@ def serve(
 
 
 def _spin(executor: Any, is_over: threading.Event) -> None:
-    """Spin until it is over. `executor.spin` goes on for a moment after `shutdown`, when nodes are destroyed."""
+    """Spin until the end is requested.
+
+    `executor.spin` would run for a moment after `shutdown`, when nodes are already destroyed.
+    """
     with contextlib.suppress(rclpy.executors.ExternalShutdownException):
         while executor.context.ok() and not is_over.is_set():
             executor.spin_once(timeout_sec=0.1)

@@ -1,4 +1,4 @@
-"""Services: the dashboard, the interlock, outputs."""
+"""ROS 2 services for the dashboard, the interlock and outputs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from urlink import Expiry, LinkError, Robot
 
 __all__ = ["create_services"]
 
-#: Services of the dashboard that the ROS 2 driver of the vendor has too, but for those that start an installed program:
-#: nobody would hold a handle of what it moves.
+#: Dashboard services that the vendor's ROS 2 driver has too. Services that start an installed program are left out,
+#: because no handle would exist for its motion.
 _DASHBOARD = (
     "power_on",
     "power_off",
@@ -28,20 +28,21 @@ _DASHBOARD = (
     "shutdown",
     "stop",
 )
-#: Those of them that come late rather than not at all.
+#: Dashboard services that are executed even if a call is late.
 _ALWAYS = ("power_off", "pause", "stop", "shutdown")
 
 
 def create_services(node: Any, robot: Robot, halt: Callable[[], object], expiry: Expiry) -> None:
-    """Create the services of one robot: each answers when the robot has, and says why it has not.
+    """Create the services of one robot; each answers when the robot has done it or failed.
 
     Args:
-        node: that serves them.
-        robot: what is told.
-        halt: brakes, and ends what moves the arm.
-        expiry: whether a call may have been given up; `halt`, and what only stops, come late rather than not at all.
+        node: Node that serves them.
+        robot: Robot to command.
+        halt: Function that brakes the arm and ends its motion.
+        expiry: Check for calls that their client might have abandoned. `halt` and services that only stop the robot are
+            executed even if they are late.
     """
-    # One that waits for the dashboard does not keep `halt` waiting.
+    # Separate groups, so that a service that waits for the dashboard does not delay `halt`.
     slow, quick = MutuallyExclusiveCallbackGroup(), ReentrantCallbackGroup()
 
     def triggered(name: str, call: Callable[[], object], group: Any, *, expires: bool = True) -> None:

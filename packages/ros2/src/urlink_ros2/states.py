@@ -1,4 +1,4 @@
-"""States of a robot as messages."""
+"""States of a robot as ROS 2 messages."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ from urlink.packets import ProgramState, RealtimeState
 
 __all__ = ["LATCHED", "STREAMED", "StatePublishers"]
 
-#: As the system default that the ROS 2 driver's broadcasters publish with.
+#: The system default, with which the broadcasters of the vendor's ROS 2 driver publish.
 STREAMED = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
-#: Of what changes seldom: who comes late gets the newest.
+#: For values that change seldom: a late subscriber receives the newest value.
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class StatePublishers:
-    """The topics of one robot. Names are those of the ROS 2 driver of the vendor, where the message types are too.
+    """Published topics of one robot.
+
+    The topics have the names of the vendor's ROS 2 driver if the message types are the same.
 
     Args:
-        node: that publishes.
-        joints: names of the joints.
-        base, force: frames of poses, and of the force at the tool.
+        node: Node that publishes.
+        joints: Names of the joints.
+        base, force: Frames of poses, and of the force at the tool.
     """
 
     def __init__(self, node: Any, joints: list[str], base: str, force: str) -> None:
@@ -59,12 +61,12 @@ class StatePublishers:
         self._wrench_stamped.header.frame_id = force
 
     def describe(self, robot: Robot) -> None:
-        """The arm as URDF, with simple shapes; nothing where it is not known."""
+        """Publish the arm as URDF with simple shapes; publish nothing if the model is unknown."""
         with contextlib.suppress(LocalError):
             self._description.publish(String(data=to_urdf(robot.kinematics, shapes=True)))
 
     def publish(self, state: RealtimeState) -> None:
-        """What streams: joints, tool, force, speed scaling. The stamp is when the state arrived."""
+        """Publish joints, tool, force and speed scaling; the stamp is the arrival time of the state."""
         stamp = state.received
         if stamp is None:
             return
@@ -74,7 +76,7 @@ class StatePublishers:
             message.header.stamp.sec, message.header.stamp.nanosec = whole, nanoseconds
         self._joint_state.position = state.q_actual.tolist()
         self._joint_state.velocity = state.qd_actual.tolist()
-        # Currents, as the driver has it.
+        # currents, as in the vendor's driver
         self._joint_state.effort = state.I_actual.tolist()
         self._joints.publish(self._joint_state)
         pose, tool = state.tool_vector_actual.tolist(), self._pose_stamped.pose
@@ -88,15 +90,15 @@ class StatePublishers:
         torque.x, torque.y, torque.z = wrench[3:]
         self._wrench.publish(self._wrench_stamped)
         if state.speed_scaling is not None:
-            # In percent, as the driver has it.
+            # in percent, as in the vendor's driver
             self._scaling.publish(Float64(data=100.0 * state.speed_scaling))
 
     def publish_changes(self, state: RealtimeState | None, refusal: str) -> None:
-        """What changes seldom, where it has changed.
+        """Publish the values that change seldom, if they have changed.
 
         Args:
-            state: the newest; None where none has come, or too long ago.
-            refusal: what a motion would be refused with; "" where it would not.
+            state: Newest state; None if none has arrived, or if it is too old.
+            refusal: Reason why a motion would be refused; "" if it would not.
         """
         self._tell("refusal", refusal)
         if state is None:

@@ -1,8 +1,8 @@
-"""Topics that lead the arm: positions, velocities, freedrive and scripts, by the names of the vendor's driver.
+"""Topics that move the arm: positions, velocities, freedrive and scripts, with the names of the vendor's driver.
 
-The first message enters a block of `robot.motion`, and a time without one leaves it. A block that has ended otherwise,
-by a stop, another motion or an error, is not entered again until its topic was silent for that time: whoever sends on
-has not asked anew.
+The first message enters a block of `robot.motion`, and a silence ends it. If a stop, another motion or an error has
+ended the block, it is not entered again until its topic has been silent for the same time. A client that keeps sending
+has not requested the motion again.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ __all__ = ["CommandTopics"]
 
 _log = logging.getLogger("urlink.ros2")
 
-#: Seconds without a message after which the arm is led no longer: of positions and velocities, and of freedrive, where
-#: it is that of the vendor's driver.
+#: Silence, in s, after which a block ends: for positions and velocities, and for freedrive, where the vendor's driver
+#: uses the same time.
 _SILENT, _FREEDRIVE = 0.3, 1.0
-#: Seconds that a block may take to end.
+#: Maximum time, in s, for a block to end.
 _END = 5.0
 
 
 class CommandTopics:
-    """The topics of one robot through which others lead it.
+    """Topics of one robot on which clients command motions.
 
     Args:
-        node: that is subscribed.
-        robot: what is led.
-        expiry: whether messages may be late; what is, is not carried out.
+        node: Node that subscribes to them.
+        robot: Robot to move.
+        expiry: Check for messages that might be late. Late messages are not executed.
     """
 
     def __init__(self, node: Any, robot: Robot, expiry: Expiry) -> None:
@@ -81,12 +81,12 @@ class CommandTopics:
         node.create_subscription(String, "urscript_interface/script_command", self._run, 10, callback_group=group)
 
     def end(self) -> None:
-        """Lead it no more; returns before it has ended."""
+        """End all blocks. Do not wait for their end."""
         for led in self._led:
             led.end()
 
     def wait_ended(self, seconds: float = _END) -> None:
-        """Wait, at most so long for each, until it is led no more."""
+        """Wait until all blocks have ended, at most `seconds` for each."""
         for led in self._led:
             led.wait_ended(seconds)
 
@@ -94,7 +94,7 @@ class CommandTopics:
         try:
             self._expiry.check()
         except LinkError as error:
-            _log.warning("%s are not followed: %s", led.name, error)
+            _log.warning("%s: message rejected: %s", led.name, error)
         else:
             led.take(message)
 
@@ -103,18 +103,18 @@ class CommandTopics:
             self._expiry.check()
             self._robot.script.run(message.data)
         except LinkError as error:
-            _log.warning("the script is not run: %s", error)
+            _log.warning("script not run: %s", error)
 
 
 class _Led:
-    """One block, and the messages for it.
+    """A block, and the messages for it.
 
     Args:
-        name: of what is led, for the log.
-        enter: opens the block.
-        obey: carries out a message within it.
-        silent: s without a message after which the block is left.
-        wants: whether a message asks for the block; one that does not ends it.
+        name: Name of the block, used in log messages.
+        enter: Function that opens the block.
+        obey: Function that executes a message in the block.
+        silent: Silence, in s, after which the block ends.
+        wants: Function that returns whether a message requests the block. A message that does not ends the block.
     """
 
     def __init__(
@@ -130,14 +130,14 @@ class _Led:
         self._obey = obey
         self._silent = silent
         self._wants = wants
-        #: the newest message counts, and None ends it
+        #: only the newest message counts; None ends the block
         self._messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._turn = threading.Lock()
         self._thread: threading.Thread | None = None
         self._is_over = False
 
     def take(self, message: Any) -> None:
-        """Follow a message, which begins to lead the arm if it is the first."""
+        """Follow a message; the first message enters the block."""
         with self._turn:
             if self._is_over or (self._thread is None and not self._wants(message)):
                 return
@@ -164,7 +164,7 @@ class _Led:
                 while (message := self._next()) is not None:
                     self._obey(block, message)
         except LinkError as error:
-            _log.warning("%s are followed no longer: %s", self.name, error)
+            _log.warning("%s: no longer followed: %s", self.name, error)
             while self._next() is not None:
                 continue
         finally:
@@ -173,7 +173,7 @@ class _Led:
                 self._messages = queue.SimpleQueue()
 
     def _next(self) -> Any:
-        """The newest message; None where the block is to be left."""
+        """Return the newest message; None if the block must end."""
         try:
             message = clock.get(self._messages, self._silent)
             while message is not None and not self._messages.empty():
