@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import fcntl
 import select
 import selectors
 import socket
 import struct
-import termios
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +21,12 @@ from hypothesis import strategies as st
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import TcpTransport
 from linkcore.simulated import Computer, Simulation, simulated_time
+
+if sys.platform != "win32":
+    import fcntl
+    import termios
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="this operating system has no poll and no TIOCOUTQ")
 
 PORT = 30001
 RESET = struct.pack("ii", 1, 0)
@@ -285,6 +290,7 @@ def test_network_reset_during_a_handshake_refuses_the_connection(
                 pass
 
 
+@posix
 def test_poll_select_and_selectors_are_simulated(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT)) as link:
@@ -342,6 +348,7 @@ def test_selector_reports_data_until_it_is_read(sim: Simulation, robot: Computer
 @pytest.mark.parametrize(
     ("fault", "end", "returned"), [("hold", "release", [b"a", b"bc"]), ("suspend", "resume", [b"abc"])]
 )
+@posix
 def test_kernel_acknowledges_while_threads_are_stopped(
     sim: Simulation, robot: Computer, fault: str, end: str, returned: list[bytes]
 ) -> None:
