@@ -125,7 +125,7 @@ def test_statistics_count_late_set_points(led: Rehearsal) -> None:
     assert stats.p99 == pytest.approx(0.002)
 
 
-def test_an_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> None:
+def test_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> None:
     """Quantiles are for the newest intervals, but counts are for all intervals."""
     with opened(robot, rate=2.0, watchdog=5.0) as servo:
         for interval in (0.5, 0.75, 0.25, 0.8125, 0.5):

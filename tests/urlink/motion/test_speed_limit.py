@@ -125,7 +125,7 @@ def test_bounds_have_expected_values() -> None:
     assert Loop().step(TOP * (0.002 + EARLY) + 2e-6, 0.002) is None
 
 
-def test_slow_loop_moves_as_far_per_step_as_50_hz_loop() -> None:
+def test_step_of_slow_loop_is_limited_as_at_50_hz() -> None:
     loop = Loop(0.5)
     assert loop.step(TOP * (LONGEST_PERIOD + EARLY + LATE) * 1.01, 0.5) is not None
     assert loop.step(TOP * (LONGEST_PERIOD + EARLY) * 0.99, 0.0) is None

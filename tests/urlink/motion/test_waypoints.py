@@ -172,7 +172,7 @@ def test_arm_is_checked_since_start_of_motion() -> None:
     assert served.server.is_over
 
 
-def test_a_state_from_the_past_counts_as_one_cycle() -> None:
+def test_state_from_the_past_counts_as_one_cycle() -> None:
     served = Served()
     served.step(b"0\n1\n2\n")
     served.BEGIN = 20.0
