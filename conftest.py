@@ -1,3 +1,3 @@
-"""Plugins for all tests, those in docstrings and documents included."""
+"""Pytest plugins for all tests, including the examples in docstrings and documents."""
 
 pytest_plugins = ["tests.collecting", "tests.watchdog", "tests.mosquitto", "tests.real_time", "tests.matrix"]

@@ -1,6 +1,6 @@
-"""The long checks, which a night has time for. `nox -f nightly.py -s fuzz` runs one of them.
+"""Long checks, which run at night. `nox -f nightly.py -s fuzz` runs one of them.
 
-They try random cases, other versions of Python and of requirements, and programs that other people wrote.
+They try random cases, other versions of Python and of requirements, and programs of other projects.
 `nox -f nightly.py` runs the sessions in `nox.options.sessions`, as the workflow nightly.yml does. `nox -f nightly.py
 -l` also lists the sessions of noxfile.py, because this file imports them.
 """
@@ -37,12 +37,12 @@ def floors(session: nox.Session) -> None:
     constraints = Path(session.create_tmp()) / "floors.txt"
     constraints.write_text("\n".join(floors))
     install(session, *group("tests"), "websockets", f"--constraint={constraints}")
-    # What an old release uses of a newer one of something else is none of ours.
+    # An old release may use deprecated parts of a newer package. That is not a fault of this project.
     ignored = ("-W", "default::DeprecationWarning")
     session.run("pytest", *PARALLEL, *ignored, *(session.posargs or TESTED), env=COMPILED)
 
 
-#: What control_msgs, which PyPI has not, is built with; ament_package wants an empy before 4.
+#: Packages to build control_msgs, which is not on PyPI. ament_package needs an empy before 4.
 ROS_GENERATORS = (
     "ros-ament-cmake",
     "ros-ament-cmake-include-directories",
@@ -80,7 +80,7 @@ def lerobot(session: nox.Session, release: str) -> None:
     session.run("pytest", f"--confcutdir={folder}", *(session.posargs or [f"{folder}/tests"]))
 
 
-#: Tests of what recordings are exported to.
+#: Tests of exports of recordings.
 EXPORTS = ("tests/urlink/recording", "packages/view/tests/test_live.py", "packages/view/tests/test_foxglove.py")
 
 
@@ -93,13 +93,13 @@ def data(session: nox.Session) -> None:
 
 @nox.session
 def view(session: nox.Session) -> None:
-    """Show arms in a real browser. Run it after changing the view; it needs chromedriver for that."""
+    """Show arms in a real browser. Run it after changing the view; it needs chromedriver."""
     install(session, *group("tests", "view"))
     session.run("pytest", *(session.posargs or ["packages/view"]))
 
 
 def _build_control_msgs(session: nox.Session) -> None:
-    """Build the types of FollowJointTrajectory into the session's environment; needs CMake and a compiler."""
+    """Build the types of FollowJointTrajectory in the session's environment; needs CMake and a compiler."""
     prefix, build = session.virtualenv.location, str(Path(session.create_tmp()) / "control_msgs")
     session.run(
         "cmake",
@@ -142,7 +142,7 @@ def fuzz(session: nox.Session) -> None:
 
 @nox.session
 def soak(session: nox.Session) -> None:
-    """Look for leaks for 20 minutes. Run it after changing threads, sockets or reconnecting: ``-- --minutes 2``."""
+    """Search for leaks for 20 minutes. Run it after changing threads, sockets or reconnecting: ``-- --minutes 2``."""
     install(session, *group("tests"))
     session.run("python", "-X", "dev", "-m", "tests.soak", *session.posargs)
 
@@ -170,17 +170,17 @@ def identified(session: nox.Session) -> None:
 
 @nox.session
 def mutants(session: nox.Session) -> None:
-    """Count small changes to the code that no test finds. Run it for a module that you tested: ``-- framing``."""
+    """Count small changes to the code that no test detects. Run it for a module that you tested: ``-- framing``."""
     install(session, *group("tests"))
     session.run("python", "-m", "tests.mutants", *session.posargs)
 
 
 @nox.session(reuse_venv=False)
 def newest(session: nox.Session) -> None:
-    """Test with the newest release of every requirement. Run it every night; bytes that are not known are errors.
+    """Test with the newest release of every requirement. Run it every night; unknown bytes are errors.
 
-    It ignores the pins of the dependency groups, so that a release that breaks something is found the night after. The
-    distribution itself limits `construct`, so that is upgraded afterwards.
+    It ignores the pins of the dependency groups, so that a release that breaks something is found in the next night.
+    The distribution itself limits `construct`, so that package is upgraded afterwards.
     """
     required = group("tests", "interop", "kinematics")
     names = sorted({Requirement(each).name for each in required if "math3d" not in each})
@@ -190,7 +190,7 @@ def newest(session: nox.Session) -> None:
     session.run("python", "-m", "pip", "freeze")
     strict = {"URLINK_STRICT": "1"}
     ignored = ("-W", "ignore:notifyAll:DeprecationWarning")
-    # Real packets and other people's clients: nothing in them may be unknown.
+    # Real packets and clients of other projects must not contain unknown data.
     session.run("pytest", *ignored, "tests/interop", *session.posargs, env=strict, success_codes=[0, 5])
     session.run("pytest", *PARALLEL, "-m", "captures", "tests", *session.posargs, env=strict, success_codes=[0, 5])
     session.run("pytest", *PARALLEL, *ignored, "tests", *session.posargs, env=COMPILED)

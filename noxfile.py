@@ -1,4 +1,4 @@
-"""The checks of every day. `nox` runs those of the gate, `nox -s tests` runs one, and `nox -l` lists them all.
+"""Everyday checks. `nox` runs the checks of the gate, `nox -s tests` runs one of them, and `nox -l` lists all.
 
 The long checks are in nightly.py: `nox -f nightly.py -l`.
 """
@@ -22,33 +22,33 @@ EXTRAS = "[cli,plot]"
 
 PROCESSORS = os.cpu_count() or 1
 
-# Processes that run tests side by side: one more than there are processors, since many tests wait for a third of their
-# time, but no more than four, because the simulators and the streams of a process start threads of their own, and tests
-# of periods want some of a processor left.
+# Number of test processes: one more than there are processors, because many tests wait for a third of their time. At
+# most four, because the simulators and streams of a process start their own threads, and tests of periods need some
+# free processor time.
 PARALLEL = (f"-n{min(PROCESSORS + 1, 4)}", "--dist=worksteal")
 
-# Hundreds of tests start an interpreter, which would compile every module anew where the environment forbids to keep
-# what is compiled: a fifth of the time of all tests.
+# Hundreds of tests start an interpreter. If the environment forbids bytecode files, each interpreter compiles every
+# module again, which takes a fifth of the time of all tests.
 COMPILED = {"PYTHONDONTWRITEBYTECODE": None}
 
-#: What `nox -s tests` leaves out, and how to run it.
+#: Checks that `nox -s tests` leaves out, and the commands that run them.
 NOT_RUN = (
     "not run: slow tests (nox -s slow), the packages below packages/ (nox -s packages), style, types and documentation "
-    "(nox -s lint types docs), other people's clients (nox -s interop), and the long checks (nox -f nightly.py -l)"
+    "(nox -s lint types docs), clients of other projects (nox -s interop), and the long checks (nox -f nightly.py -l)"
 )
 
 
-#: The packages of packages/ that need no middleware: every session that runs tests has them installed, and their tests
-#: run with those of the library.
+#: The packages in packages/ that need no middleware. Every session that runs tests installs them, and their tests run
+#: together with the tests of the library.
 LIGHT = ("accept", "compat", "view")
-#: Everything that has tests.
+#: Folders with tests.
 TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
 
 
 def install(session: nox.Session, *requirements: str) -> None:
-    """Install the library and the `LIGHT` packages to be edited, and what else is required."""
+    """Install the library and the `LIGHT` packages in editable mode, and other requirements."""
     session.install("-e", f".{EXTRAS}", *requirements)
-    # Without what they need: the library is there, and tests that need viser are skipped where it is not.
+    # Without their requirements: the library is already installed, and tests that need viser are skipped without it.
     session.install("--no-deps", *(word for each in LIGHT for word in ("-e", f"./packages/{each}")))
 
 
@@ -58,7 +58,7 @@ def group(*names: str) -> tuple[str, ...]:
 
 
 def present(*paths: str) -> list[str]:
-    """Those of the paths that exist."""
+    """Return the paths that exist."""
     return [path for path in paths if (ROOT / path).exists()]
 
 
@@ -69,7 +69,7 @@ def tests(session: nox.Session) -> None:
     if not session.posargs and not any((ROOT / "tests").glob("__pycache__/*pytest*")):
         session.log("preparing the tests for the first run; this takes about 10 s")
         _rewrite_asserts(session)
-    # One pytest run, so that its last line is the verdict on everything.
+    # A single pytest run, so that its last line is the result of all tests.
     everything = [
         *PARALLEL,
         "-m",
@@ -86,9 +86,9 @@ def tests(session: nox.Session) -> None:
 
 
 def _rewrite_asserts(session: nox.Session) -> None:
-    """Have pytest rewrite and keep every module of tests, each processor a share of them.
+    """Let pytest rewrite and store every test module, with one process for each processor.
 
-    It takes 16 s of processor time, and in a fresh clone each process of the run would do all of it.
+    This takes 16 s of processor time. In a fresh clone, each process of the test run would do all of it.
     """
     modules = sorted(str(path) for folder in TESTED for path in (ROOT / folder).rglob("test_*.py"))
     shares = [modules[first::PROCESSORS] for first in range(PROCESSORS)]
@@ -108,7 +108,7 @@ def slow(session: nox.Session) -> None:
 
 @nox.session
 def lint(session: nox.Session) -> None:
-    """Check style, formatting, and who imports whom. Run it before you commit; `ruff format` corrects the format."""
+    """Check style, format, and imports between modules. Run it before you commit; `ruff format` corrects the format."""
     session.install(*group("lint"))
     session.run("ruff", "check", *session.posargs, ".")
     session.run("ruff", "format", "--check", ".")
@@ -121,10 +121,10 @@ def types(session: nox.Session) -> None:
     install(session, *group("types"))
     session.run("mypy", *(session.posargs or present("src", "tests", "benchmarks", "packages")))
     if not session.posargs:
-        # What users' own type checkers find: the asyncio face has the types of the blocking one.
+        # Checks what the type checkers of users see: the asyncio interface has the types of the blocking interface.
         session.run("pytest", "-q", "tests/urlink/aio/test_surface.py")
-        # Finds uses of a standard library newer than the oldest supported Python. Seen from there, the types
-        # of a newer numpy are Any, hence the separate run that is milder about Any.
+        # Finds uses of a standard library that is newer than the oldest supported Python. With that Python, the types
+        # of a newer numpy are Any, so this run is separate and less strict about Any.
         oldest = ["--python-version=3.10", "--no-warn-return-any", "--no-warn-unused-ignores"]
         session.run("mypy", *oldest, "src")
 
@@ -134,7 +134,7 @@ def docs(session: nox.Session) -> None:
     """Build the documentation into docs/_build/html. Run it after changing a page; a warning is an error."""
     install(session, *group("docs"))
     session.run("python", "docs/make_tables.py", "--check")
-    # -E: a page that did not change is read again, or its warnings would be seen once only.
+    # -E: read unchanged pages again; otherwise their warnings would appear only once.
     session.run("sphinx-build", "-W", "--keep-going", "-E", *session.posargs, "-b", "html", "docs", "docs/_build/html")
 
 
@@ -142,7 +142,7 @@ def docs(session: nox.Session) -> None:
 def bench(session: nox.Session) -> None:
     """Run every benchmark, quickly unless arguments are given. Run it after changing code that runs for each packet."""
     install(session)
-    # A module whose name starts with an underscore is shared by the benchmarks and is none itself.
+    # A module with a leading underscore is shared by the benchmarks, and is not a benchmark itself.
     scripts = sorted(path for path in Path("benchmarks").glob("*.py") if not path.name.startswith("_"))
     if not scripts:
         session.error("there is no benchmark in benchmarks/")
@@ -152,9 +152,9 @@ def bench(session: nox.Session) -> None:
 
 @nox.session
 def interop(session: nox.Session) -> None:
-    """Test the simulator with clients that other people wrote. Run it after changing the simulator or a protocol."""
+    """Test the simulator with clients of other projects. Run it after changing the simulator or a protocol."""
     install(session, *group("tests", "interop"))
-    # urx calls Condition.notifyAll in its receiving threads, which as an error would end them.
+    # urx calls Condition.notifyAll in its receiving threads. As an error, the warning would end these threads.
     session.run(
         "pytest",
         "-W",
@@ -163,10 +163,10 @@ def interop(session: nox.Session) -> None:
     )
 
 
-#: Compiled, and a client that an adapter is tried with where there is a wheel of it.
+#: A compiled client for the tests of a package, if there is a wheel.
 UR_RTDE = "ur_rtde==1.6.5; python_version < '3.13' and sys_platform == 'linux' and platform_machine == 'x86_64'"
 
-#: Those whose middleware is a package or two -> what their tests need beside it.
+#: Packages whose middleware is one or two packages, and additional requirements of their tests.
 PACKAGES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(LIGHT, ()),
     "mujoco": (UR_RTDE,),
@@ -181,7 +181,7 @@ PACKAGES: dict[str, tuple[str, ...]] = {
 def packages(session: nox.Session) -> None:
     """Install and test each package of `PACKAGES` alone. Run it after changing one of packages/: ``-- accept mqtt``.
 
-    It builds every package, and leaves out tests whose middleware does not install here.
+    It builds every package, and leaves out tests whose middleware cannot be installed here.
     """
     folders = [path.parent for path in sorted(Path("packages").glob("*/pyproject.toml"))]
     wheels = session.create_tmp()
@@ -189,7 +189,7 @@ def packages(session: nox.Session) -> None:
         "python", "-m", "pip", "wheel", "-q", "--no-deps", f"--wheel-dir={wheels}", *map("./{}".format, folders)
     )
     for package in session.posargs or PACKAGES:
-        # An environment of its own, which shows what a package needs of another.
+        # A separate environment, which shows whether a package needs another package.
         place = Path(wheels).resolve() / package
         session.run("python", "-m", "venv", "--clear", str(place))
         python = str(next(path for path in (place / "bin/python", place / "Scripts/python.exe") if path.exists()))
@@ -199,9 +199,9 @@ def packages(session: nox.Session) -> None:
         except CommandFailed:
             if package in LIGHT:
                 raise
-            session.warn(f"packages/{package} does not install here: its tests are left out")
+            session.warn(f"packages/{package} cannot be installed here; its tests are left out")
             continue
-        # The tests of `LIGHT` have the fixtures of the library's own.
+        # The tests of `LIGHT` packages use the fixtures of the library's own tests.
         own = () if package in LIGHT else ("--confcutdir=packages",)
         tests = f"packages/{package}/tests"
         session.run(python, "-m", "pytest", *PARALLEL, *own, tests, env=COMPILED, external=True)
@@ -221,14 +221,14 @@ def ursim(session: nox.Session) -> None:
     if "--start" in options:
         options.remove("--start")
         _start(session, address)
-    # It reports a controller in local control as a fault, although URSim accepts commands then.
+    # It reports a controller in local control as a fault, although URSim accepts commands in that mode.
     session.run("urlink", "doctor", address, success_codes=[0, 1])
     chosen = options if "--stage" in options else [*options, "--stage", "0", "--stage", "1", "--yes"]
     session.run("urlink", "accept", address, *chosen)
 
 
 def _start(session: nox.Session, address: str) -> None:
-    """Power an arm on and release its brakes; tries for five minutes, because URSim takes a minute or two to start."""
+    """Power an arm on and release its brakes. Try for five minutes, because URSim takes one or two to start."""
     for _ in range(60):
         try:
             session.run("urlink", "dashboard", address, "start")
@@ -250,7 +250,7 @@ def wheel(session: nox.Session) -> None:
     session.install(f"{built}{EXTRAS}", *group("tests"))
     session.install("--no-deps", *(f"./packages/{each}" for each in LIGHT))
     packages = sorted(path.parent.name for path in ROOT.glob("src/*/__init__.py"))
-    # From here src/ must be out of reach.
+    # From here on, src/ must not be importable.
     session.chdir(dist)
     session.run(
         "python",
@@ -277,7 +277,7 @@ def sdist(session: nox.Session) -> None:
     """Run the tests from the unpacked source distribution. Run it before a release."""
     dist = Path(session.create_tmp()).resolve() / "sdist"
     session.install("build", "twine", "check-wheel-contents")
-    # A wheel too, which `build` makes from the source distribution.
+    # Build a wheel too; `build` makes it from the source distribution.
     session.run("python", "-m", "build", "--outdir", str(dist))
     (packed,) = dist.glob("*.tar.gz")
     session.run("twine", "check", "--strict", *map(str, dist.iterdir()))

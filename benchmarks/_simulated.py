@@ -1,4 +1,4 @@
-"""A simulated controller in a process of its own, as the benchmarks connect to it."""
+"""Simulated controller in a separate process, to which the benchmarks connect."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["simulated"]
 
 @contextmanager
 def simulated(model: str, firmware: str, *options: str) -> Iterator[str]:
-    """The address of a controller that ``urlink sim`` runs, with these options, until the block is left."""
+    """Run ``urlink sim`` with these options during the block, and yield its address."""
     command = [sys.executable, "-m", "urlink.cli", "sim", "--model", model, "--firmware", firmware, *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:

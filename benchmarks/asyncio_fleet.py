@@ -1,11 +1,12 @@
-"""Ten robots at 500 Hz in one program: read by one event loop, and beside it by a thread for each robot.
+"""Ten robots at 500 Hz in one program: read by one event loop, compared with one thread per robot.
 
-A sender in another process writes real-time packets to ten connections, each with the moment of its sending. The
-receiver is once one event loop with ten tasks, and once ten threads with a `for` loop each. Nothing may be lost. They
-take turns, each in a process of its own; the figures are the loop's, and their ratios to the threads'.
+A sender in another process writes real-time packets to ten connections; each packet contains the time of sending. The
+receiver is either one event loop with ten tasks, or ten threads with a `for` loop each. No packet may be lost. Both
+take turns, each in a separate process. The figures are those of the loop, and their ratios to the figures of the
+threads.
 
-    python benchmarks/asyncio_fleet.py            # 10 s a run
-    python benchmarks/asyncio_fleet.py --quick    # 2 s a run
+    python benchmarks/asyncio_fleet.py            # 10 s per run
+    python benchmarks/asyncio_fleet.py --quick    # 2 s per run
 """
 
 from __future__ import annotations
@@ -41,14 +42,14 @@ from urlink.session.source import Source
 
 ROBOTS = 10
 RATE = 500
-#: Packets of each robot before anything is measured.
+#: Number of packets of each robot before the measurement starts.
 WARM_UP = 250
 PACKET = bytes(RealtimeState("5.10", q_actual=[0.1, -1.5, 1.2, -1.3, -1.5, 0.0]))
 _TIME = struct.Struct(">d")
 
 
 def send(pipe: Connection, seconds: float) -> None:
-    """Serve ten connections, each at 500 Hz, in turns."""
+    """Serve ten connections in turn, each at 500 Hz."""
     with socket.create_server(("127.0.0.1", 0), backlog=ROBOTS) as server, contextlib.ExitStack() as stack:
         pipe.send(server.getsockname()[1])
         robots = [stack.enter_context(server.accept()[0]) for _ in range(ROBOTS)]
@@ -58,7 +59,7 @@ def send(pipe: Connection, seconds: float) -> None:
         start = time.monotonic() + 0.2
         steps = int(seconds * RATE) * ROBOTS
         for step in range(steps):
-            # The robots of a fleet have clocks of their own: their packets do not come together.
+            # The robots of a fleet have different clocks, so their packets do not arrive together.
             pause = start + step / (RATE * ROBOTS) - time.monotonic()
             if pause > 0:
                 time.sleep(pause)
@@ -83,7 +84,7 @@ def source(port: int, **options: Any) -> Source:
 
 
 class Latencies:
-    """From the sending to the user's own code, and the processor time after the warm-up."""
+    """Latencies from sending to the user's code, and processor time after the warm-up."""
 
     def __init__(self) -> None:
         self.robots: list[list[float]] = []
@@ -113,13 +114,13 @@ class Latencies:
 
 
 def read_with_loop(port: int, results: Connection) -> None:
-    logging.getLogger("linkcore").setLevel(logging.ERROR)  # that the sender ends is no news here
+    logging.getLogger("linkcore").setLevel(logging.ERROR)  # the end of the sender is expected
     latencies = Latencies()
 
     async def read(stream: AsyncStream[RealtimeState]) -> int:
         mine = latencies.of_one()
         packets = stream.iterate(block)
-        with contextlib.suppress(RemoteError):  # the end
+        with contextlib.suppress(RemoteError):  # the sender has ended
             async for state in packets:
                 mine.append(time.monotonic() - state.time)
                 if len(mine) == WARM_UP:
@@ -184,12 +185,12 @@ def run(read: Any, seconds: float) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="2 s a run instead of 10 s, and one round")
+    parser.add_argument("--quick", action="store_true", help="2 s per run instead of 10 s, and one round")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
     seconds, rounds = (2.0, 1) if options.quick else (10.0, 3)
     turns = [(run(read_with_loop, seconds), run(read_with_threads, seconds)) for _ in range(rounds)]
-    figures: dict[str, float] = {"lost": 0}  # or `run` would have ended the program
+    figures: dict[str, float] = {"lost": 0}  # zero, because `run` ends the program if a packet is lost
     for name in ("p50 us", "p99 us", "cpu us a packet", "threads"):
         figures[f"loop {name}"] = float(np.median([loop[name] for loop, _ in turns]))
         figures[f"loop to threads, {name.removesuffix(' us')}"] = float(

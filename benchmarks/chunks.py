@@ -1,14 +1,15 @@
-"""Chunks of a policy that computes for 0.05 to 1 s: a stream beside a loop around ``servoJ`` of ur_rtde.
+"""Chunks of a policy that computes for 0.05 to 1 s: a stream, compared with a loop around ``servoJ`` of ur_rtde.
 
-A simulated e-Series controller in a process of its own. Both follow the same data: chunks of positions, speeds and
-accelerations for the next two and a half seconds, a point every 50 ms, each chunk off by its own 3 mrad at most, as
-policies contradict themselves. `robot.motion.stream` replaces its tail by each chunk. The other loop does what examples
-of ur_rtde do: it sends the point that is due by ``servoJ(q, 0, 0, 0.05, 0.1, 300)``, and goes over to the next chunk
-when that is there. With `--simulated` the stream is in simulated time, so that it does not matter what else runs here.
+A simulated e-Series controller runs in a separate process. Both programs follow the same data: chunks of positions,
+speeds and accelerations for the next 2.5 s, with a point every 50 ms. Each chunk has its own error of at most 3 mrad,
+because policies contradict themselves. `robot.motion.stream` replaces its tail by each chunk. The other loop does what
+examples of ur_rtde do: it sends the point that is due with ``servoJ(q, 0, 0, 0.05, 0.1, 300)``, and changes to the next
+chunk when it is available. With `--simulated`, the stream runs in simulated time, so other programs on this computer do
+not matter.
 
-Speeds, accelerations and jerks are those of the joint's target positions, by differences of 10 ms; errors are those
-between the arm and what the policy means, on the clock of the stream or of this computer, without the part that an even
-lag explains.
+Speeds, accelerations and jerks are calculated from the joint's target positions, by differences of 10 ms. Errors are
+differences between the arm and the policy's intention, on the clock of the stream or of this computer. The part of the
+error that a constant lag explains is left out.
 
     python benchmarks/chunks.py                     # 60 s each; the second needs ur_rtde
     python benchmarks/chunks.py --output FILE       # writes the figures, and the last seconds of both
@@ -35,30 +36,30 @@ from urlink import TrajectoryPoint
 READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
 WAY = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 1.0])
 PERIOD, HORIZON = 0.05, 50
-#: ur_rtde has the ports of a real controller built in; the address is no other program's here.
+#: ur_rtde has the ports of a real controller built in; no other program here uses this address.
 HOST = ("--ports", "standard", "--host", "127.9.21.1")
-#: rad/s³ of the stream.
+#: Maximum jerk of the stream, in rad/s³.
 JERK = 100.0
-#: s of the arm that are kept for a picture.
+#: Time, in s, of the arm that is kept for a figure.
 SHOWN = 6.0
 
 
 def meant(t: float) -> tuple[float, float, float]:
-    """What the policy means: position, rad, speed and acceleration along `WAY`; at rest at 0."""
+    """Return the intended position (rad), speed and acceleration along `WAY`; at rest at 0."""
     c, s = math.cos(t), math.sin(t)
     return 0.15 * (1 - c) ** 2, 0.3 * (1 - c) * s, 0.3 * (s * s + (1 - c) * c)
 
 
 class Policy:
-    """Chunks, each after a time of its own."""
+    """Policy that returns chunks, each after its own computing time."""
 
     def __init__(self, seed: int) -> None:
         self._luck = random.Random(seed)
         self._mean = 0.3
 
     def chunk(self, t: float) -> list[TrajectoryPoint]:
-        """What it says of the time from `t` on, when it has computed."""
-        # Its time drifts, and jitters.
+        """Return the chunk for the time from `t`, after the computing time."""
+        # The computing time drifts, and has jitter.
         self._mean = min(max(self._mean * self._luck.uniform(0.7, 1.4), 0.05), 1.0)
         time.sleep(min(max(self._luck.gauss(self._mean, 0.2 * self._mean), 0.05), 1.0))
         off = self._luck.uniform(-0.003, 0.003)
@@ -119,7 +120,7 @@ def looped(address: str, seconds: float) -> dict[str, Any]:
 
 
 def figures(rows: list[tuple[float, float]], seconds: float) -> dict[str, Any]:
-    """Of (time, s, target position of wrist 3, rad), while it follows."""
+    """Return the figures of rows with time (s) and target position (rad) of wrist 3."""
     time_, q = np.array(rows).T
     time_ -= time_[0]
     grid = np.arange(0.0, time_[-1], 0.01)
@@ -131,7 +132,7 @@ def figures(rows: list[tuple[float, float]], seconds: float) -> dict[str, Any]:
     first, last = int(moves[0]), min(int(moves[-1]), int(moves[0]) + round(seconds / 0.01))
     t = grid[first:last] - grid[first]
     wanted = np.vectorize(lambda t: meant(t)[0])
-    # The lag that explains most.
+    # The lag that explains most of the error.
     lags = np.arange(-0.5, 1.5, 0.005)
     lag = lags[int(np.argmin([np.abs(q[first:last] - wanted(np.maximum(t - lag, 0.0))).mean() for lag in lags]))]
     error = np.abs(q[first:last] - wanted(np.maximum(t - lag, 0.0)))
@@ -155,7 +156,7 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
 
 
 def follow(name: str, address: str, seconds: float, **options: Any) -> dict[str, Any]:
-    """Figures of one of both."""
+    """Return the figures of one of the two programs."""
     with urlink.connect(address, **options) as robot:
         robot.motion.move_joints(READY, 2.0, 10.0).wait()
         rows: list[tuple[float, float]] = []
@@ -168,7 +169,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="10 s instead of 60 s")
     parser.add_argument("--output", type=Path, help="write the figures as JSON")
-    parser.add_argument("--simulated", action="store_true", help="the stream alone, in simulated time")
+    parser.add_argument("--simulated", action="store_true", help="run only the stream, in simulated time")
     options = parser.parse_args()
     seconds = 10.0 if options.quick else 60.0
     found = {}

@@ -1,4 +1,4 @@
-"""Decoding, as ratios in one run: against `struct`, against construct, against a hand-written walk.
+"""Decoding, as ratios in one run: compared with `struct`, with construct, and with a hand-written loop.
 
 python benchmarks/decode.py
 """
@@ -23,7 +23,7 @@ from urlink.protocol.primary.robot_state import SUB_PACKAGES, RobotState, SubPac
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.protocol.realtime.protocol import RealtimeProtocol
 
-#: What a person would write who wants the numbers of one firmware and nothing else: 5.4 to 5.24.
+#: Code that a person would write who needs only the numbers of one firmware: 5.4 to 5.24.
 _HEAD = struct.Struct(">iB")
 _BODIES = {
     kind: struct.Struct(form)
@@ -46,7 +46,7 @@ _BODIES = {
 
 
 def walk(data: bytes) -> dict[int, tuple[Any, ...]]:
-    """The hand-written struct walk of a robot state."""
+    """Read a robot state with a hand-written loop around struct."""
     at, end, found = 5, len(data), {}
     while at < end:
         size, kind = _HEAD.unpack_from(data, at)
@@ -56,17 +56,17 @@ def walk(data: bytes) -> dict[int, tuple[Any, ...]]:
 
 
 def first_state() -> bytes:
-    """A robot state of 1386 bytes with all that 5.4 sends first."""
+    """Return a robot state of 1386 bytes, with all packages that 5.4 sends first."""
     (row,) = (row for row in RELEASES if row.since[:2] == (5, 4))
     parts: list[SubPackage] = [SUB_PACKAGES[kind][0](row.since) for kind in row.state]
     return bytes(RobotState(*parts))
 
 
 def ratios(ours: Callable[[], object], reference: Callable[[], object], rounds: int) -> tuple[float, float, float]:
-    """Median of the ratios of interleaved rounds, and the median microseconds of each."""
+    """Return the median ratio of interleaved rounds, and the median microseconds of each."""
 
     def microseconds(call: Callable[[], object]) -> float:
-        # Processor time, and the best of many short runs: the machine is shared.
+        # Use processor time, and the best of many short runs, because other programs use the machine too.
         timer = timeit.Timer(call, timer=time.process_time)
         number = max(int(2e-3 / max(timer.timeit(20) / 20, 1e-7)), 1)
         return min(timer.repeat(20, number)) / number * 1e6
@@ -89,7 +89,7 @@ def main() -> None:
     packet = bytes(RealtimeState("5.0"))
     assert len(packet) == 1108
     session = RealtimeProtocol()
-    session.framer.feed(packet)  # as in a connection, whose first packet tells the layout
+    session.framer.feed(packet)  # as in a connection, whose first packet determines the layout
     decode = session.decode
     oracle = as_struct(RealtimeState.LAYOUTS.of("5.0"))
 

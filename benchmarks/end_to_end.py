@@ -1,19 +1,19 @@
-"""From a sender in another process to the user's callback: latency, CPU, and what a flood does.
+"""From a sender in another process to the user's callback: latency, processor time, and the effect of a flood.
 
-A sender process writes real-time packets to loopback sockets. The receiver is once the loop that one would write by
-hand (`recv`, cut at the length, read the time), and once a urlink stream in each of the three ways to use it: with an
-inline callback, with a callback in a thread of its own, and with a `for` loop. Each has a process of its own, and they
-take turns, so that all meet the same machine. The figures are ratios to the bare loop.
+A sender process writes real-time packets to loopback sockets. The receiver is either the loop that a person would write
+by hand (`recv`, cut at the length, read the time), or a urlink stream in one of three ways: with an inline callback,
+with a callback in a dedicated thread, or with a `for` loop. Each receiver has a separate process. They take turns, so
+that all run under the same conditions. The figures are ratios to the bare loop.
 
-    python benchmarks/end_to_end.py            # 10 s a run
-    python benchmarks/end_to_end.py --quick    # 2 s a run
-    python benchmarks/end_to_end.py --instructions   # of the processor, a packet, by valgrind
+    python benchmarks/end_to_end.py            # 10 s per run
+    python benchmarks/end_to_end.py --quick    # 2 s per run
+    python benchmarks/end_to_end.py --instructions   # processor instructions per packet, with valgrind
     python benchmarks/end_to_end.py --instructions --batch 10   # the same when 10 packets arrive at once
 
-Times of one way on a shared machine differ by a fifth from run to run. Of the instructions that the receiver executes
-for a packet, outside of the kernel, those of the bare loop differ by a hundredth and those of an inline callback by
-less than a tenth, so two revisions of the receive path are compared by these; with another thread they differ by up to
-a sixth, since what it costs to wait and to be woken depends on what else runs.
+On a shared machine, times of the same receiver differ by a fifth from run to run. The number of instructions that the
+receiver executes for a packet, outside the kernel, differs less: by a hundredth for the bare loop, and by less than a
+tenth for an inline callback. So two revisions of the receive path are compared by instructions. With another thread,
+the number differs by up to a sixth, because the cost of waiting and waking depends on other programs.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ from urlink.session.identity import Identity
 from urlink.session.source import Source
 
 RATE = 500
-#: The rate at which instructions are counted. Valgrind is slow, and packets that arrive while it works on the previous
-#: packet are read together, which costs less. At 500 Hz the count therefore depends on how busy the computer is.
+#: Packet rate at which instructions are counted, in Hz. Valgrind is slow. Packets that arrive while it processes the
+#: previous packet are read together, which costs less, so at 500 Hz the count would depend on the load of the computer.
 COUNTED_RATE = 100
-#: Packets before anything is measured: half a second, for imports, caches and the first of everything.
+#: Number of packets before the measurement starts: half a second, for imports, caches and other first-time costs.
 WARM_UP = 250
 #: The loop written by hand, and the ways to use a stream.
 WAYS = ("bare", "inline", "own thread", "iteration")
@@ -60,11 +60,11 @@ SIZE = len(PACKET)
 _TIME = struct.Struct(">d")
 
 
-def send(ports: Connection, seconds: float, flood: int, batch: int, rate: int) -> None:
-    """Serve one connection: paced packets that carry the moment of sending, or a flood of them.
+def send(ports: Connection, seconds: float, flood: int, batch: int, rate: int = RATE) -> None:
+    """Serve one connection: paced packets with the time of sending, or a flood of packets.
 
-    Paced packets are sent `batch` at a time. Their times are one period apart, as those of a controller whose packets
-    were held up on the way.
+    Paced packets are sent `batch` at a time. Their times are one period apart, like those of a controller whose packets
+    were delayed.
     """
     with socket.create_server(("127.0.0.1", 0)) as server:
         ports.send(server.getsockname()[1])
@@ -87,11 +87,11 @@ def send(ports: Connection, seconds: float, flood: int, batch: int, rate: int) -
                     connection.sendall(b"".join(head + _TIME.pack(each) + tail for each in times))
             connection.shutdown(socket.SHUT_WR)
             with contextlib.suppress(ConnectionResetError):
-                connection.recv(1)  # until the receiver is done
+                connection.recv(1)  # until the receiver has finished
 
 
 def receive_raw(port: int, results: Connection, total: int, busy: bool) -> None:
-    """The loop one would write by hand."""
+    """Receive with the loop that a person would write by hand."""
     spin(busy)
     latencies = []
     count = 0
@@ -121,8 +121,8 @@ def receive_raw(port: int, results: Connection, total: int, busy: bool) -> None:
 
 
 def receive_stream(port: int, results: Connection, total: int, busy: bool, way: str) -> None:
-    """A urlink stream, in one of the three ways to use it."""
-    logging.getLogger("linkcore").setLevel(logging.ERROR)  # that the sender ends is no news here
+    """Receive with a urlink stream, in one of the three ways to use it."""
+    logging.getLogger("linkcore").setLevel(logging.ERROR)  # the end of the sender is expected
     spin(busy)
     latencies: list[float] = []
     meters = [Meter()]
@@ -142,7 +142,7 @@ def receive_stream(port: int, results: Connection, total: int, busy: bool, way: 
     source = Source(lambda: identity, lambda interface: transport, Backoff(tries=0), 5.0, 5.0, False)
     stream = source.stream("realtime", "benchmark", lambda: None)
     if way == "iteration":
-        with contextlib.suppress(RemoteError):  # how the stream tells that the sender ended
+        with contextlib.suppress(RemoteError):  # the stream raises this when the sender ends
             for state in stream.iterate(drop_oldest(256)):
                 callback(state)
         outcome = meters[-1].report(stream.stats.received, latencies)
@@ -163,7 +163,7 @@ def receive_stream(port: int, results: Connection, total: int, busy: bool, way: 
 
 
 def spin(busy: bool) -> None:
-    """A Python thread that computes all the time, as a user's program may."""
+    """Start a Python thread that computes all the time, like a user's program might."""
 
     def work() -> None:
         value = 1
@@ -175,7 +175,7 @@ def spin(busy: bool) -> None:
 
 
 class Meter:
-    """Processor time and latencies from now on."""
+    """Measurement of processor time and latencies from now on."""
 
     def __init__(self) -> None:
         self.cpu, self.began = time.process_time(), time.monotonic()
@@ -194,7 +194,7 @@ class Meter:
 
 
 def sending(seconds: float, flood: int, batch: int = 1, rate: int = RATE) -> tuple[BaseProcess, int]:
-    """A process that sends, and its port."""
+    """Start a process that sends, and return it with its port."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     sender = context.Process(target=send, args=(there, seconds, flood, batch, rate))
@@ -203,7 +203,7 @@ def sending(seconds: float, flood: int, batch: int = 1, rate: int = RATE) -> tup
 
 
 def receive(way: str, port: int, results: Connection, total: int, busy: bool) -> None:
-    """The loop written by hand, or a stream."""
+    """Receive with the loop written by hand, or with a stream."""
     if way == "bare":
         receive_raw(port, results, total, busy)
     else:
@@ -211,7 +211,7 @@ def receive(way: str, port: int, results: Connection, total: int, busy: bool) ->
 
 
 def run(way: str, seconds: float, flood: int, busy: bool) -> dict[str, Any]:
-    """One sender process and one receiver process."""
+    """Run one sender process and one receiver process."""
     sender, port = sending(seconds, flood)
     context = multiprocessing.get_context("spawn")
     mine, theirs = context.Pipe()
@@ -221,12 +221,12 @@ def run(way: str, seconds: float, flood: int, busy: bool) -> dict[str, Any]:
     process.join(10)
     sender.join(10)
     if outcome["count"] != (flood or int(seconds * RATE)):
-        raise SystemExit(f"{way}: {outcome['count']} packets arrived of {flood or seconds * RATE}")
+        raise SystemExit(f"{way}: {outcome['count']} packets arrived, of {flood or seconds * RATE}")
     return outcome
 
 
 def compare(seconds: float, rounds: int, busy: bool) -> dict[str, float]:
-    """Medians over the rounds of the ratios to the bare loop of the same round."""
+    """Return the medians over the rounds of the ratios to the bare loop of the same round."""
     turns = [{way: run(way, seconds, 0, busy) for way in WAYS} for _ in range(rounds)]
     figures = {f"bare {name} us": [turn["bare"][name] for turn in turns] for name in ("p50", "p99")}
     figures["bare cpu us"] = [turn["bare"]["cpu"] / turn["bare"]["measured"] * 1e6 for turn in turns]
@@ -238,7 +238,7 @@ def compare(seconds: float, rounds: int, busy: bool) -> dict[str, float]:
 
 
 def flood(packets: int, rounds: int) -> dict[str, float]:
-    """Medians over the rounds of the ratios of packets a second."""
+    """Return the medians over the rounds of the ratios of packets per second."""
     turns = [{way: run(way, 0, packets, False) for way in WAYS} for _ in range(rounds)]
     figures = {"bare packets per s": [turn["bare"]["count"] / turn["bare"]["seconds"] for turn in turns]}
     for way in WAYS[1:]:
@@ -248,14 +248,14 @@ def flood(packets: int, rounds: int) -> dict[str, float]:
 
 
 def instructions(way: str, batch: int) -> float:
-    """Instructions that a receiver executes for one packet: those of a longer run less those of a shorter one."""
+    """Return the instructions per packet, as the difference between a longer and a shorter run."""
     counts = [_instructions(way, packets, batch) for packets in (500, 2000)]
     return (counts[1] - counts[0]) / 1500
 
 
 def _instructions(way: str, packets: int, batch: int) -> int:
     sender, port = sending(packets / COUNTED_RATE, 0, batch, COUNTED_RATE)
-    # Threads of numpy's own that wait for work turn in a loop, which would count.
+    # Waiting threads of numpy spin in a loop, which would be counted.
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
     receiver = [sys.executable, __file__, "--receive", way, str(port)]
     counted = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *receiver]
@@ -269,11 +269,13 @@ def _instructions(way: str, packets: int, batch: int) -> int:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="2 s a run instead of 10 s, and fewer packets")
+    parser.add_argument("--quick", action="store_true", help="2 s per run instead of 10 s, and fewer packets")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--instructions", action="store_true", help="count instructions, with valgrind")
-    parser.add_argument("--batch", type=int, default=1, help="packets that arrive at once, for --instructions")
-    parser.add_argument("--receive", nargs=2, metavar=("WAY", "PORT"), help="only receive; for valgrind")
+    parser.add_argument(
+        "--batch", type=int, default=1, help="number of packets that arrive at once, for --instructions"
+    )
+    parser.add_argument("--receive", nargs=2, metavar=("WAY", "PORT"), help="only receive (used with valgrind)")
     options = parser.parse_args()
     if options.receive:
         way, port = options.receive
@@ -285,12 +287,12 @@ def main() -> None:
             parser.error("--instructions needs valgrind (apt install valgrind)")
         found = {way: instructions(way, options.batch) for way in WAYS}
         for way, count in found.items():
-            print(f"{way:12} {count:8.0f} instructions a packet, {count / found['bare']:.2f} of bare")
+            print(f"{way:12} {count:8.0f} instructions per packet, {count / found['bare']:.2f} of bare")
         return
     seconds, rounds = (2.0, 1) if options.quick else (10.0, 3)
     figures = {
         "500 Hz": compare(seconds, rounds, busy=False),
-        "500 Hz, one busy Python thread beside": compare(seconds, rounds, busy=True),
+        "500 Hz, with a busy Python thread": compare(seconds, rounds, busy=True),
         "flood": flood(64 * (4000 if options.quick else 8000), rounds),
     }
     if options.json:

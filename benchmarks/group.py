@@ -1,15 +1,15 @@
-"""How far apart two arms of a group are, over many starts, in simulated time.
+"""Time difference between two arms of a group, over many starts, in simulated time.
 
-Two controllers on computers of their own, whose clocks are up to 200 ppm apart, with 0.3 to 0.8 ms on each way of the
-network. Both turn wrist 3 there and back; from what they report, by the true time, follows when each was where. With
-`--load`, this computer stands still once on each way, for up to so many ms; with `--reconnects`, all connections of
-one arm are reset before every tenth start.
+Two controllers run on separate computers, whose clocks differ by up to 200 ppm, with 0.3 to 0.8 ms for each direction
+of the network. Both turn wrist 3 forth and back. The time at which each arm was at a position is calculated from its
+reports and the true time. With `--load`, this computer stops once during each motion, for up to this number of ms. With
+`--reconnects`, all connections of one arm are reset before every tenth start.
 
     python benchmarks/group.py                               # 100 starts
     python benchmarks/group.py --quick                       # 6 starts
     python benchmarks/group.py --firmware 3.15               # of the second arm
     python benchmarks/group.py --starts 1000 --load 20 --reconnects
-    python benchmarks/group.py --streams                     # points that the robots hold, and not set-points
+    python benchmarks/group.py --streams                     # points that the robots buffer, instead of set-points
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from urlink import Trajectory
 from urlink.arm.vectors import FloatArray
 from urlink.simulator import Controller
 
-#: rad there and back, and s for each.
+#: Angle of each motion, in rad, and its duration, in s.
 WAY, SECONDS = 0.3, 0.3
 
 
@@ -42,7 +42,7 @@ class Side:
             model = "UR5e" if firmware[0] == "5" else "UR5"
             self.controller = Controller(model, firmware, host=host, ports="standard").start()
         self.robot = urlink.connect(host)
-        #: time by its clock, and rad of wrist 3
+        #: time by its clock, and position of wrist 3 in rad
         self.rows: list[tuple[float, float]] = []
         self.robot.realtime.subscribe(self._hear, inline=True)
 
@@ -50,7 +50,7 @@ class Side:
         self.rows.append((state.time, float(state.q_target[5])))
 
     def true(self) -> tuple[float, float]:
-        """The time of the simulation, and what its clock shows then."""
+        """Return the time of the simulation, and the time of this computer's clock."""
         server, state = self.controller._server, self.controller._state
         assert server is not None
         with self.sim.on(self.computer):
@@ -58,7 +58,7 @@ class Side:
         return self.sim.now, (cycles - (state.cycle - state.uptime)) / self.rate
 
     def reset(self) -> None:
-        """All its connections are lost, and made again."""
+        """Reset all its connections, and connect again."""
         self.sim.network.reset(self.sim.here, self.computer)
         time.sleep(0.1)
         self.robot.realtime.wait(timeout=10.0)
@@ -66,7 +66,7 @@ class Side:
         time.sleep(1.0)
 
     def way(self, began: tuple[float, float], start: float) -> tuple[FloatArray, FloatArray]:
-        """True times, and the part of the way that is behind it then."""
+        """Return true times, and the completed fraction of the motion at each of them."""
         (sim_began, own_began), (sim_ended, own_ended) = began, self.true()
         rows = np.array(self.rows)
         times = sim_began + (rows[:, 0] - own_began) * (sim_ended - sim_began) / (own_ended - own_began)
@@ -79,14 +79,20 @@ class Side:
 
 
 def apart(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """s between both, at each place that the first has reported; not near the ends of the way, where both stand."""
+    """Return the time difference in s at each position that the first arm reported.
+
+    Positions near the ends of the motion are left out, because both arms are at rest there.
+    """
     (when, part), (other_when, other_part) = one, other
     inside, other_inside = (part > 0.1) & (part < 0.9), (other_part > 0.05) & (other_part < 0.95)
     return np.interp(part[inside], other_part[other_inside], other_when[other_inside]) - when[inside]
 
 
 def turn(group: urlink.Group, goals: Sequence[FloatArray], *, streams: bool, under_way: Callable[[], object]) -> None:
-    """Turn there, by set-points or by points that the robots hold; `under_way` is called once that was begun."""
+    """Turn to the goals, by set-points or by buffered points.
+
+    `under_way` is called when the motion has started.
+    """
     if not streams:
         motion = group.move_joints(goals, time=SECONDS)
         under_way()
@@ -110,12 +116,12 @@ def measure(
     reconnects: bool = False,
     streams: bool = False,
 ) -> tuple[list[float], list[float]]:
-    """Of each start, s between both in the median of the way, and at most.
+    """Return the median and the largest time difference of each start, in s.
 
     Args:
-        load: s for which this computer stands still on each way, at most.
-        reconnects: connections are reset before every tenth.
-        streams: they are streams, and not followed trajectories.
+        load: Maximum time, in s, for which this computer stops during each motion.
+        reconnects: Whether connections are reset before every tenth start.
+        streams: Whether streams are used instead of followed trajectories.
     """
     medians, most = [], []
     with urlink.simulated_time(seed, latency=3e-4, jitter=5e-4) as sim:
@@ -151,11 +157,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="6 starts")
     parser.add_argument("--starts", type=int, default=100)
-    parser.add_argument("--firmware", default="5.11", help="of the second arm")
+    parser.add_argument("--firmware", default="5.11", help="firmware of the second arm")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--load", type=float, default=0.0, help="ms for which this computer stands, at most")
+    parser.add_argument("--load", type=float, default=0.0, help="maximum time for which this computer stops, ms")
     parser.add_argument("--reconnects", action="store_true", help="reset the connections before every tenth start")
-    parser.add_argument("--streams", action="store_true", help="streams, and not followed trajectories")
+    parser.add_argument("--streams", action="store_true", help="use streams instead of followed trajectories")
     options = parser.parse_args()
     starts = 6 if options.quick else options.starts
     medians, most = measure(
@@ -166,10 +172,8 @@ def main() -> None:
         reconnects=options.reconnects,
         streams=options.streams,
     )
-    print(f"two arms, {len(medians)} starts: in the median of the way {1e3 * max(medians):.2f} ms apart at most")
-    print(
-        f"at the worst moment {1e3 * max(most):.2f} ms, in half of the starts no more than {1e3 * np.median(most):.2f}"
-    )
+    print(f"two arms, {len(medians)} starts: median difference of a motion at most {1e3 * max(medians):.2f} ms")
+    print(f"largest difference {1e3 * max(most):.2f} ms, in half of the starts at most {1e3 * np.median(most):.2f}")
 
 
 if __name__ == "__main__":

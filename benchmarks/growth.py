@@ -1,13 +1,14 @@
-"""How does the time of every parser grow with its input? The exponent, from 1 to 64 KiB, for the worst inputs known.
+"""Growth of every parser's time with the size of its input: the exponent from 1 to 64 KiB, for the worst known inputs.
 
-Each input is doubled six times, and the processor time of each size is the best of several runs. The exponent is 1
-where time is proportional to size, 2 where it is quadratic, and 0 where nothing more is spent: most parsers refuse what
-is longer than a bound. It is the smaller one of two estimates, since each is wrong where the other is right: the slope
-from 16 to 64 KiB in logarithms, which is too large for a framer that does nothing before a frame is whole; and that of
-the last two increments, in which the noise of the machine counts twice. The goal is less than 1.2 for every one.
+Each input is doubled six times, and the processor time of each size is the best of several runs. The exponent is 1 if
+the time is proportional to the size, 2 if it is quadratic, and 0 if no more time is needed: most parsers reject inputs
+that exceed a limit. The exponent is the smaller of two estimates, because each is wrong in some cases. The first is the
+slope from 16 to 64 KiB in logarithms. It is too large for a framer that does nothing until a frame is complete. The
+second is calculated from the last two increments, in which the noise of the machine counts twice. The goal is below 1.2
+for every parser.
 
-The inputs are of three kinds: strings on which expressions and loops of earlier versions were slow, strings made for
-the expressions and loops that are there now, and what a search over repeated fragments found worst (`--search`).
+There are three kinds of inputs: strings with which expressions and loops of earlier versions were slow, strings that
+are made for the current expressions and loops, and the worst results of a search over repeated fragments (`--search`).
 
     python benchmarks/growth.py
     python benchmarks/growth.py --quick            # the best of 2 runs
@@ -71,28 +72,28 @@ from urlink.simulator.urscript.errors import Fault
 
 SIZES = tuple(1024 << step for step in range(7))
 FIRMWARE = Firmware(5, 11)
-#: ms below which an increment is none.
+#: Time, in ms, below which an increment is ignored.
 _NOTICED = 0.05
-#: What a parser may raise.
+#: Errors that a parser may raise.
 REFUSALS = (LinkError, ProgramError, Fault)
 
 Parser = Callable[[bytes], object]
 
 
 class Open:
-    """A client of a simulated port whose connection stays open."""
+    """Client of a simulated port whose connection stays open."""
 
     is_open = True
     pending = 0
 
     def send(self, packet: bytes) -> None:
-        """Nobody reads it."""
+        """Discard the packet, because this client reads nothing."""
 
     def finish(self) -> None:
-        """It stays."""
+        """Do nothing, because the connection stays open."""
 
     def drop(self) -> None:
-        """It stays."""
+        """Do nothing, because the connection stays open."""
 
 
 # -- the parsers -----------------------------------------------------------------------------------------------
@@ -117,7 +118,7 @@ def dashboard_client(data: bytes) -> None:
 
 
 def dashboard_replies(data: bytes) -> None:
-    """The expressions alone: the protocol refuses long lines before they are used."""
+    """Use only the expressions, because the protocol rejects long lines before it uses them."""
     text = data.decode("latin-1")
     for parse in (parse_program_state, parse_is_program_saved, parse_loaded_program):
         try:
@@ -134,12 +135,12 @@ def interpreter_client(data: bytes) -> None:
 
 @functools.cache
 def simulated() -> Controller:
-    """A controller that nobody connects to; making it is no part of any figure."""
+    """Return a controller without clients, which is made before the measurement."""
     return Controller("UR5e", "5.11", motion=Still())
 
 
 def served(name: str) -> Parser:
-    """A port of a simulated controller."""
+    """Return a parser that feeds a port of a simulated controller."""
     return lambda data: simulated()._interfaces[name].receiver(Open()).feed(data)
 
 
@@ -185,7 +186,7 @@ def framed(protocol: Callable[[], RealtimeProtocol | PrimaryProtocol], first: by
 
 
 def pieces(data: bytes) -> Iterator[bytes]:
-    """As a network may cut it."""
+    """Split the data, as a network may do."""
     return (data[at : at + 61] for at in range(0, len(data), 61))
 
 
@@ -256,14 +257,14 @@ PARSERS: Mapping[str, Parser] = {
 
 
 def filled(before: bytes, element: bytes, after: bytes = b"") -> Callable[[int], bytes]:
-    """An input of about so many bytes: an element again and again, between a beginning and an end."""
+    """Return a function that makes an input of about a given size by repeating an element."""
     return lambda size: before + element * max((size - len(before) - len(after)) // len(element), 1) + after
 
 
 def nested(
     begin: bytes, end: bytes, before: bytes = b"", middle: bytes = b"", after: bytes = b""
 ) -> Callable[[int], bytes]:
-    """An input of about so many bytes: as many elements in one another."""
+    """Return a function that makes an input of about a given size with nested elements."""
 
     def made(size: int) -> bytes:
         count = max((size - len(before) - len(middle) - len(after)) // len(begin + end), 1)
@@ -281,7 +282,7 @@ _RPC_END = b"</param></params></methodResponse>"
 _MEMBER = b"<member><name>a</name><value>1</value></member>"
 _SVG = b'<svg width="1m" height="1m" viewBox="0 0 1 1"><path d="M '
 
-#: Of a server without variables.
+#: handshake of a server without variables
 _HANDSHAKE = b"artw\0\0\0\0tr\0\0\0\0dw\0\0\0\0dr\0\0\0\0ee"
 
 INPUTS: Mapping[str, Sequence[Callable[[int], bytes]]] = {
@@ -446,7 +447,7 @@ INPUTS: Mapping[str, Sequence[Callable[[int], bytes]]] = {
 
 
 def milliseconds(parser: Parser, data: bytes, rounds: int) -> float:
-    """Processor time of one run: the best of several."""
+    """Return the processor time of one run, the best of several."""
     best = math.inf
     for _ in range(rounds):
         began = time.process_time()
@@ -457,7 +458,7 @@ def milliseconds(parser: Parser, data: bytes, rounds: int) -> float:
 
 
 def growth(parser: Parser, made: Callable[[int], bytes], rounds: int) -> tuple[float, list[float]]:
-    """The exponent, and the milliseconds for each size."""
+    """Return the exponent, and the milliseconds for each size."""
     times = [milliseconds(parser, made(size), rounds) for size in SIZES]
     before, last = times[-2] - times[-3], times[-1] - times[-2]
     if last < max(_NOTICED, 0.1 * times[-1]):
@@ -466,7 +467,7 @@ def growth(parser: Parser, made: Callable[[int], bytes], rounds: int) -> tuple[f
 
 
 def searched(name: str, count: int, seed: int) -> list[Callable[[int], bytes]]:
-    """Repeated fragments of the known inputs, put together at random: the ones that take longest of many."""
+    """Combine fragments of the known inputs at random, and return the slowest of many results."""
     source = random.Random(f"{seed} {name}")
     pieces = [made(256) for made in INPUTS[name]]
     found = []
@@ -484,7 +485,10 @@ def searched(name: str, count: int, seed: int) -> list[Callable[[int], bytes]]:
 
 
 def measure(only: str, rounds: int, search: int) -> dict[str, dict[str, object]]:
-    """Name -> exponent and milliseconds at 64 KiB of the input that grows fastest, and of the slowest."""
+    """Return exponent and milliseconds at 64 KiB by name, of the worst inputs.
+
+    The exponent is of the fastest-growing input, and the time is of the slowest input.
+    """
     figures: dict[str, dict[str, object]] = {}
     simulated()
     for name, parser in PARSERS.items():
@@ -496,7 +500,7 @@ def measure(only: str, rounds: int, search: int) -> dict[str, dict[str, object]]
             for _ in range(3):
                 if exponent < 1.15:
                     break
-                # What others do on this machine looks like growth now and then, but not each time.
+                # Other programs on this machine can look like growth, but not every time.
                 exponent, times = min((exponent, times), growth(parser, made, 2 * rounds), key=lambda each: each[0])
             rows.append((exponent, times[-1], made(60)))
         worst, slowest = max(rows, key=lambda row: row[0]), max(rows, key=lambda row: row[1])
@@ -511,7 +515,7 @@ def measure(only: str, rounds: int, search: int) -> dict[str, dict[str, object]]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="the best of 2 runs instead of 5")
-    parser.add_argument("--only", default="", metavar="NAME", help="parsers whose name contains this")
+    parser.add_argument("--only", default="", metavar="NAME", help="only parsers whose name contains this")
     parser.add_argument("--search", type=int, default=0, metavar="N", help="try N random inputs for each parser too")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
@@ -523,7 +527,7 @@ def main() -> None:
         for name, row in figures.items():
             print(f"{name:32} {row['exponent']:20.2f} {row['milliseconds']:22.2f}  {str(row['input'])[:60]}")
     if any(float(str(row["exponent"])) >= 1.2 for row in figures.values()):
-        sys.exit("some grow faster than the goal")
+        sys.exit("some parsers grow faster than the goal")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""What importing urlink costs on top of numpy, each in fresh interpreters, in turns.
+"""Time to import urlink in addition to numpy, each in fresh interpreters, in turn.
 
-The names of urlink are imported when they are first asked for. So there is a row for the package alone, for what a
-program needs that decodes bytes, for one that connects, and for all names.
+The names of urlink are imported at their first use. So there is a row for the package alone, for a program that decodes
+bytes, for a program that connects, and for all names.
 
 python benchmarks/imports.py            # 25 interpreters each
 python benchmarks/imports.py --quick    # 7
@@ -18,7 +18,7 @@ import tempfile
 
 import numpy as np
 
-#: The interpreter times it by itself, without its own start.
+#: The interpreter itself measures the time, without its own start.
 TIMED = "import time; began = time.perf_counter(); {}; print(time.perf_counter() - began)"
 STATEMENTS = {
     "numpy": "import numpy",
@@ -32,7 +32,7 @@ STATEMENTS = {
 
 
 def seconds(statement: str, cache: str) -> float:
-    # An installed package has its bytecode; a checkout may not be allowed to write it.
+    # An installed package contains its bytecode. A checkout may not be allowed to write it.
     environment = {**os.environ, "PYTHONPYCACHEPREFIX": cache, "PYTHONDONTWRITEBYTECODE": ""}
     command = [sys.executable, "-c", TIMED.format(statement)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
@@ -40,8 +40,11 @@ def seconds(statement: str, cache: str) -> float:
 
 
 def compare(rounds: int, cache: str) -> dict[str, dict[str, float]]:
-    """For each statement the median milliseconds, and what it takes on top of numpy as a share of that."""
-    for statement in STATEMENTS.values():  # once, so that all are compiled and in the cache of the disk
+    """Return the median milliseconds for each statement.
+
+    The time in addition to numpy is also returned as a fraction of the time of numpy.
+    """
+    for statement in STATEMENTS.values():  # once, so that all modules are compiled and in the disk cache
         seconds(statement, cache)
     times = {name: np.zeros(rounds) for name in STATEMENTS}
     for number in range(rounds):
@@ -68,7 +71,7 @@ def main() -> None:
     if options.json:
         print(json.dumps(figures))
         return
-    print(f"{'in a fresh interpreter (median)':36} {'ms':>8} {'on top':>8} {'of numpy':>9}")
+    print(f"{'in a fresh interpreter (median)':36} {'ms':>8} {'added':>8} {'of numpy':>9}")
     for name, row in figures.items():
         print(f"{name:36} {row['ms']:8.1f} {row['on_top_ms']:8.1f} {row['share']:9.2f}")
 

@@ -1,14 +1,14 @@
-"""A program that computes all the time, and how old the robot's states are by the time it has them.
+"""Age of the robot's states in a program that computes all the time.
 
-A sender in another process writes real-time packets at 500 Hz, each with the moment of its sending. The receiver reads
-them beside a thread that computes in pure Python, once as usual, once with each of `urlink.realtime_options`, and once
-read by a process of its own (`connect(..., isolate=True)`). Two figures each, in ms:
+A sender in another process writes real-time packets at 500 Hz; each packet contains the time of sending. The receiver
+reads them while a thread computes in pure Python: once as usual, once with each of `urlink.realtime_options`, and once
+with a separate process that reads (`connect(..., isolate=True)`). There are two figures for each, in ms:
 
-- callback: from the sending to an inline callback;
-- asked: the age of `stream.latest` when the main thread asks for it, after 20 ms in a C function that lets nobody in.
+- callback: from sending to an inline callback;
+- asked: the age of `stream.latest` when the main thread reads it, after 20 ms in a C function that blocks all threads.
 
-    python benchmarks/isolation.py            # 10 s a run
-    python benchmarks/isolation.py --quick    # 2 s a run
+    python benchmarks/isolation.py            # 10 s per run
+    python benchmarks/isolation.py --quick    # 2 s per run
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from urlink.protocol.realtime.protocol import RealtimeProtocol
 from urlink.session.identity import Identity
 from urlink.session.source import Source
 
-#: name -> options, and whether another process reads
+#: Options of each way, and whether another process reads.
 WAYS: dict[str, tuple[dict[str, Any], bool]] = {
     "as usual": ({}, False),
     "priority=50": ({"priority": 50}, False),
@@ -44,12 +44,12 @@ WAYS: dict[str, tuple[dict[str, Any], bool]] = {
     "isolate": ({}, True),
     "isolate, switch_interval=0.0005": ({"switch_interval": 0.0005}, True),
 }
-#: Seconds in which the main thread lets nobody in.
+#: Time, in s, for which the main thread blocks all other threads.
 HOLD = 0.02
 
 
 def send_until_left(ports: Connection, seconds: float) -> None:
-    with contextlib.suppress(ConnectionError):  # the receiver has enough
+    with contextlib.suppress(ConnectionError):  # the receiver has received enough
         send(ports, seconds, 0, 1)
 
 
@@ -82,7 +82,7 @@ def receive(port: int, results: Connection, seconds: float, way: str) -> None:
     numbers *= max(round(HOLD / (time.perf_counter() - began) * 100), 1)
     until = time.monotonic() + seconds - 0.5
     while time.monotonic() < until:
-        sum(numbers)  # in C: nobody else runs meanwhile
+        sum(numbers)  # in C, during which no other thread runs
         state = stream.latest
         if state is not None:
             asked.append(time.monotonic() - state.time)
@@ -113,7 +113,7 @@ def run(way: str, seconds: float) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="2 s a run instead of 10 s")
+    parser.add_argument("--quick", action="store_true", help="2 s per run instead of 10 s")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
     figures = {way: run(way, 2.0 if options.quick else 10.0) for way in WAYS}

@@ -1,7 +1,7 @@
-"""The jitter experiment of the original driver: how evenly do updates reach the callback?
+"""Jitter experiment of the original driver: the regularity of updates at the callback.
 
-A simulated CB3 controller in a process of its own sends at 125 Hz; the callback notes when it is
-called. The original C++ driver had 99 % of its updates between 7.5 and 8.5 ms.
+A simulated CB3 controller in a separate process sends at 125 Hz, and the callback records the time of each call. With
+the original C++ driver, 99 % of the updates arrived between 7.5 and 8.5 ms after the previous one.
 
     python benchmarks/jitter.py                     # 60 s
     python benchmarks/jitter.py --output FILE       # writes the histogram that the docs show
@@ -32,7 +32,7 @@ def serve(pipe: Connection) -> None:
 
 
 def measure(seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Periods between callbacks, and between the arrivals of their bytes, in seconds."""
+    """Return the periods between callbacks, and between the arrivals of their bytes, in s."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     server = context.Process(target=serve, args=(there,))
@@ -75,7 +75,7 @@ def main() -> None:
     edges = np.linspace(6.0, 10.0, 81)
     counts, _ = np.histogram(np.clip(called * 1e3, edges[0], edges[-1]), edges)
     print(f"{len(called)} periods at {RATE} Hz: mean {called.mean() * 1e3:.4f} ms, std {called.std() * 1e6:.1f} us")
-    print(f"share between 7.5 and 8.5 ms: callbacks {share['callback']:.4%}, bytes off the wire {share['arrival']:.4%}")
+    print(f"share between 7.5 and 8.5 ms: callbacks {share['callback']:.4%}, received bytes {share['arrival']:.4%}")
     if options.output is not None:
         options.output.parent.mkdir(parents=True, exist_ok=True)
         result = {

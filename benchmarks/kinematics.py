@@ -1,14 +1,13 @@
-"""What do the inverse kinematics cost, beside those of ur-analytic-ik and ikpy?
+"""Cost of the inverse kinematics, compared with ur-analytic-ik and ikpy.
 
-One pose to the closest joint positions, and a thousand poses at once; the published arm and a calibrated one. The poses
-are those of random joint positions whose elbow and wrist are bent by at least 6 degrees, and the search begins up to
-0.01 rad beside these, as it does for the next set-point of a path. Closer to a singularity a calibrated arm takes a
-search of its own, which has its own row. Each figure is processor time, the best of many short runs. Beside it stands
-by how much the flange misses the pose, at worst.
+Converts one pose to the closest joint positions, and a thousand poses at once, for the published arm and a calibrated
+arm. The poses belong to random joint positions whose elbow and wrist are bent by at least 6 degrees. The search starts
+up to 0.01 rad away from these positions, as for the next set-point of a path. Closer to a singularity, a calibrated arm
+needs a separate search, which has its own row. Each figure is processor time, the best of many short runs. The last
+column is the largest error of the flange pose.
 
-ur-analytic-ik is the closed form in C++; ikpy optimises numerically along a chain that it reads from the URDF that
-urlink writes. They are compared where they are installed (`nox -f nightly.py -s kinematics` does that), and are no
-requirement.
+ur-analytic-ik is the closed form in C++. ikpy optimises numerically along a chain that it reads from the URDF that
+urlink writes. They are compared if they are installed (as in `nox -f nightly.py -s kinematics`), and are not required.
 
     python benchmarks/kinematics.py                # UR5e
     python benchmarks/kinematics.py --quick
@@ -36,10 +35,10 @@ from urlink.arm.poses import compose, invert, to_matrix
 from urlink.arm.urdf import to_urdf
 
 ROWS = 1000
-#: µs: of one inverse, and of one among a thousand.
+#: Goals in µs: for one pose, and for each of a thousand poses.
 GOALS = {"one": 60.0, "row": 3.0}
-#: Axes that are tilted by some mrad and lengths that are off by a millimetre, as those of an arm that somebody reported
-#: (issue 457 of the vendor's ROS driver), put on a UR5e: theta, a, d and alpha of each joint.
+#: Axes tilted by some mrad, and lengths that differ by a millimetre, like a reported arm (issue 457 of the vendor's ROS
+#: driver), for a UR5e: theta, a, d and alpha of each joint.
 CALIBRATION = {
     "dh_theta": [-9.6e-06, -1.437070, 2.025431, -0.588255, 4.1e-05, 8.2e-06],
     "dh_a": [0.000279, -0.05668535, -0.32641694, 1.49e-05, 2.2e-07, 0.0],
@@ -52,7 +51,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Table:
-    """A DH table as a controller sends it."""
+    """DH table in the form in which a controller sends it."""
 
     dh_theta: list[float]
     dh_a: list[float]
@@ -61,7 +60,7 @@ class Table:
 
 
 def seconds(work: Callable[[], object], rounds: int, number: int) -> float:
-    """Of processor time that the work takes, the best of some rounds of a number of times each."""
+    """Return the processor time of a call in s, of the best of some rounds of many calls."""
     best = float("inf")
     for _ in range(rounds):
         began = time.process_time()
@@ -72,7 +71,7 @@ def seconds(work: Callable[[], object], rounds: int, number: int) -> float:
 
 
 def missed(arm: Arm, q: Array, poses: Array) -> float:
-    """m or rad, at worst."""
+    """Return the largest error of the poses, in m or rad."""
     return float(np.abs(compose(invert(arm.forward(q)), poses)).max())
 
 
@@ -116,7 +115,7 @@ def measure(rounds: int) -> dict[str, dict[str, float]]:
 
 
 def analytic(arm: Arm, poses: Array, near: Array, rounds: int) -> dict[str, float]:
-    """ur-analytic-ik is given matrices and has no call for many poses."""
+    """Measure ur-analytic-ik, which receives matrices and has no call for many poses."""
     module: Any = importlib.import_module("ur_analytic_ik")
     matrices = [np.ascontiguousarray(matrix) for matrix in to_matrix(poses)]
     close = near.tolist()
@@ -126,12 +125,12 @@ def analytic(arm: Arm, poses: Array, near: Array, rounds: int) -> dict[str, floa
         return [module.ur5e.inverse_kinematics_closest(matrix, *each)[0] for matrix, each in pairs]
 
     figures = {"one": 1e6 * seconds(all_of_them, 3 * rounds, 1) / len(matrices)}
-    # Its answers are within a turn; it leaves out poses in and close to singularities.
+    # Its answers are within one turn. It leaves out poses in and close to singularities.
     return {**figures, "missed": missed(arm, np.array(all_of_them()).reshape(-1, 6), poses)}
 
 
 def ikpy(arm: Arm, poses: Array, near: Array) -> dict[str, float]:
-    """ikpy reads the arm from a file, and counts the links that do not move among the joints."""
+    """Measure ikpy, which reads the arm from a file, and counts fixed links among the joints."""
     module: Any = importlib.import_module("ikpy.chain")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "arm.urdf"
@@ -160,7 +159,7 @@ def main() -> None:
     if options.json:
         print(json.dumps(figures))
         return
-    print(f"Inverse kinematics of a UR5e: µs of one pose, µs of each of {ROWS}, and by how much it misses (m, rad)")
+    print(f"Inverse kinematics of a UR5e: µs for one pose, µs for each of {ROWS}, and largest error (m, rad)")
     print(f"  {'goal: at most':22} {GOALS['one']:10.1f} {GOALS['row']:8.2f}")
     for name, row in figures.items():
         many = f"{row['row']:8.2f}" if "row" in row else f"{'-':>8}"

@@ -1,10 +1,10 @@
-"""From a state to the set-point that it brings about: the reverse link, input registers, and ur_rtde's servoJ loop.
+"""Delay from a state to its set-point: the reverse link, input registers, and ur_rtde's servoJ loop.
 
-A simulated e-Series controller in a process of its own, on the standard ports of a loopback address, because they are
-built into ur_rtde. A loop takes each state and leads wrist 3 along a ramp that goes by the state's own time; so the
-position that the controller reports as its target tells which state it is the answer to. The delay is from that state's
-time to the time of the state that shows it. What `servoj` itself trails behind with the same look-ahead time and gain
-is the same in all three, and is in all three figures.
+A simulated e-Series controller runs in a separate process, on the standard ports of a loopback address, because ur_rtde
+has these ports built in. A loop receives each state, and moves wrist 3 along a ramp that depends on the time of the
+state. So the target position that the controller reports shows to which state it is the answer. The delay is from the
+time of that state to the time of the state that shows the answer. `servoj` itself lags by the same time in all three
+loops, because look-ahead time and gain are equal; all three figures include this lag.
 
     python benchmarks/links.py                         # 10 s each; ur_rtde only if it is installed
 """
@@ -25,10 +25,10 @@ from urlink.simulator.rtde_variables import UPTIME
 
 HOST, FIRMWARE, RATE = "127.0.7.2", "5.11", 500
 HOME = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
-#: rad/s of the ramp, and of `servoj`: s and its gain.
+#: Speed of the ramp, in rad/s; look-ahead time, in s, and gain of `servoj`.
 SPEED, LOOKAHEAD, GAIN = 0.05, 0.03, 300.0
 
-#: (s, rad): time and target of wrist 3, as the controller tells them.
+#: Time, in s, and target of wrist 3, in rad, as the controller reports them.
 Targets = list[tuple[float, float]]
 
 
@@ -47,7 +47,7 @@ def simulated() -> Iterator[None]:
 
 
 def with_urlink(robot: urlink.Robot, link: urlink.motion.motions.LinkName, seconds: float) -> float:
-    """Lead the ramp; the time of the state at which it began."""
+    """Command the ramp, and return the time of the state at which it started."""
     with robot.motion.servo(link=link, watchdog=0.5, lookahead_time=LOOKAHEAD, gain=GAIN) as servo:
         begun = robot.realtime.wait()
         for state in robot.realtime:
@@ -84,19 +84,19 @@ def with_ur_rtde(robot: urlink.Robot, seconds: float) -> float:
     done = subprocess.run(
         [sys.executable, "-c", UR_RTDE, HOST, *numbers], stdout=subprocess.PIPE, text=True, check=True
     )
-    # What RTDE calls `timestamp` counts from when the simulated computer was started, not the controller.
+    # In RTDE, `timestamp` counts from the start of the simulated computer rather than of the controller.
     return float(done.stdout.split()[-1]) - UPTIME
 
 
 def delays(targets: Targets, begun: float, seconds: float) -> list[float]:
-    """s, for each state in the middle of the ramp."""
+    """Return the delay, in s, of each state in the middle of the ramp."""
     middle = [(t, q) for t, q in targets if begun + 0.2 * seconds < t < begun + 0.8 * seconds]
     return [t - begun - (q - HOME[5]) / SPEED for t, q in middle]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="From a state to the set-point that it brings about.")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each ramp (10)")
+    parser = argparse.ArgumentParser(description="Measure the delay from a state to its set-point.")
+    parser.add_argument("--seconds", type=float, default=10.0, help="duration of each ramp, s (default: 10)")
     seconds = parser.parse_args().seconds
     ways: dict[str, Callable[[urlink.Robot], float]] = {
         "reverse link": lambda robot: with_urlink(robot, "reverse", seconds),
@@ -114,7 +114,7 @@ def main() -> None:
             found = sorted(delays(targets, begun, seconds))
             p50, p99, most = statistics.median(found), found[round(0.99 * (len(found) - 1))], found[-1]
             print(f"{name:14} {p50 * 1e3:7.1f} ms {p99 * 1e3:7.1f} ms {most * 1e3:7.1f} ms")
-            time.sleep(0.5)  # its connections are gone
+            time.sleep(0.5)  # time until its connections are closed
 
 
 if __name__ == "__main__":

@@ -1,15 +1,15 @@
-"""What it costs to load a recording: all fields of the real-time packets as columns, beside a loop around `struct`.
+"""Time to load a recording: all fields of the real-time packets as columns, compared with a loop around `struct`.
 
-A recording of packets of firmware 5.10 (1220 bytes, the longest there are), one in each record, is written once.
-`urlink.load` finds its records and checks their checksums, `arrays` makes a column of every field. The loop reads the
-same file record by record, unpacks each packet with one precompiled `struct`, and appends the tuple to a list: no
-checksums, no columns. `checked` is the same loop with the checksums. Times are those of the processor, so that a busy
-machine matters less, and the best of the rounds counts; of `urlink.load` also those on the clock, since several
-processors share the checksums. The file is in the cache of the operating system.
+A recording of packets of firmware 5.10 (1220 bytes, the longest packets) is written once, with one packet in each
+record. `urlink.load` finds its records and checks their checksums, and `arrays` makes a column of every field. The loop
+reads the same file record by record, unpacks each packet with one precompiled `struct`, and appends the tuple to a
+list, without checksums and columns. `checked` is the same loop with checksums. Times are processor times, so that other
+programs matter less, and the best of the rounds counts. For `urlink.load`, the elapsed time is shown too, because
+several processors share the checksums. The file is in the cache of the operating system.
 
-Checksums are checked for many records at once (`linkcore.recording.index.intact`). What that saves is shown beside one
-call of `zlib.crc32` for each record, in as many threads, in the same process and in turns: of records with a real-time
-packet, and of short ones.
+Checksums are checked for many records at once (`linkcore.recording.index.intact`). The saving is shown, compared with
+one call of `zlib.crc32` for each record. Both use the same number of threads, in the same process and in turn, for
+records with a real-time packet and for short records.
 
     python benchmarks/loading.py            # 200 000 packets, 3 rounds
     python benchmarks/loading.py --quick    # 20 000 packets, 2 rounds
@@ -37,7 +37,7 @@ from linkcore.recording.index import intact, side_by_side
 from urlink.packets import RealtimeState, Stamp
 
 PACKET = bytes(RealtimeState("5.10", q_actual=[0.1, -1.5, 1.2, -1.3, -1.5, 0.0], joint_modes=[253] * 6))
-#: Records whose checksums are checked in one run, and bytes of each beside its length and checksum.
+#: Number of records whose checksums are checked in one run; bytes of a record without its length and checksum.
 RECORDS, SIZES = 1 << 16, (HEAD.size + len(PACKET), 60)
 DOUBLES = struct.Struct(f">{(len(PACKET) - 4) // 8}d")
 
@@ -67,7 +67,7 @@ def loop(path: Path, *, checked: bool) -> list[tuple[float, ...]]:
 
 
 def one_by_one(data: NDArray[np.uint8], stride: int, count: int) -> NDArray[np.bool_]:
-    """What `intact` returns, by one call of `zlib.crc32` for each record."""
+    """Return the result of `intact`, with one call of `zlib.crc32` for each record."""
     view, crc32 = memoryview(data), zlib.crc32  # type: ignore[arg-type]  # an array has a buffer
 
     def checksums(begin: int, end: int) -> list[int]:
@@ -79,7 +79,10 @@ def one_by_one(data: NDArray[np.uint8], stride: int, count: int) -> NDArray[np.b
 
 
 def saved(size: int, rounds: int) -> tuple[float, float]:
-    """Checksums one by one / many at once: medians of the ratios of processor time and of time on the clock."""
+    """Return the ratios of checking one by one to checking many at once, as medians.
+
+    The first ratio is of processor times, and the second of elapsed times.
+    """
     body = bytes(range(256)) * (size // 256 + 1)
     record = FRAME.pack(size, zlib.crc32(body[:size])) + body[:size]
     data, stride = np.frombuffer(record * RECORDS, np.uint8), len(record)
@@ -102,7 +105,7 @@ def spent(action: Callable[[], object]) -> float:
 
 
 def measure(path: Path, packets: int, rounds: int) -> dict[str, float]:
-    """Microseconds a packet."""
+    """Return the microseconds per packet."""
     best: dict[str, float] = {}
 
     def take(name: str, action: Callable[[], object]) -> None:
@@ -141,18 +144,20 @@ def main() -> None:
     if options.json:
         print(json.dumps(figures))
         return
-    print(f"{packets} packets of {len(PACKET)} bytes, processor time a packet, best of {rounds}")
+    print(f"{packets} packets of {len(PACKET)} bytes, processor time per packet, best of {rounds}")
     print(f"  records found, checksums checked    {figures['find']:6.2f} us")
     print(f"  packets found                       {figures['rows']:6.2f} us")
     print(f"  all fields as columns               {figures['columns']:6.2f} us")
     print(f"  all of it                           {figures['all']:6.2f} us   (goal: 1.5 us)")
-    print(f"  all of it, on the clock             {figures['all_clock']:6.2f} us")
+    print(f"  all of it, elapsed time             {figures['all_clock']:6.2f} us")
     print(f"  load and one column of six          {figures['one_column']:6.2f} us")
     print(f"  loop around struct                  {figures['struct']:6.2f} us")
     print(f"  the same with checksums             {figures['struct_checked']:6.2f} us")
-    print("checksums of one record after the other / of many at once")
+    print("checksums one by one / many at once")
     for size, (processor, clock) in gained.items():
-        print(f"  records of {size:4} bytes               {processor:6.2f} of processor time, {clock:.2f} on the clock")
+        print(
+            f"  records of {size:4} bytes               {processor:6.2f} of processor time, {clock:.2f} of elapsed time"
+        )
 
 
 if __name__ == "__main__":

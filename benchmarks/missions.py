@@ -1,16 +1,16 @@
-"""What a mission costs: interpreter, odometry and motion control, at ticks of 10 ms and in lockstep.
+"""Cost of a mission: interpreter, odometry and motion control, with ticks of 10 ms and in lockstep.
 
-In lockstep: how long the square spiral takes that the original MRC was recorded with, 35 s of driving, with the turtle
-that is driven in the same process and without it: processor time, the best of several runs. Without it, the answers are
-those that the turtle gave before, so the interpreter, its motion control and nothing else is measured.
+In lockstep: the time for the square spiral with which the original MRC was recorded, 35 s of driving. The turtle is
+driven in the same process, or left out. The figure is processor time, the best of several runs. Without the turtle, its
+earlier answers are used, so only the interpreter and its motion control are measured.
 
-In real time: the share of a processor that this process uses while it drives a turtle that a host in another process
-serves at ticks of 10 ms; and next to it the share of a loop that does nothing but write two values and sync at each
-tick. The figure to look at is their difference. Both are several times as much as in lockstep: a process that is woken
-a hundred times a second finds nothing of its code and data in the processor's caches.
+In real time: the fraction of a processor that this process uses while it drives a turtle, which a host in another
+process serves with ticks of 10 ms. For comparison, a loop only writes two values and syncs at each tick. The important
+figure is the difference of both. Both are several times as large as in lockstep, because a process that is woken a
+hundred times per second finds neither its code nor its data in the processor's caches.
 
-    python benchmarks/missions.py            # some 40 s
-    python benchmarks/missions.py --quick    # some 12 s
+    python benchmarks/missions.py            # about 40 s
+    python benchmarks/missions.py --quick    # about 12 s
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from rhdlink.smrcl.profile import find_profile
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA
 from rhdlink.smrcl.robot_link import PluginLink
 
-#: Eight legs of 0.2 to 0.9 m with a turn behind each, and the diagonal.
+#: Eight legs of 0.2 to 0.9 m, each followed by a turn, and the diagonal.
 SPIRAL = "".join(f"fwd {0.2 + 0.1 * leg:.1f}\nturn 90\n" for leg in range(8)) + "turn 45\nfwd 0.5\nstop\n"
-#: Goes on for as long as it is measured, with a stop condition that is evaluated in each cycle.
+#: Runs until the measurement ends, with a stop condition that is evaluated in each cycle.
 ENDLESS = 'label "on"\nfwd 0.5 : ($drivendist > 0.4) | ($odovelocity > 3)\nturn 90\nn = n + 1\nif (1) "on"\n'
 
-#: s, and the share of a processor.
+#: Maximum time, in s, and maximum fraction of a processor.
 MOST_SECONDS, MOST_SHARE = 0.5, 0.05
 ROBOTS = {"velocity-omega": Turtle, "SMR": SmrTurtle}
 
@@ -44,7 +44,7 @@ Answers = list[dict[str, Sequence[int]]]
 
 
 def driven(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[float, int]:
-    """Seconds, and ticks, of the spiral on a turtle in this process."""
+    """Return the time, in s, and the ticks of the spiral with a turtle in this process."""
     mission = Mission(SPIRAL, robot(World(1000.0)), compat=profile)
     began = time.process_time()
     run = mission.run()
@@ -52,7 +52,7 @@ def driven(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[float, int]:
 
 
 def answers_of(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[MissionController, Answers]:
-    """A controller that has begun nothing, and what the turtle answered to another one like it."""
+    """Return a controller that has not started, and a turtle's answers to an equal controller."""
     link = PluginLink([robot(World(1000.0))])
     conf = VELOMEGA if robot is Turtle else SMR
     first, second = (MissionController(conf, link.read, link.write, profile=find_profile(profile)) for _ in range(2))
@@ -69,7 +69,7 @@ def answers_of(robot: type[Turtle | SmrTurtle], profile: str) -> tuple[MissionCo
 
 
 def computed(robot: type[Turtle | SmrTurtle], profile: str) -> float:
-    """Seconds of the spiral without the turtle."""
+    """Return the time of the spiral without the turtle, in s."""
     controller, answers = answers_of(robot, profile)
     began = time.process_time()
     for answer in answers:
@@ -85,7 +85,7 @@ def serve(ports: Connection, robot: type[Turtle | SmrTurtle]) -> None:
 
 
 def shares(robot: type[Turtle | SmrTurtle], seconds: float) -> tuple[float, float]:
-    """The shares of a processor that a mission uses in real time, and that a loop of syncs does."""
+    """Return the fractions of a processor that a mission and a loop of syncs use in real time."""
     spawn = multiprocessing.get_context("spawn")
     ours, theirs = spawn.Pipe()
     host = spawn.Process(target=serve, args=(theirs, robot))
@@ -113,7 +113,7 @@ def shares(robot: type[Turtle | SmrTurtle], seconds: float) -> tuple[float, floa
 
 
 def used(wait: Callable[[], object]) -> float:
-    """The share of a processor that this process uses meanwhile."""
+    """Return the fraction of a processor that this process uses during `wait`."""
     began, before = time.perf_counter(), time.process_time()
     wait()
     return (time.process_time() - before) / (time.perf_counter() - began)
@@ -145,10 +145,10 @@ def main() -> None:
     for name, found in results.items():
         print(f"{name}: {found['ticks']} ticks of 10 ms")
         print(f"  in lockstep with the turtle   {found['lockstep_s']:.2f} s   (at most {MOST_SECONDS:g} s)")
-        print(f"  without it                    {found['computed_s']:.2f} s   {found['tick_us']:.0f} us a tick")
+        print(f"  without it                    {found['computed_s']:.2f} s   {found['tick_us']:.0f} us per tick")
         more = found["share"] - found["share_of_syncs"]
         print(f"  in real time                  {more:.1%} of a processor   (at most {MOST_SHARE:.0%})")
-        print(f"    beside the syncs with       {found['share_of_syncs']:.1%}")
+        print(f"    more than the syncs, with       {found['share_of_syncs']:.1%}")
 
 
 if __name__ == "__main__":

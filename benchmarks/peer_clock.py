@@ -1,7 +1,7 @@
-"""What `robot.clock` costs in the receive path, and what a conversion costs.
+"""Cost of `robot.clock` in the receive path, and cost of a conversion.
 
-Real-time packets of an e-Series go through a receiver with the stamps that they have at 500 Hz: in turns with one whose
-clock is never looked at. For so many seconds that the last minute is full.
+Real-time packets of an e-Series go through a receiver with the stamps of 500 Hz. It takes turns with a receiver whose
+clock is never used. The run is long enough to fill the last minute of the clock.
 
     python benchmarks/peer_clock.py
     python benchmarks/peer_clock.py --quick    # a quarter of the rounds
@@ -21,12 +21,12 @@ from linkcore.streaming.statistics import StreamCounters
 from urlink.packets import RealtimeState
 from urlink.protocol.realtime.protocol import RealtimeProtocol
 
-#: Packets a second, and of one turn.
+#: Packets per second, and packets per turn.
 RATE, TURN = 500, 1000
 
 
 class Path:
-    """One receiver, and how long it takes for a packet."""
+    """A receiver, and its time for a packet."""
 
     def __init__(self, *, is_looked_at: bool) -> None:
         protocol = RealtimeProtocol()
@@ -36,7 +36,7 @@ class Path:
         self._is_looked_at = is_looked_at
 
     def run(self, packets: list[bytes], began: float) -> float:
-        """Seconds of processor time for one of these packets."""
+        """Return the processor time, in s, for one of these packets."""
         stamps = [Stamp(began + i / RATE, 0.0) for i in range(len(packets))]
         if not self._is_looked_at:
             self.counters.clock_offset.due = math.inf
@@ -47,7 +47,7 @@ class Path:
 
 
 def turn_of(number: int) -> list[bytes]:
-    """The packets of one turn, with their times."""
+    """Return the packets of one turn, with their times."""
     return [bytes(RealtimeState("5.10", time=(number * TURN + i) / RATE)) for i in range(TURN)]
 
 
@@ -74,7 +74,9 @@ def main() -> None:
         relation.to_peer(begins)
     conversion = (time.process_time() - begun) / 10_000
     ratio = clocked / bare
-    print(f"a real-time packet to a state, with the clock: {clocked * 1e6:.2f} us, {ratio:.3f} times as without")
+    print(
+        f"a real-time packet to a state, with the clock: {clocked * 1e6:.2f} us, {ratio:.3f} times the time without it"
+    )
     print(f"a time of this computer to one of the controller: {conversion * 1e6:.2f} us")
 
 

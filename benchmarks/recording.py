@@ -1,9 +1,10 @@
-"""What recording costs in the receive path: the reader thread, from the end of one read to the next.
+"""Cost of recording in the receive path: the reader thread, from the end of one read to the next read.
 
-Two streams of real-time packets in one process, one with a recorder and one without, each paced as a controller paces
-them and read in turns, so that both meet the same machine. Timed is the reader thread between `receive` giving it a
-packet and its asking for the next one: framing, decoding and handing over, to a recorder or not. The recorder's own
-thread, which writes the file, is not in it except where it gets in the way.
+Two streams of real-time packets run in one process, one with a recorder and one without. Both are paced like a
+controller and read in turn, so that they run under the same conditions. The measured time is from the moment when
+`receive` returns a packet to the reader thread until the thread asks for the next packet. It includes framing, decoding
+and passing the packet on, with or without a recorder. It does not include the recorder's own thread, which writes the
+file, unless that thread delays the reader.
 
     python benchmarks/recording.py            # 10 rounds of 1000 packets each
     python benchmarks/recording.py --quick    # 3 rounds of 300
@@ -30,13 +31,14 @@ from linkcore.streaming.stream import Stream
 from urlink.packets import RealtimeState
 from urlink.protocol.realtime.protocol import RealtimeProtocol
 
-#: Seconds between two packets: four times as many as the fastest controller sends, and time enough to go to sleep.
+#: Time between two packets, in s: a quarter of the fastest controller's period, but long enough for the thread to
+#: sleep.
 PERIOD = 0.0005
 PACKET = bytes(RealtimeState("5.10", q_actual=[0.1, -1.5, 1.2, -1.3, -1.5, 0.0]))
 
 
 class PacedTransport:
-    """Gives a packet each period while a round is on, and takes down how long the reader was away."""
+    """Transport that returns a packet each period, and records the time until the next read."""
 
     name = "paced"
     round_trip = 1e-4
@@ -50,7 +52,7 @@ class PacedTransport:
         self._go = threading.Condition()
 
     def run(self, packets: int) -> None:
-        """Give so many packets, and wait until the reader has come back from the last."""
+        """Return `packets` packets, and wait until the reader has finished the last one."""
         with self._go:
             self._left = packets
             self._go.notify_all()
@@ -106,7 +108,7 @@ def compare(folder: Path, rounds: int, packets: int) -> dict[str, float]:
         for number in range(rounds + 1):
             for name in sorted(transports, reverse=bool(number % 2)):
                 transports[name].run(packets)
-            if number == 0:  # to warm up
+            if number == 0:  # warm-up
                 for transport in transports.values():
                     transport.costs.clear()
     written = sum(record.kind is Kind.BYTES for record in RecordingFile(folder / "run.urlog"))
@@ -114,7 +116,7 @@ def compare(folder: Path, rounds: int, packets: int) -> dict[str, float]:
     for stream in streams.values():
         stream.close()
     plain, recorded = (np.array(transports[name].costs).reshape(rounds, packets) for name in ("plain", "recorded"))
-    # Of each round the median packet, of those differences the median round.
+    # The median packet of each round, and the median round of those differences.
     difference = np.median(recorded, axis=1) - np.median(plain, axis=1)
     return {
         "plain_us": float(np.median(plain)) * 1e6,

@@ -1,8 +1,8 @@
-"""Finding a lost frame boundary again, in the worst bytes that are known: milliseconds for 64 KiB.
+"""Time to find a lost frame boundary again, with the worst known bytes: milliseconds for 64 KiB.
 
-The bytes are made by somebody who knows the code: headers that are believed for as long as possible, as close to each
-other as they can be. They come at once, in chunks of seven bytes, and byte by byte; beside that stands what a framer
-costs that only waits for more.
+The bytes are made with knowledge of the code: headers that look valid for as long as possible, and that are as close to
+each other as possible. They arrive at once, in chunks of seven bytes, or byte by byte. For comparison, there is a
+framer that only waits for more bytes.
 
 python benchmarks/resync.py
 """
@@ -25,14 +25,14 @@ _CHUNKS = (_SIZE, 7, 1)
 
 
 def package(size: int, kind: int) -> bytes:
-    """The header of a package or of a sub-package."""
+    """Return the header of a package or of a sub-package."""
     return struct.pack(">iB", size, kind)
 
 
-# A robot state of 20 bytes, the smallest cost for which a boundary is found again.
+# A robot state of 20 bytes, with the smallest cost of finding a boundary again.
 _STATE = package(20, 16) + package(15, 99) + bytes(10)
 
-#: What is repeated, after one good packet and a byte that ends the order of frames.
+#: Repeated elements, after one valid packet and a byte that breaks the sequence of frames.
 ELEMENTS: dict[type[RealtimeProtocol | PrimaryProtocol], dict[str, bytes]] = {
     RealtimeProtocol: {
         "the connection's size everywhere": struct.pack(">i", 1220),
@@ -54,7 +54,7 @@ FIRST: dict[type[RealtimeProtocol | PrimaryProtocol], bytes] = {
 
 
 def milliseconds(framer: Framer, stream: bytes, chunk: int) -> float:
-    """Processor time of feeding a stream in chunks."""
+    """Return the processor time of feeding a stream in chunks."""
     chunks = [stream[at : at + chunk] for at in range(0, len(stream), chunk)]
     began = time.process_time()
     for each in chunks:
@@ -63,7 +63,7 @@ def milliseconds(framer: Framer, stream: bytes, chunk: int) -> float:
 
 
 def measure(rounds: int) -> dict[str, list[float]]:
-    """Title -> median milliseconds at once, in sevens, byte by byte."""
+    """Return, by title, the median milliseconds at once, in sevens, and byte by byte."""
     figures = {}
     for kind, elements in ELEMENTS.items():
         for title, element in elements.items():
@@ -79,7 +79,7 @@ def measure(rounds: int) -> dict[str, list[float]]:
             figures[f"{kind.__name__}: {title}"] = row
     waiting = []
     for chunk in _CHUNKS:
-        # A header that declares all that comes, and more: nothing is to be judged.
+        # A header that declares more bytes than arrive, so there is nothing to search.
         times = []
         for _ in range(rounds):
             framer = PrimaryProtocol().framer

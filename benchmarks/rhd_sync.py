@@ -1,23 +1,25 @@
-"""How long a sync takes between a client and a host of rhdlink, and how long a read of a variable.
+"""Time of a sync between a client and a host of rhdlink, and of reading a variable.
 
-A sync is measured next to a bare echo of as many bytes, and a read next to that of a property of a plain Python class.
+A sync is compared with a bare echo of the same number of bytes, and a read with a property of a plain Python class.
 
-Client and host are processes of their own on one machine, in lockstep: each request is one tick of the host, which
-sets variables and answers. The echo sends a request of the same size to a process that does nothing but answer with as
-many bytes. Both are measured in turns, so that they meet the same machine; the figure to look at is their ratio.
+Client and host are separate processes on one machine, in lockstep: each request is one tick of the host, which sets
+variables and answers. The echo sends a request of the same size to a process that only answers with the same number of
+bytes. Both are measured in turn, so that they run under the same conditions. The important figure is their ratio.
 
-Each process has a processor of its own, as a robot's daemon and its client would. Left free, a scheduler may put the
-two ends of the echo on one processor, where waking the other costs next to nothing, and the ends of the sync, which
-work for longer, on two: the ratio is then that of two placements, some ten times as high. `--free` shows it.
+Each process has its own processor, like a robot's daemon and its client. Without this, a scheduler might put both ends
+of the echo on one processor, where waking the other end costs almost nothing. It might put the ends of the sync, which
+work longer, on two processors. The ratio would then compare two placements, and would be about ten times as high.
+`--free` shows this.
 
-A read (`robot.encl`) is measured by itself, between two syncs: values change with syncs only, so each read in between
-works the same. The figure to look at is its ratio to the plain property in the same process; the goal is at most 1 us.
+A read (`robot.encl`) is measured alone, between two syncs: values change only at syncs, so each read in between takes
+the same time. The important figure is its ratio to the plain property in the same process; the goal is at most 1 us.
 
-Jitter is how late a host's ticks come when it keeps time by itself, with a reader that syncs at each of them; alone,
-and beside clients that send half packages, rubbish, nothing, or connect thirty times a second.
+Jitter is the delay of a host's ticks when it keeps time on its own, with a reader that syncs at each tick. It is
+measured alone, and with hostile clients that send half packages, rubbish or nothing, or that connect thirty times per
+second.
 
-    python benchmarks/rhd_sync.py            # some 60 s
-    python benchmarks/rhd_sync.py --quick    # some 10 s
+    python benchmarks/rhd_sync.py            # about 60 s
+    python benchmarks/rhd_sync.py --quick    # about 10 s
 """
 
 from __future__ import annotations
@@ -45,7 +47,7 @@ from rhdlink import Bool, Float64, Host, Int32, Int64, Plugin, Read, Scaled, Var
 _C = {"10 of 10": 20.8, "100 of 100": 72.0, "1000 of 1000": 505.0, "1 of 1000": 77.0}
 
 
-#: Set where processes are not tied to processors; an environment variable, because they are spawned.
+#: Set if processes are not tied to processors. It is an environment variable, because the processes are spawned.
 _FREE = "RHD_SYNC_FREE"
 
 
@@ -67,7 +69,7 @@ CASES = (
 
 
 class Changing(Plugin):
-    """Sets the first of its variables anew at each tick."""
+    """Plugin that sets the first of its variables at each tick."""
 
     def __init__(self, case: Case) -> None:
         self._case = case
@@ -86,7 +88,7 @@ class Changing(Plugin):
 
 
 def use_processor(number: int) -> None:
-    """Stay on one processor, where the system has that and there are several."""
+    """Stay on one processor, if the system supports it and has several."""
     if os.environ.get(_FREE) is None and hasattr(os, "sched_setaffinity") and (os.cpu_count() or 1) > number:
         os.sched_setaffinity(0, {number})
 
@@ -118,7 +120,7 @@ def echo(ports: Connection, asked: int, answered: int) -> None:
 
 
 def timed(call: Callable[[], object], seconds: float) -> float:
-    """Microseconds of one call, in the median of rounds of many."""
+    """Return the microseconds of one call, as the median of rounds with many calls."""
     rounds = []
     until = time.perf_counter() + seconds
     while time.perf_counter() < until:
@@ -130,7 +132,7 @@ def timed(call: Callable[[], object], seconds: float) -> float:
 
 
 def sizes(case: Case) -> tuple[int, int]:
-    """Bytes of a request with one value, and of its answer, with the tick in it."""
+    """Return the bytes of a request with one value, and of its answer, including the tick."""
     return 2 + 6 + 16 + 2, 6 + 16 + sum(12 + 4 * length for length in case.lengths[: case.changing]) + 2
 
 
@@ -198,7 +200,7 @@ def measure(case: Case, seconds: float, turns: int) -> dict[str, object]:
 
 
 class Plain:
-    """What a read is compared with."""
+    """Class with a plain property, with which a read is compared."""
 
     def __init__(self) -> None:
         self._value = 5
@@ -208,7 +210,7 @@ class Plain:
         return self._value
 
 
-#: What is read, and the most microseconds that it may take; None for what has no goal.
+#: Variables to read, and the maximum time in microseconds; None if there is no goal.
 READS = (
     ("encl", 1.0),
     ("ticks", 1.0),
@@ -222,7 +224,7 @@ READS = (
 
 
 def reads(seconds: float) -> Iterator[dict[str, object]]:
-    """Nanoseconds of a read of each type, and of a plain property, in turns."""
+    """Yield the nanoseconds of reading each type, and of a plain property, in turn."""
 
     class Robot(Plugin):
         encl = Read(Int32)
@@ -267,7 +269,7 @@ def reads(seconds: float) -> Iterator[dict[str, object]]:
 
 def keep_time(ports: Connection, period: float, seconds: float) -> None:
     use_processor(1)
-    logging.getLogger("rhdlink").setLevel(logging.ERROR)  # what is wrong with hostile clients is known here
+    logging.getLogger("rhdlink").setLevel(logging.ERROR)  # hostile clients cause expected warnings
     with Host([Changing(CASES[1])], period=period, port=0, clients=64) as host:
         ports.send(host.port)
         time.sleep(seconds)
@@ -277,7 +279,7 @@ def keep_time(ports: Connection, period: float, seconds: float) -> None:
 
 
 def pester(port: int, over: threading.Event) -> None:
-    """Clients such as no host wants, until it is over; thirty connections a second."""
+    """Act as hostile clients until `over` is set, with thirty connections per second."""
     says = (b"", b"a", b"ar", b"rr", b"arrwdw\x00\x00\x00\x05", b"aw" + b"\xff" * 100, b"GET / HTTP/1.0\r\n\r\n")
     open_ones: list[socket.socket] = []
     number = 0
@@ -287,7 +289,7 @@ def pester(port: int, over: threading.Event) -> None:
             open_ones.append(pest)
             pest.sendall(says[number % len(says)])
         except OSError:
-            pass  # refused or thrown out, as it should be
+            pass  # refused or disconnected, as expected
         number += 1
         if len(open_ones) > 20:
             open_ones.pop(0).close()
@@ -330,8 +332,8 @@ def jitter(period: float, seconds: float, hostile: bool) -> dict[str, object]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a few seconds rather than a minute")
-    parser.add_argument("--json", action="store_true", help="one object a line")
+    parser.add_argument("--quick", action="store_true", help="run for some seconds instead of a minute")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
     parser.add_argument("--free", action="store_true", help="leave the choice of processors to the system")
     args = parser.parse_args()
     if args.free:
@@ -360,12 +362,12 @@ def main() -> None:
         )
     for period, hostile in ((0.01, False), (0.002, False), (0.01, True)):
         late = jitter(period, long, hostile)
-        beside = " beside hostile clients" if hostile else ""
+        beside = " with hostile clients" if hostile else ""
         print(
             json.dumps(late)
             if args.json
             else f"tick at {late['period_ms']:g} ms{beside}: {late['ticks']} ticks, {late['syncs']} syncs, "
-            f"{late['overruns']} overruns, late by {late['late_median_us']} us in the median, "
+            f"{late['overruns']} overruns, median delay {late['late_median_us']} us, "
             f"p99 {late['late_p99_us']} us, worst {late['late_worst_us']} us"
         )
 

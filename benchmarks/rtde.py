@@ -1,15 +1,15 @@
-"""RTDE: a data package to a typed state, and 500 Hz from another process beside ur_rtde's receive loop.
+"""RTDE: decoding of a data package to a typed state, and 500 Hz from another process, compared with ur_rtde.
 
-The first part takes a data package of the 37 variables that ur_rtde asks every controller for, and reads all of them,
-beside `struct.unpack` of the same bytes. The second part serves one client at a time with data packages whose timestamp
-is the moment of sending. The clients take turns, each in a process of its own: a urlink stream with an inline callback,
-with a `for` loop, and ur_rtde's `RTDEReceiveInterface` in the loop of its examples, if it is installed. A sample is as
-fresh as it is young when the loop has it.
+The first part decodes a data package of the 37 variables that ur_rtde requests from every controller, and reads all of
+them. It is compared with `struct.unpack` of the same bytes. The second part serves one client at a time with data
+packages whose timestamp is the time of sending. The clients take turns, each in a separate process: a urlink stream
+with an inline callback, a stream with a `for` loop, and, if it is installed, ur_rtde's `RTDEReceiveInterface` in the
+loop of its examples. The age of a sample is measured when the loop has it.
 
 ur_rtde has the port number built in, so the server listens on port 30004 of another loopback address.
 
-    python benchmarks/rtde.py            # 10 s a run
-    python benchmarks/rtde.py --quick    # 2 s a run
+    python benchmarks/rtde.py            # 10 s per run
+    python benchmarks/rtde.py --quick    # 2 s per run
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ from urlink.session.source import Source
 
 HOST, PORT = "127.0.7.1", 30004
 RATE = 500
-#: Samples before anything is measured.
+#: Number of samples before the measurement starts.
 WARM_UP = 250
-#: What every controller has of what ur_rtde asks for.
+#: The variables that ur_rtde requests and that every controller has.
 NAMES = split_names(
     "timestamp, target_q, target_qd, target_qdd, target_current, target_moment, actual_q, actual_qd, "
     "actual_current, joint_control_output, actual_TCP_pose, actual_TCP_speed, actual_TCP_force, target_TCP_pose, "
@@ -71,13 +71,13 @@ NAMES = split_names(
 
 
 def decoding(repeats: int) -> dict[str, float]:
-    """Processor time of one package, best of many short runs in turns, and the ratio."""
+    """Return the processor time of one package, of the best short run, and the ratio."""
     recipe = Recipe(NAMES, [OUTPUTS[name].type for name in NAMES])
     data = recipe.encode({"timestamp": 41.0, "actual_q": [0.1, -1.5, 1.2, -1.3, -1.5, 0.0], "robot_mode": 7})
     decode = recipe.state_class().LAYOUTS.all[0].decode
     assert recipe.layout.struct is not None
     unpack = recipe.layout.struct.unpack_from
-    # The reads are written out, as a program has them.
+    # Each read is a separate line, as in a program.
     text = "def read(data):\n    state = decode(data)\n" + "".join(f"    state.{name}\n" for name in NAMES)
     space: dict[str, Any] = {"decode": decode}
     exec(text, space)
@@ -104,7 +104,7 @@ def decoding(repeats: int) -> dict[str, float]:
 
 
 def arrays(data: bytes, offset: int, slices: list[slice]) -> object:
-    """As many vectors as the package has, of six doubles each, and nothing else: the least that numpy takes."""
+    """Make only the vectors of the package, of six doubles each: the minimum for numpy."""
     return itemgetter(*slices)(np.frombuffer(data, ">f8", 6 * len(slices), offset).astype("=f8"))
 
 
@@ -112,7 +112,7 @@ def arrays(data: bytes, offset: int, slices: list[slice]) -> object:
 
 
 def serve(ready: Connection, seconds: float) -> None:
-    """Answer one client and send it paced data packages."""
+    """Serve one client with paced data packages."""
     with socket.create_server((HOST, PORT)) as server:
         ready.send(True)
         connection, _ = server.accept()
@@ -127,16 +127,16 @@ def serve(ready: Connection, seconds: float) -> None:
                     pause = start + number / RATE - time.monotonic()
                     if pause > 0:
                         time.sleep(pause)
-                    struct.pack_into(">d", package, DATA_HEADER.width, time.monotonic())  # the timestamp is first
+                    struct.pack_into(">d", package, DATA_HEADER.width, time.monotonic())  # the first field
                     connection.sendall(package)
                     sent += 1
             ready.send(sent)
             with contextlib.suppress(OSError):
-                connection.recv(1)  # until the client is done
+                connection.recv(1)  # until the client has finished
 
 
 def answer(connection: socket.socket) -> Recipe:
-    """The dialogue, up to the start; the recipe that was asked for."""
+    """Answer the requests of a client until the start; return the requested recipe."""
     recipe: Recipe | None = None
     protocol: Any = 1
     while True:
@@ -165,7 +165,7 @@ class Meter:
         self.cpu = self.began = 0.0
 
     def take(self, stamp: float) -> None:
-        if stamp == self.last:  # ur_rtde gives the same sample again where there is no newer one
+        if stamp == self.last:  # ur_rtde returns the same sample again if there is no newer one
             return
         self.last = stamp
         self.ages.append(time.monotonic() - stamp)
@@ -180,7 +180,7 @@ class Meter:
 
 
 def receive_with_urlink(results: Connection, seconds: float, way: str) -> None:
-    logging.getLogger("linkcore").setLevel(logging.ERROR)  # that the server ends is no news here
+    logging.getLogger("linkcore").setLevel(logging.ERROR)  # the end of the server is expected
     firmware = Firmware(5, 4)
     source = Source(
         lambda: Identity(firmware, True, None),
@@ -209,7 +209,7 @@ def receive_with_urlink(results: Connection, seconds: float, way: str) -> None:
 
 
 def receive_with_ur_rtde(results: Connection, seconds: float) -> None:
-    """The loop of ur_rtde's examples: once a period, whatever has come."""
+    """Receive with the loop of ur_rtde's examples: read the newest sample once per period."""
     import rtde_receive  # type: ignore[import-not-found, unused-ignore]
 
     receive = rtde_receive.RTDEReceiveInterface(HOST, float(RATE), NAMES)
@@ -224,7 +224,7 @@ def receive_with_ur_rtde(results: Connection, seconds: float) -> None:
 
 
 def run(way: str, seconds: float) -> dict[str, float]:
-    """One server process and one client process."""
+    """Run one server process and one client process."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     server = context.Process(target=serve, args=(there, seconds))
@@ -247,7 +247,7 @@ def run(way: str, seconds: float) -> dict[str, float]:
 
 
 def compare(seconds: float, rounds: int) -> dict[str, float]:
-    """Medians over the rounds, and the ratios to ur_rtde of the same round."""
+    """Return the medians over the rounds, and the ratios to ur_rtde in the same round."""
     ways = ["inline", "iteration"]
     with contextlib.suppress(ImportError):
         import rtde_receive
@@ -265,7 +265,7 @@ def compare(seconds: float, rounds: int) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="2 s a run instead of 10 s, and one round")
+    parser.add_argument("--quick", action="store_true", help="2 s per run instead of 10 s, and one round")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
     figures = {

@@ -1,13 +1,13 @@
-"""How quickly does a state become a set-point, and in how many cycles is it sent when it is due?
+"""Time from a state to its set-point, and the number of cycles in which the set-point is sent when it is due.
 
-A simulated e-Series controller in a process of its own runs the uploaded program at 500 Hz; here, a loop answers each
-state with a set-point through `robot.motion.servo`. A set-point is due when the state of its cycle usually arrives: at
-that state's time on the controller's clock, plus the median of the differences to the clock here. So a state that the
-sender, or the machine, was late with counts against the cycle too; a line of its own says how many were not. A cycle
-without a set-point is not met.
+A simulated e-Series controller in a separate process runs the uploaded program at 500 Hz. A loop in this process
+answers each state with a set-point, using `robot.motion.servo`. A set-point is due when the state of its cycle usually
+arrives: at the time of that state on the controller's clock, plus the median of the differences to the clock here. So a
+cycle also counts as missed if the sender or the machine delayed the state; a separate line shows how many states were
+not delayed. A cycle without a set-point counts as missed.
 
-What the machine can do at all is measured before and after that, for half of the time each: a process that sends as
-many bytes as often, by the clock, and a loop around `recv`.
+The capability of the machine itself is measured before and after, for half of the time each: a process sends the same
+number of bytes at the same rate by the clock to a loop around `recv`.
 
     python benchmarks/setpoints.py                     # 60 s
     python benchmarks/setpoints.py --output FILE       # writes the figures
@@ -29,12 +29,12 @@ from _simulated import simulated
 import urlink
 
 RATE = 500
-#: Bytes in a real-time packet.
+#: Size of a real-time packet, in bytes.
 SIZE = 1220
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
-#: of the cycles, to be met within half a cycle.
+#: Fraction of the cycles that should be met within half a cycle.
 GOAL = 0.999
-#: Cycles before the stream calls the loop without a detour; they are sent, but not measured.
+#: Number of cycles before the stream calls the loop directly; they are sent, but not measured.
 WARMING = 250
 
 
@@ -50,7 +50,7 @@ def send_by_the_clock(port: int, count: int) -> None:
 
 
 def bare(seconds: float) -> float:
-    """Share of the cycles that a loop around `recv` meets."""
+    """Return the fraction of the cycles that a loop around `recv` meets."""
     count = round(seconds * RATE)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
@@ -68,7 +68,7 @@ def bare(seconds: float) -> float:
 
 
 def measure(seconds: float) -> dict[str, float]:
-    """The figures of one run."""
+    """Return the figures of one run."""
     rows: list[tuple[float, float, float, float]] = []
     arrivals: list[tuple[float, float]] = []
 
@@ -78,7 +78,7 @@ def measure(seconds: float) -> dict[str, float]:
 
     with simulated("UR5e", "5.11") as address, urlink.connect(address) as robot:
         robot.motion.move_joints(READY).wait()
-        # A hold-up is to be counted rather than to end the run.
+        # With this watchdog, a delay is counted instead of ending the run.
         with robot.motion.servo(watchdog=1.0) as servo, robot.realtime.subscribe(note):
             begin = robot.realtime.wait(5).time
             for state in robot.realtime:

@@ -1,10 +1,11 @@
-"""How many seconds of simulated time pass in a second of processor time?
+"""Simulated time that passes in a second of processor time.
 
-A controller of 500 Hz, a network and a client, all in `urlink.simulated_time`: with one subscription of the real-time
-interface while the arm stands, with the same during a `move_joints`, and with a `servo` block that sends a set-point in
-each cycle. Each is run with several seeds, since the seed decides how often threads change. Beside them, in the same
-run and in turns with them, stand what no scheduler can take away: the same controller stepped in a loop that makes the
-packet of each cycle, without a client, a clock or a thread; and the change from one thread to another and back.
+A controller of 500 Hz, a network and a client run in `urlink.simulated_time`: with one subscription of the real-time
+interface while the arm is at rest, with the same during a `move_joints`, and with a `servo` block that sends a
+set-point in each cycle. Each case runs with several seeds, because the seed determines how often threads change. Two
+further figures are measured in the same run and in turn, which no scheduler can avoid. One is the same controller
+stepped in a loop that makes the packet of each cycle, without a client, a clock or a thread. The other is the change
+from one thread to another and back.
 
     python benchmarks/simulated_time.py            # 10 s of simulated time each, five seeds
     python benchmarks/simulated_time.py --quick    # 2 s, three seeds
@@ -28,26 +29,26 @@ from urlink.simulator import Controller, Still
 MODEL, FIRMWARE, RATE = "UR5e", "5.11", 500
 HOST = "192.168.0.100"
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
-#: Times real time.
+#: Goal, as a multiple of real time.
 GOAL = 60.0
-#: Changes of threads that are timed at once.
+#: Number of thread changes that are timed at once.
 CHANGES = 5000
 
 
 def subscribed(robot: urlink.Robot, seconds: float) -> None:
-    """One subscription; the arm stands."""
+    """Wait with one subscription while the arm is at rest."""
     with robot.realtime.subscribe(lambda state: None):
         time.sleep(seconds)
 
 
 def moving(robot: urlink.Robot, seconds: float) -> None:
-    """One subscription; the arm moves."""
+    """Wait with one subscription while the arm moves."""
     with robot.realtime.subscribe(lambda state: None):
         robot.motion.move_joints([*READY[:5], 1.0], time=seconds).wait()
 
 
 def servo(robot: urlink.Robot, seconds: float) -> None:
-    """A set-point in each cycle."""
+    """Send a set-point in each cycle."""
     with robot.motion.servo() as block:
         q = robot.realtime.wait(1.0).q_target.copy()
         for cycle in range(round(seconds * RATE)):
@@ -64,7 +65,7 @@ CASES: dict[str, Callable[[urlink.Robot, float], None]] = {
 
 
 def simulated(case: Callable[[urlink.Robot, float], None], seconds: float, seed: int) -> float:
-    """Seconds of processor time for one of simulated time."""
+    """Return the processor time for one second of simulated time, in s."""
     with urlink.simulated_time(seed) as sim:
         cell = sim.computer("cell", HOST)
         with sim.on(cell):
@@ -90,7 +91,7 @@ def standing() -> Controller:
 
 
 def stepped(seconds: float) -> float:
-    """The same for a controller that is stepped, with the packet of each cycle."""
+    """Return the same for a controller that is stepped, with the packet of each cycle."""
     controller = standing()
     controller.step(10)
     begun = time.process_time()
@@ -101,7 +102,7 @@ def stepped(seconds: float) -> float:
 
 
 def change_of_threads() -> float:
-    """Seconds of processor time for one thread to hand over to another."""
+    """Return the processor time of a change from one thread to another, in s."""
     here, there = threading.Lock(), threading.Lock()
     here.acquire()
     there.acquire()
@@ -150,11 +151,12 @@ def main() -> None:
     print(f"{seconds:g} s of simulated time at {RATE} Hz, processor time, medians of {seeds} seeds")
     for name, row in figures.items():
         print(
-            f"  {name:20} {row['times_real_time']:6.1f} x real time {row['microseconds_a_cycle']:6.0f} µs a cycle"
+            f"  {name:20} {row['times_real_time']:6.1f} x real time {row['microseconds_a_cycle']:6.0f} µs per cycle"
             f" {row['times_the_stepped_controller']:6.2f} x the stepped controller"
         )
     print(
-        f"  a change of threads takes {1e6 * change:.1f} µs; the goal is {GOAL:g} x, {1e6 / GOAL / RATE:.0f} µs a cycle"
+        f"  a change of threads takes {1e6 * change:.1f} µs; the goal is {GOAL:g} x, "
+        f"{1e6 / GOAL / RATE:.0f} µs per cycle"
     )
 
 

@@ -1,9 +1,9 @@
-"""What does it cost that a program asks before it moves the arm?
+"""Delay that is caused because a program asks for its start permission before it moves the arm.
 
-A simulated controller in a process of its own is sent short programs by `robot.script.run`, one after the other: from
-the call until the controller says that the program is over. In turn with the question (the default) and without it
-(`start_register=None, start_flags=()`), in one run; the difference of the medians is the price, which is also given in
-cycles of the controller. The reply has to come by way of this process, so a busy machine shows in it.
+A simulated controller in a separate process receives short programs by `robot.script.run`, one after the other. The
+time is from the call until the controller reports that the program has ended. Programs run in turn with the question
+(the default) and without it (`start_register=None, start_flags=()`), in one run. The difference of the medians is the
+delay, which is also shown in cycles of the controller. The reply comes from this process, so a busy machine affects it.
 
     python benchmarks/start_latency.py                 # 1.8, 3.4, 5.11 and 5.25; 100 programs each way
 """
@@ -28,8 +28,10 @@ def took(robot: urlink.Robot) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The price of asking before a program moves the arm.")
-    parser.add_argument("--count", type=int, default=100, help="programs each way (100)")
+    parser = argparse.ArgumentParser(description="Measure the delay of asking before a program moves the arm.")
+    parser.add_argument(
+        "--count", type=int, default=100, help="number of programs with and without the question (default: 100)"
+    )
     count = parser.parse_args().count
     print("firmware   asking p50   without p50   difference   cycles   ratio")
     for model, firmware in CONTROLLERS:

@@ -1,8 +1,9 @@
-"""How soon the robot is sent a stop by a program that uses asyncio, while other calls of the same robot wait.
+"""Time until a program that uses asyncio sends a stop to the robot, while other calls of the same robot wait.
 
-Measured from the cancellation of a task that awaits a motion, and from ``await robot.motion.stop()``, to the stop
-leaving this computer: alone, beside 100 waits that were cancelled before, and beside 100 waits that go on. The last
-row is ``robot.close()`` beside 100 waits that go on. In simulated time, computing takes no time, so only waiting shows.
+It is measured from the cancellation of a task that awaits a motion, and from ``await robot.motion.stop()``, until the
+stop leaves this computer: alone, with 100 waits that were cancelled before, and with 100 waits that continue. The last
+row is ``robot.close()`` with 100 waits that continue. In simulated time, computing takes no time, so only waiting
+shows.
 
     python benchmarks/stopping.py                            # real and simulated time
     python benchmarks/stopping.py --quick                    # few repetitions
@@ -27,15 +28,15 @@ from linkcore.errors import LinkError
 from linkcore.net.transport import TcpTransport
 from urlink.simulator import Controller
 
-#: Seconds below which two times count as the same.
+#: Time difference, in s, below which two times count as equal.
 RESOLUTION = 1e-6
-#: Seconds between the cancellation of the waits and the stop, and for a motion to begin.
+#: Time, in s, between the cancellation of the waits and the stop; time for a motion to start.
 PAUSE, BEGIN = 0.05, 0.3
 SIMULATED = "192.168.0.100"
 
 
 class Row(NamedTuple):
-    """Seconds of each repetition."""
+    """Times of the repetitions, in s."""
 
     what: str
     seconds: list[float]
@@ -49,7 +50,7 @@ class Row(NamedTuple):
 
 
 class Wire:
-    """Notes when a stop leaves this computer."""
+    """Record of the times at which a stop leaves this computer."""
 
     def __init__(self) -> None:
         self.stopped_at: list[float] = []
@@ -63,7 +64,7 @@ class Wire:
         TcpTransport.send_some = noting  # type: ignore[method-assign, assignment]
 
     async def after(self, began: float) -> float:
-        """Seconds from then to the first stop."""
+        """Return the time, in s, from `began` to the first stop."""
         for _ in range(10_000):
             for at in tuple(self.stopped_at):
                 if at >= began:
@@ -73,7 +74,7 @@ class Wire:
 
 
 class Waits:
-    """Calls that wait for an input which does not come."""
+    """Calls that wait for an input that does not arrive."""
 
     def __init__(self, robot: urlink.AsyncRobot, count: int) -> None:
         self._tasks = [asyncio.create_task(self._wait(robot)) for _ in range(count)]
@@ -91,7 +92,7 @@ class Waits:
 async def _stop_after(
     robot: urlink.AsyncRobot, wire: Wire, *, by_cancel: bool, count: int, are_cancelled: bool
 ) -> float:
-    """Seconds to the stop of a motion, with so many waits that begin after the motion."""
+    """Return the time to the stop of a motion, in s, with `count` waits that start after it."""
     state = await robot.realtime.wait()
     far = state.q_target + (0.5 if state.q_target[0] < 0.0 else -0.5)
     motion = await robot.motion.move_joints(far, speed=0.3, wait=False)
@@ -121,7 +122,7 @@ async def measured(address: str, wire: Wire, repetitions: int, count: int) -> li
     rows: list[tuple[Row, Row | None]] = []
     for by_cancel, what in ((True, "cancel of a task"), (False, "await stop()")):
         alone: Row | None = None
-        for beside in ("alone", f"beside {count} cancelled waits", f"beside {count} waits that go on"):
+        for beside in ("alone", f"with {count} cancelled waits", f"with {count} waits that continue"):
             row = Row(f"{what} {beside}", [])
             async with urlink.connect_async(address) as robot:
                 await robot.realtime.wait()
@@ -136,7 +137,7 @@ async def measured(address: str, wire: Wire, repetitions: int, count: int) -> li
                     row.seconds.append(seconds)
             rows.append((row, alone))
             alone = alone or row
-    closing = Row(f"close() beside {count} waits that go on", [])
+    closing = Row(f"close() with {count} waits that continue", [])
     for _ in range(repetitions):
         robot = await urlink.connect_async(address)
         await robot.realtime.wait()
@@ -157,9 +158,9 @@ def show(title: str, run: Callable[[], Coroutine[Any, Any, list[tuple[Row, Row |
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="time to a stop with asyncio beside calls that wait")
+    parser = argparse.ArgumentParser(description="measure the time to a stop with asyncio while other calls wait")
     parser.add_argument("--quick", action="store_true", help="few repetitions")
-    parser.add_argument("--waits", type=int, default=100, help="calls that wait (default 100)")
+    parser.add_argument("--waits", type=int, default=100, help="number of calls that wait (default: 100)")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     repetitions = 5 if options.quick else 30

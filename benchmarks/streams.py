@@ -1,13 +1,14 @@
-"""How soon does the arm move by what a stream is given, how fresh is what it follows, and what does a cycle cost here?
+"""Delay until the arm follows a stream, age of the followed points, and cost of a cycle on this computer.
 
-A simulated e-Series controller in a process of its own, at 500 Hz.
+A simulated e-Series controller runs in a separate process, at 500 Hz.
 
-- *applied*: from the call of `append`, the arm at rest, to the arrival of the first state whose target joint positions
-  have moved; and the same for `servo.send`, which has no buffer.
-- *fresh*: each 50 ms the tail is replaced from `stream.time` on, as by a policy that needs no time to compute: by how
-  much later than it asked for a replacement holds.
-- *cost*: processor time of this process for each state, while the arm moves: of a subscription alone, and more than
-  that, of a servo, of streams and of an impedance.
+- *applied*: from the call of `append`, with the arm at rest, to the arrival of the first state whose target joint
+  positions have moved; and the same for `servo.send`, which has no buffer.
+- *fresh*: every 50 ms the tail is replaced from `stream.time` on, as by a policy that needs no time to compute. The
+  figure is the time from the requested time until the replacement takes effect.
+- *cost*: processor time of this process for each state, while the arm moves: of a subscription alone, and in addition
+to
+  it, of a servo, of streams and of an impedance.
 
     python benchmarks/streams.py                     # 100 points, 200 replacements, 20 s of each
     python benchmarks/streams.py --output FILE       # writes the figures
@@ -35,23 +36,23 @@ from urlink import TrajectoryPoint
 READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
 WAY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 STILL = [0.0] * 6
-#: The first firmware with direct torque that has the registers too.
+#: The first firmware with direct torque and the registers.
 FIRMWARE = "5.25"
 PERIOD = 0.05
 Link = Literal["reverse", "rtde"]
 LINKS: tuple[Link, ...] = "reverse", "rtde"
-#: rad that a target has moved, which rounding does not.
+#: Smallest movement of a target, in rad, that is more than rounding.
 MOVED = 1e-6
 
 
 def meant(t: float) -> TrajectoryPoint:
-    """A point of an even wave of the last joint."""
+    """Return a point of a regular wave of the last joint."""
     c, s = math.cos(t), math.sin(t)
     return TrajectoryPoint(READY + 0.2 * (1 - c) * WAY, t, 0.2 * s * WAY, 0.2 * c * WAY)
 
 
 def shown(robot: urlink.Robot, command: Callable[[], object]) -> float:
-    """s from a command to the arrival of the first state whose targets have moved."""
+    """Return the time, in s, from a command to the first state whose targets have moved."""
     here = robot.realtime.wait().q_target
     moved = Future[float]()
 
@@ -73,7 +74,7 @@ def applied(robot: urlink.Robot, link: Link, count: int) -> list[float]:
             goal = robot.realtime.wait().q_target + turn
             found.append(shown(robot, partial(stream.append, TrajectoryPoint(goal, stream.end + 0.3, STILL, STILL))))
             stream.wait_until_dry()
-            time.sleep(0.5)  # until the arm is where it was led
+            time.sleep(0.5)  # until the arm is at the commanded position
     return found
 
 
@@ -84,7 +85,7 @@ def sent(robot: urlink.Robot, count: int) -> list[float]:
             turn = 0.0005 * (1 - 2 * (number % 2)) * WAY
             found.append(shown(robot, partial(servo.send, robot.realtime.wait().q_target + turn)))
             goal = robot.realtime.wait().q_target
-            for _ in range(100):  # until it rests there
+            for _ in range(100):  # until it is at rest there
                 robot.realtime.wait()
                 servo.send(goal)
     return found
@@ -107,7 +108,7 @@ def fresh(robot: urlink.Robot, link: Link, count: int) -> list[float]:
 
 
 def cost(robot: urlink.Robot, what: str, seconds: float) -> float:
-    """s of processor time for each state."""
+    """Return the processor time for each state, in s."""
     motion = robot.motion
     blocks: dict[str, Callable[[], Any]] = {
         "subscription": nullcontext,
@@ -125,7 +126,7 @@ def cost(robot: urlink.Robot, what: str, seconds: float) -> float:
             t = 0.002 * count
             if what == "servo" or (what == "impedance" and count % 50 == 0):
                 led.send(begin + 0.05 * (1 - math.cos(t)) * WAY)
-            if count == 500:  # what is loaded once is loaded
+            if count == 500:  # everything that is loaded only once is loaded now
                 used, begun = time.process_time(), state.time
             count += 1
             if count > 500 and state.time - begun > seconds:
@@ -139,7 +140,7 @@ def figures(values: list[float]) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a tenth of it")
+    parser.add_argument("--quick", action="store_true", help="run a tenth of it")
     parser.add_argument("--output", type=Path, help="write the figures as JSON")
     options = parser.parse_args()
     part = 0.1 if options.quick else 1.0
@@ -162,10 +163,10 @@ def main() -> None:
             kind = "holds" if name.startswith("replace") else "applied"
             print(f"{name:16} {kind} after {1e3 * row['median']:5.1f} ms, 99 %: {1e3 * row['99 %']:5.1f} ms")
         alone = cost(ready(), "subscription", 20.0 * part)
-        print(f"a subscription costs {1e6 * alone:.0f} us a cycle; more than that:")
+        print(f"a subscription costs {1e6 * alone:.0f} us per cycle; in addition to that:")
         for what in ("servo", "stream", "stream, rtde", "impedance"):
             found[f"cost of {what}"] = more = cost(ready(), what, 20.0 * part) - alone
-            print(f"{what:16} {1e6 * more:5.0f} us a cycle, {100 * more * 500:.0f} % of a processor")
+            print(f"{what:16} {1e6 * more:5.0f} us per cycle, {100 * more * 500:.0f} % of a processor")
         found["cost of a subscription"] = alone
     if options.output:
         options.output.write_text(json.dumps(found) + "\n")

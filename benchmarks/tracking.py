@@ -1,11 +1,11 @@
-"""The tracking experiment of the original driver: does the arm do the same thing each time?
+"""Tracking experiment of the original driver: whether the arm does the same each time.
 
-The tool joint, wrist 3, goes to 0 rad in 1 s, to 1 rad in 3 s and back in 4 s, four times. `robot.motion.follow`
-streams it in real time to simulated controllers of both rates, each in a process of its own. All times are those of the
+The tool joint, wrist 3, moves to 0 rad in 1 s, to 1 rad in 3 s and back in 4 s, four times. `robot.motion.follow`
+streams this in real time to simulated controllers of both rates, each in a separate process. All times are those of the
 controller.
 
     python benchmarks/tracking.py                     # four runs at 125 and at 500 Hz
-    python benchmarks/tracking.py --link rtde         # by input registers, to 3.15, 5.4 and 5.11
+    python benchmarks/tracking.py --link rtde         # over input registers, with 3.15, 5.4 and 5.11
     python benchmarks/tracking.py --output FILE       # writes the curves that the docs show
 """
 
@@ -24,26 +24,29 @@ import urlink
 from urlink.motion import TrajectoryFeedback
 from urlink.motion.motions import LinkName
 
-#: How set-points get to the robot -> the arms that are led so.
+#: Arms for each link, over which set-points are sent.
 ARMS: dict[LinkName, tuple[tuple[str, str], ...]] = {
     "reverse": (("UR5", "3.4"), ("UR5e", "5.11")),
     "rtde": (("UR5", "3.15"), ("UR5e", "5.4"), ("UR5e", "5.11")),
 }
 JOINT = 5
-#: rad; elbow up, tool down, and the tool joint away from where it goes first.
+#: Start position, in rad: elbow up, tool down, and the tool joint away from its first goal.
 START = (0.0, -1.6, 1.6, -1.6, -1.6, 0.25)
-#: (s, rad) of the tool joint.
+#: Time, in s, and position of the tool joint, in rad.
 COURSE = ((0.0, START[JOINT]), (1.0, 0.0), (4.0, 1.0), (8.0, 0.0))
-#: rad: the largest difference between two runs; the original's was 0.03.
+#: Largest allowed difference between two runs, in rad; with the original driver, it was 0.03.
 GOAL = 0.005
-#: Points a second in the file.
+#: Points per second in the file.
 DRAWN = 10
 
 FloatArray = NDArray[np.float64]
 
 
 def run(robot: urlink.Robot, rate: int, pace: float, link: LinkName) -> dict[int, tuple[float, float, float]]:
-    """Cycle since the start -> desired position, rad, and speed, rad/s, and actual position of the tool joint."""
+    """Return values of the tool joint, by cycle since the start.
+
+    The values are desired position (rad), desired speed (rad/s) and actual position (rad).
+    """
     robot.motion.move_joints(START).wait()
     here = robot.realtime.wait(5).q_target
     q = np.tile(here, (len(COURSE), 1))
@@ -60,7 +63,7 @@ def run(robot: urlink.Robot, rate: int, pace: float, link: LinkName) -> dict[int
 
 
 def measure(model: str, firmware: str, runs: int, pace: float, link: LinkName) -> dict[str, Any]:
-    """The figures and the curves of one controller."""
+    """Return the figures and the curves of one controller."""
     with simulated(model, firmware) as address, urlink.connect(address) as robot:
         assert robot.firmware is not None
         rate = robot.firmware.rate
@@ -71,7 +74,7 @@ def measure(model: str, firmware: str, runs: int, pace: float, link: LinkName) -
     actual = np.array([[each[cycle][2] for cycle in cycles] for each in seen])
     error = actual - desired
     spread = actual.max(axis=0) - actual.min(axis=0)
-    # The delay that explains most of the error: to the first order, the desired speed times it.
+    # The delay that explains most of the error. To first order, the error is the desired speed times the delay.
     lag = float(-(error @ speed).sum() / (runs * (speed @ speed)))
     time = np.array(cycles) / rate
     beside = error + lag * speed
@@ -91,7 +94,10 @@ def measure(model: str, firmware: str, runs: int, pace: float, link: LinkName) -
 
 
 def curves(time: FloatArray, desired: FloatArray, actual: FloatArray, spread: FloatArray) -> dict[str, Any]:
-    """As many points as one can see; of the spread the largest until the next point."""
+    """Return only as many points as are visible.
+
+    For the spread, return the largest value until the next point.
+    """
     slot = (time * DRAWN + 1e-6).astype(int)
     first = np.unique(slot, return_index=True)[1]
     return {
@@ -106,10 +112,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="two runs at twice the speed")
     parser.add_argument("--output", type=Path, help="write the figures and the curves as JSON")
-    parser.add_argument("--link", choices=list(ARMS), default="reverse", help="how set-points get to the robot")
+    parser.add_argument("--link", choices=list(ARMS), default="reverse", help="link over which set-points are sent")
     options = parser.parse_args()
     runs, pace = (2, 2.0) if options.quick else (4, 1.0)
-    print(f"tool joint, {runs} runs          largest error   of that a lag of   beside the lag   between runs (goal)")
+    print(f"tool joint, {runs} runs          largest error   of that a lag of   other than lag   between runs (goal)")
     found = []
     for model, firmware in ARMS[options.link]:
         figures = measure(model, firmware, runs, pace, options.link)

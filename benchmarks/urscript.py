@@ -1,10 +1,10 @@
-"""How many times faster than a real controller does the simulated one run programs?
+"""Speed of the simulated controller at running programs, compared with a real controller.
 
-Controllers that are stepped cycle by cycle run the programs that `robot.motion.follow` uploads, both ways, and a
-movement of ten seconds. Everything happens in one thread: the programs' sockets are real ones over loopback, and their
-peer, in this process, says what it has to say before each cycle, so that the streaming program never waits for a
-set-point. What the peer does is part of the time, which is processor time. Nobody asks for packets: a controller that
-serves its ports has those to make as well. Long programs are compiled besides.
+Controllers that are stepped cycle by cycle run both kinds of programs that `robot.motion.follow` uploads, and a motion
+of ten seconds. Everything happens in one thread: the sockets of the programs are real sockets over loopback. Their peer
+in this process sends its data before each cycle, so that the streaming program never waits for a set-point. The work of
+the peer is part of the measured time, which is processor time. No client requests packets; a controller that serves its
+ports has to make those too. The time to compile long programs is measured as well.
 
     python benchmarks/urscript.py                  # 10 s of controller time each, seven times
     python benchmarks/urscript.py --quick          # three times
@@ -36,25 +36,25 @@ from urlink.simulator.urscript.errors import MAX_TOKENS
 
 ARMS = (("UR5", "3.4"), ("UR5e", "5.11"))
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
-#: s of controller time.
+#: Controller time of each program, in s.
 SECONDS = 10.0
-#: s between two waypoints of the low-bandwidth program.
+#: Time between two waypoints of the low-bandwidth program, in s.
 APART = 0.5
-#: Times real time, of the streaming program.
+#: Goal for the streaming program, as a multiple of real time.
 GOAL = 20.0
-#: Characters of the programs that are compiled, and s that each may take.
+#: Characters of the programs that are compiled, and the maximum time for each, in s.
 COMPILED, LONGEST = 250_000, 1.0
 
 
 def standing(model: str, firmware: str) -> Controller:
-    """A controller whose arm stands at `READY`."""
+    """Return a controller whose arm is at rest at `READY`."""
     motion = Still()
     motion.start(READY)
     return Controller(model, firmware, motion=motion)
 
 
 def joint_path(t: float) -> list[float]:
-    """The tool joint to and fro, the others still."""
+    """Return a point of a path: the tool joint moves forth and back, the others are at rest."""
     return [*READY[:5], 0.5 - 0.5 * math.cos(t)]
 
 
@@ -71,7 +71,7 @@ def is_running(controller: Controller) -> bool:
 
 
 def connected(controller: Controller, listener: socket.socket) -> socket.socket:
-    """Step until the program has connected, and has said its token, which is 0."""
+    """Step until the program has connected and has sent its token, which is 0."""
     listener.settimeout(0.0)
     link: socket.socket | None = None
     token = b""
@@ -95,7 +95,7 @@ def listen() -> socket.socket:
 
 
 def streaming(model: str, firmware: str) -> float:
-    """Seconds of processor time that `SECONDS` of the streaming program take."""
+    """Return the processor time, in s, for `SECONDS` of the streaming program."""
     controller = standing(model, firmware)
     rate = controller.firmware.rate
     with listen() as listener:
@@ -124,7 +124,7 @@ def streaming(model: str, firmware: str) -> float:
 
 
 def low_bandwidth(model: str, firmware: str) -> float:
-    """The same for the program that interpolates by itself."""
+    """Return the same for the program that interpolates on its own."""
     controller = standing(model, firmware)
     with listen() as listener:
         run(
@@ -145,7 +145,7 @@ def low_bandwidth(model: str, firmware: str) -> float:
 
 
 def serve(link: socket.socket, last: int) -> None:
-    """Answer what the low-bandwidth program has asked for."""
+    """Answer the requests of the low-bandwidth program."""
     try:
         lines = link.recv(4096).split()
     except BlockingIOError:
@@ -164,7 +164,7 @@ def serve(link: socket.socket, last: int) -> None:
 
 
 def moving(model: str, firmware: str) -> float:
-    """The same for a joint movement of five seconds and a linear one of five."""
+    """Return the same for a joint motion of five seconds and a linear motion of five seconds."""
     controller = standing(model, firmware)
     turned = [*READY[:5], 1.0]
     below = Arm(controller.model).forward(turned).tolist()
@@ -182,13 +182,16 @@ def moving(model: str, firmware: str) -> float:
 
 
 def repeated(statement: str, tokens: int | None = None) -> str:
-    """A program of 250 kB of one statement, or with so many of its tokens."""
+    """Return a program that repeats one statement.
+
+    It has 250 kB, or, if `tokens` (per statement) is given, about the maximum number of tokens.
+    """
     count = COMPILED // len(statement) if tokens is None else (MAX_TOKENS - 10) // tokens
     return f"def long():\n{statement * count}end\n"
 
 
 def compiling(text: str) -> float:
-    """Seconds of processor time that it takes to compile a program, with the collection of garbage that is put off."""
+    """Return the processor time to compile a program, in s, with deferred garbage collection."""
     gc.collect()
     began = time.process_time()
     script = compile_script(text, Firmware.parse("5.11"))
@@ -208,10 +211,10 @@ LONG = {
 
 
 def check(actual: Sequence[float], goal: Sequence[float], within: float) -> None:
-    """The arm must have done what is measured."""
+    """Check that the arm has done the measured motion."""
     away = max(abs(a - g) for a, g in zip(actual, goal, strict=True))
     if away > within:
-        raise SystemExit(f"the arm is {away:.4f} rad or m from where the program should have led it")
+        raise SystemExit(f"the arm is {away:.4f} rad or m away from the goal of the program")
 
 
 PROGRAMS: dict[str, Callable[[str, str], float]] = {

@@ -1,10 +1,10 @@
-"""Turn a bundle of `urlink accept` into what the repository keeps of it.
+"""Convert a bundle of `urlink accept` to a table row and a recording for the repository.
 
     python captures/from_bundle.py run.zip                              # a row for docs/compatibility.md, on stdout
     python captures/from_bundle.py run.zip --capture robot-5.11.urlog   # and a recording for the tests
 
-The recording has the first half second of the real-time and primary interfaces. Its sender has to agree to it: the
-calibration of the arm is in it. Its golden file is then made by captures/make.py.
+The recording contains the first half second of the real-time and primary interfaces. Its sender must agree to the
+publication, because it contains the calibration of the arm. captures/make.py then makes its golden file.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from linkcore.recording.file import Kind, RecordingWriter
 from urlink_accept.acceptance.bundle import Bundle, opened
 from urlink_accept.acceptance.report import judge
 
-#: Seconds that a capture holds.
+#: Length of a capture, in s.
 SECONDS = 0.5
 
 
@@ -34,10 +34,10 @@ def row(bundle: Bundle) -> str:
 
 
 def capture(bundle: Bundle, path: Path) -> None:
-    """Write the beginning of the longest connection to each of the two interfaces into a new recording.
+    """Write the start of the longest connection to each interface to a new recording.
 
     Raises:
-        BadRecording: the file exists, or cannot be written.
+        BadRecording: If the file exists, or cannot be written.
     """
     writer = RecordingWriter(path)
     identity = bundle.evidence.identity
@@ -54,7 +54,7 @@ def capture(bundle: Bundle, path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Do what the arguments say."""
+    """Print the row, and write the capture if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bundle", type=Path)
     parser.add_argument("--capture", type=Path, metavar="FILE")

@@ -1,9 +1,9 @@
-"""Record the samples in this folder from the project's simulator, and write down what is in them.
+"""Record the samples in this folder from the project's simulator, and write their golden files.
 
-    python captures/make.py                 # those that are missing, and the golden file of each recording
-    python captures/make.py --golden-only   # the golden files of all recordings that are there
+    python captures/make.py                 # missing recordings, and the golden file of each recording
+    python captures/make.py --golden-only   # only the golden files of all existing recordings
 
-A golden file holds the first, the middle and the last packet of each class, as `to_dict()` gives them.
+A golden file contains the first, the middle and the last packet of each class, as returned by `to_dict()`.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from urlink.protocol.realtime.protocol import RealtimeProtocol
 
 FOLDER = Path(__file__).parent
 
-#: One firmware of each generation of layouts. The recording of a release that was the newest once stays in the folder.
+#: One firmware for each generation of layouts. Recordings of earlier newest releases stay in the folder.
 FIRMWARE = (str(LAST_CB2), "3.4", "3.10", str(LAST_CB3), "5.4", "5.9", "5.11", str(NEWEST))
 
 
 def packets(path: Path, interface: str) -> list[State]:
-    """Every packet of one interface in a recording, as a stream would decode it."""
+    """Return every packet of one interface in a recording, decoded like in a stream."""
     recording = RecordingFile(path)
     channel = recording.channel(interface)
     session: Any = RealtimeProtocol() if interface == "realtime" else PrimaryProtocol()
@@ -39,7 +39,7 @@ def packets(path: Path, interface: str) -> list[State]:
 
 
 def golden(path: Path) -> dict[str, Any]:
-    """What a recording holds: of each interface and class the number of packets, and three of them."""
+    """Return the content of a golden file: channels, and counts and packets of each class."""
     told: dict[str, Any] = {"channels": {}, "packets": {}}
     for info in RecordingFile(path).channels.values():
         name = info["name"]
@@ -60,18 +60,18 @@ def golden(path: Path) -> dict[str, Any]:
 
 
 def told_of(packet: State) -> dict[str, Any]:
-    """`to_dict()` as JSON keeps it, and the size."""
+    """Return the size of a packet, and its `to_dict()` in the form of JSON."""
     plain: dict[str, Any] = json.loads(json.dumps(packet.to_dict()))
     return {"bytes": len(bytes(packet)), "fields": plain}
 
 
 def golden_of(path: Path) -> Path:
-    """Where the golden file of a recording is."""
+    """Return the path of the golden file of a recording."""
     return path.with_suffix(".golden.json")
 
 
 def record(path: Path, firmware: str) -> None:
-    """Some hundred real-time packets, and the primary interface meanwhile."""
+    """Record about a hundred real-time packets, and the primary interface during the same time."""
     e_series = Firmware.parse(firmware).is_e_series
     with urlink.connect(f"sim://{'UR5e' if e_series else 'UR5'}?firmware={firmware}&motion=demo") as robot:
         assert robot.controller is not None
@@ -83,15 +83,15 @@ def record(path: Path, firmware: str) -> None:
             while robot.realtime.stats.received < wanted or robot.primary.stats.received < 5:
                 robot.realtime.wait()
             robot.controller.faults.protective_stop()
-            # A message and a state that say so.
+            # A message and a state that report the stop.
             robot.primary.of(urlink.packets.SafetyModeMessage if e_series else urlink.packets.RobotState).wait()
             robot.primary.wait()
 
 
 def main() -> None:
-    """Make what is asked for."""
+    """Make the requested files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--golden-only", action="store_true", help="make no recording")
+    parser.add_argument("--golden-only", action="store_true", help="write only the golden files")
     options = parser.parse_args()
     if not options.golden_only:
         for firmware in FIRMWARE:

@@ -1,7 +1,7 @@
-"""What the drawings and plots of these pages share: colours that follow the page's theme, a frame, the style of plots.
+"""Shared parts of the drawings and plots of these pages: colours that follow the page's theme, and styles.
 
-A drawing is a file of its own, which a forge shows as it is, in the colours that the reader's system asks for. Where
-the pages are built it becomes a part of the page (`_extensions/drawings.py`), and takes the colours of the theme.
+A drawing is a separate file. The web page of a repository shows it directly, in the colours that the reader's system
+requests. In the built pages, it becomes a part of the page (`_extensions/drawings.py`), with the colours of the theme.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 __all__ = ["COLOURS", "PLOT_STYLE", "drawing", "plot_text"]
 
-#: One for each joint, or for each kind of thing; told apart on white and on black.
+#: One colour for each joint or kind of item; they can be distinguished on white and on black.
 COLOURS = ("#4a7fc0", "#e07a1f", "#2f9e76", "#d0575a", "#8f6fc0", "#b59b2d")
 
-#: matplotlib's settings for a plot: the same results give the same bytes.
+#: Settings of matplotlib for a plot, with which equal results give equal bytes.
 PLOT_STYLE: dict[str, Any] = {
     "svg.hashsalt": "urlink",
     "svg.fonttype": "none",
@@ -42,16 +42,16 @@ _THEME = """
 
 
 def drawing(name: str, width: float, height: float, title: str, style: str, body: Iterable[str]) -> str:
-    """The text of a drawing.
+    """Return the text of a drawing.
 
     Args:
-        name: of the file. It is a class of the drawing too, and each rule of `style` holds within it only: the rules of
-            a drawing that is a part of a page would hold for all of the page.
-        width: of the coordinates in `body`.
-        height: likewise.
-        title: what it shows, for those who do not see it.
-        style: rules of CSS, one a line.
-        body: elements.
+        name: Name of the file. It is also a class of the drawing, and each rule of `style` applies only within it.
+            Without this, the rules of a drawing would apply to the whole page that contains it.
+        width: Width of the coordinates in `body`.
+        height: Height of the coordinates in `body`.
+        title: Description for readers who do not see the drawing.
+        style: Rules of CSS, one per line.
+        body: Elements of SVG.
     """
     scope = f".drawing-{name}"
     scoped = re.sub(r"^(?=[.a-z])", f"{scope} ", style.strip(), flags=re.MULTILINE)
@@ -67,8 +67,8 @@ def drawing(name: str, width: float, height: float, title: str, style: str, body
 
 
 def plot_text(figure: Figure) -> str:
-    """A plot of matplotlib as SVG, without a date."""
+    """Return a plot of matplotlib as SVG, without a date."""
     drawn = io.StringIO()
     figure.savefig(drawn, format="svg", metadata={"Creator": None, "Date": None})
-    # A hundredth of a point is more than anybody sees, and a third of the bytes.
+    # Keep hundredths of a point: a reader cannot see more, and the file has only a third of the bytes.
     return re.sub(r"(\d\.\d\d)\d+", r"\1", drawn.getvalue())

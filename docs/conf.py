@@ -1,7 +1,5 @@
-import contextlib
 import re
 import sys
-import typing
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
@@ -32,6 +30,8 @@ extensions = [
     "packages",
     "parameters",
     "plots",
+    "references",
+    "signatures",
     "summary",
     "variables",
 ]
@@ -54,22 +54,12 @@ copybutton_prompt_is_regexp = True
 myst_heading_anchors = 3
 myst_enable_extensions = ["attrs_block", "colon_fence", "deflist"]
 
+# A name in single backticks is code, and a link if the API reference contains it.
+default_role = "name"
+
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
-
-
-def resolve(app: Any, function: Any, is_bound: bool) -> None:
-    """Resolve the names in annotations in their own module, because there are two classes called Motion."""
-    with contextlib.suppress(AttributeError, NameError, TypeError):
-        function.__annotations__ = typing.get_type_hints(function)
-
-
-def hide_constructor(
-    app: Any, what: str, name: str, found: Any, options: Any, signature: str, returned: str
-) -> tuple[str, str] | None:
-    """Hide the arguments of a class that only the library creates: its page has `:exclude-members: __init__`."""
-    return ("", "") if what == "class" and "__init__" in (options.exclude_members or ()) else None
 
 
 def strip_blocks(app: Any, document: Any) -> None:
@@ -91,5 +81,3 @@ def setup(app: Any) -> None:
     """Register the functions above; called by Sphinx."""
     app.connect("source-read", drop_links_to_tables)
     app.connect("doctree-read", strip_blocks)
-    app.connect("autodoc-before-process-signature", resolve)
-    app.connect("autodoc-process-signature", hide_constructor)

@@ -29,9 +29,9 @@ STYLE = f"""
 .head {{ fill: var(--faint); }}
 """
 
-#: Text hides the lines that it crosses.
+#: Style of text that hides the lines below it.
 _HALO = "paint-order: stroke; stroke: var(--paper); stroke-width: 4px; stroke-linejoin: round;"
-#: What sequences have in addition.
+#: Style of sequences, in addition to `STYLE`.
 SEQUENCE = f"""{STYLE.strip()}
 .life {{ stroke: var(--faint); stroke-width: 1; stroke-dasharray: 1.5 4; }}
 .frame {{ fill: none; stroke: {BLUE}; stroke-width: 1; stroke-dasharray: 6 4; }}
@@ -39,12 +39,12 @@ SEQUENCE = f"""{STYLE.strip()}
 .when {{ font-size: 12px; font-weight: 600; {_HALO} }}
 """
 
-#: Where the four lifelines of a sequence are.
+#: Positions of the four lifelines of a sequence.
 YOU, OURS, CONTROLLER, PROGRAM = 80.0, 295.0, 515.0, 715.0
 
 
 def box(kind: str, x: float, y: float, width: float, height: float, name: str, *notes: str) -> list[str]:
-    """A box with its name, and lines that say more, in the middle."""
+    """Draw a box with its name, and further lines below it."""
     drawn = [f'<rect class="{kind}" x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="6"/>']
     middle, first = x + width / 2, y + height / 2 + 5 - 7.5 * len(notes)
     drawn.append(f'<text class="name" x="{middle:g}" y="{first:g}">{name}</text>')
@@ -54,7 +54,7 @@ def box(kind: str, x: float, y: float, width: float, height: float, name: str, *
 
 
 def lane(x: float, y: float, width: float, height: float, name: str) -> list[str]:
-    """A region that boxes stand in, with its name at the bottom left."""
+    """Draw a region that contains boxes, with its name at the bottom left."""
     return [
         f'<rect class="lane" x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="8"/>',
         *label(x + 10, y + height - 9, name),
@@ -62,7 +62,7 @@ def lane(x: float, y: float, width: float, height: float, name: str) -> list[str
 
 
 def arrow(*points: tuple[float, float], kind: str = "way") -> list[str]:
-    """A line through points, with a head at the last."""
+    """Draw a line through points, with a head at the last point."""
     (bx, by), (x, y) = points[-2:]
     length = ((x - bx) ** 2 + (y - by) ** 2) ** 0.5
     dx, dy = (x - bx) / length, (y - by) / length
@@ -73,12 +73,12 @@ def arrow(*points: tuple[float, float], kind: str = "way") -> list[str]:
 
 
 def label(x: float, y: float, text: str, anchor: str = "start") -> list[str]:
-    """A few words beside a line."""
+    """Draw a few words next to a line."""
     return [f'<text class="label" x="{x:g}" y="{y:g}" text-anchor="{anchor}">{text}</text>']
 
 
 def lifelines(height: float) -> list[str]:
-    """The four that take part in a sequence, and their lines, down to `height`."""
+    """Draw the four participants of a sequence, and their lines down to `height`."""
     heads = (
         ("yours", YOU, "your program", "on your computer"),
         ("ours", OURS, "urlink", "the library"),
@@ -93,13 +93,13 @@ def lifelines(height: float) -> list[str]:
 
 
 def message(y: float, begin: float, end: float, text: str) -> list[str]:
-    """What one of them sends to another one, above its arrow."""
+    """Draw a message from one participant to another, with its text above the arrow."""
     middle = (begin + end) / 2
     return [*_said(middle, y - 6, text, "middle"), *arrow((begin, y), (end, y))]
 
 
 def step(y: float, x: float, *texts: str, is_left: bool = False) -> list[str]:
-    """What one of them does by itself, beside its line."""
+    """Draw an action of one participant, next to its line."""
     drawn = [f'<circle class="head" cx="{x:g}" cy="{y - 4:g}" r="3.5"/>']
     for number, text in enumerate(texts):
         drawn += _said(x - 9 if is_left else x + 9, y + 15 * number, text, "end" if is_left else "start")
@@ -107,7 +107,7 @@ def step(y: float, x: float, *texts: str, is_left: bool = False) -> list[str]:
 
 
 def frame(y: float, height: float, text: str) -> list[str]:
-    """A region across all lines, with its condition at the top left."""
+    """Draw a region across all lines, with its condition at the top left."""
     return [
         f'<rect class="frame" x="6" y="{y:g}" width="788" height="{height:g}" rx="6"/>',
         f'<text class="when" x="14" y="{y + 17:g}">{text}</text>',
@@ -119,7 +119,7 @@ def _said(x: float, y: float, text: str, anchor: str) -> list[str]:
 
 
 def data_path() -> str:
-    """From the robot's bytes to callbacks, and by which thread."""
+    """Draw the path from the robot's bytes to callbacks, and the threads on it."""
     body = [
         *lane(118, 108, 446, 110, "the reader thread"),
         *box("robot", 8, 128, 84, 60, "robot", "TCP"),
@@ -131,9 +131,9 @@ def data_path() -> str:
         *arrow((228, 158), (246, 158)),
         *arrow((338, 158), (356, 158)),
         *arrow((448, 158), (466, 158)),
-        # the recorder takes bytes as they came
+        # the recorder receives the unchanged bytes
         *arrow((181, 128), (181, 44), (246, 44)),
-        *label(189, 84, "bytes as they came"),
+        *label(189, 84, "unchanged bytes"),
         *box("ours", 246, 18, 92, 52, "queue", "1024 pieces"),
         *arrow((338, 44), (356, 44)),
         *box("ours", 356, 18, 92, 52, "recorder", "own thread"),
@@ -149,7 +149,7 @@ def data_path() -> str:
         *arrow((666, 158), (684, 158)),
         *box("yours", 684, 132, 108, 52, "for, wait", "your thread"),
         *arrow((508, 188), (508, 250), (684, 250)),
-        *box("yours", 684, 224, 108, 52, "callback", "by the reader"),
+        *box("yours", 684, 224, 108, 52, "callback", "reader thread"),
         *label(520, 243, "inline=True"),
     ]
     title = (
@@ -159,7 +159,7 @@ def data_path() -> str:
 
 
 def way_out() -> str:
-    """From a call to the robot, past the interlock, and what comes back."""
+    """Draw the path from a call to the robot, through the interlock, and the way back."""
     body = [
         *lane(228, 16, 248, 166, "the critical section"),
         *box("yours", 8, 60, 150, 76, "your call", "motion, script, io", "arguments are checked"),
@@ -168,7 +168,7 @@ def way_out() -> str:
         *box("ours", 244, 62, 100, 72, "command", "channel"),
         *arrow((344, 88), (374, 88)),
         *arrow((374, 108), (344, 108)),
-        *box("shut", 374, 48, 90, 100, "interlock", "open or", "closed, and", "by what"),
+        *box("shut", 374, 48, 90, 100, "interlock", "open or", "closed,", "and why"),
         *arrow((294, 62), (294, 44), (575, 44), (575, 72)),
         *label(484, 37, "only while it is open"),
         *box("ours", 500, 72, 150, 80, "connection", "programs: primary", "set-points: reverse, RTDE"),
@@ -179,19 +179,20 @@ def way_out() -> str:
         *arrow((490, 254), (419, 254), (419, 148)),
         *label(428, 204, "stops, modes, silence"),
         *arrow((490, 270), (330, 270)),
-        *box("ours", 180, 236, 150, 56, "programs", "the life of each"),
+        *box("ours", 180, 236, 150, 56, "programs", "phase of each"),
         *arrow((180, 264), (83, 264), (83, 136)),
         *label(92, 206, "handle: done, cancelled,"),
-        *label(92, 221, "failed, and by what"),
+        *label(92, 221, "failed, and why"),
     ]
     title = (
-        "The way out: your call, the command channel that asks the interlock, the robot, and what its streams say back"
+        "The command path: your call, the command channel that asks the interlock, the robot, and the replies of its "
+        "streams"
     )
     return drawing("way-out", 800, 300, title, STYLE, body)
 
 
 def interlock() -> str:
-    """The states of the interlock, and what leads from one to the next."""
+    """Draw the states of the interlock, and its transitions."""
     body = [
         *box(
             "shut",
@@ -200,8 +201,8 @@ def interlock() -> str:
             190,
             92,
             "closed",
-            "a source says a stop,",
-            "is silent or not heard yet;",
+            "a source reports a stop,",
+            "is silent, or has no data yet;",
             "every motion is refused",
         ),
         *box(
@@ -215,7 +216,7 @@ def interlock() -> str:
             "on_startup and always;",
             "NotEnabled",
         ),
-        *box("yours", 580, 96, 190, 92, "open", "motions begin,", "set-points leave"),
+        *box("yours", 580, 96, 190, 92, "open", "motions start,", "set-points are sent"),
         *arrow((160, 96), (230, 56), (306, 56)),
         *label(150, 44, "all sources clear"),
         *arrow((496, 56), (590, 56), (650, 96)),
@@ -225,18 +226,16 @@ def interlock() -> str:
         *label(400, 158, "policy never, or on_startup and enabled before", "middle"),
         *arrow((675, 188), (675, 236), (125, 236), (125, 188), kind="blocked"),
         *label(
-            400, 229, "any source: a stop, a mode that does not run, a second of silence, a lost connection", "middle"
+            400, 229, "any source: a stop, a mode other than running, a second of silence, a lost connection", "middle"
         ),
-        *label(
-            400, 256, "what moves ends at once with SafetyStop or NotRunning, and never goes on by itself", "middle"
-        ),
+        *label(400, 256, "a motion ends at once with SafetyStop or NotRunning, and never resumes on its own", "middle"),
     ]
-    title = "The interlock: closed by any source, clear, and open by all of them, by the policy"
+    title = "The interlock: any source closes it; when all sources are clear, the policy decides whether it opens"
     return drawing("interlock", 800, 266, title, STYLE, body)
 
 
 def start_permission() -> str:
-    """How a motion that is one program asks before it moves the arm."""
+    """Draw how a motion that is one program asks before it moves the arm."""
     body = [
         *lifelines(540),
         *message(88, YOU, OURS, "move_joints(q)"),
@@ -266,7 +265,7 @@ def start_permission() -> str:
 
 
 def reverse_link() -> str:
-    """How a motion over the reverse link begins, goes on and ends."""
+    """Draw how a motion over the reverse link starts, continues and ends."""
     body = [
         *lifelines(620),
         *message(88, YOU, OURS, "follow(trajectory)"),
@@ -279,7 +278,7 @@ def reverse_link() -> str:
         *frame(256, 134, "for each cycle of the controller"),
         *message(290, CONTROLLER, OURS, "real-time state of cycle n"),
         *step(314, OURS, "asks the interlock"),
-        *message(342, OURS, PROGRAM, "set-point for cycle n + 2, with the date n"),
+        *message(342, OURS, PROGRAM, "set-point for cycle n + 2, dated n"),
         *step(368, PROGRAM, "discards it if it is too old; otherwise calls servoj", is_left=True),
         *frame(400, 136, "at the end of the trajectory"),
         *message(428, OURS, PROGRAM, "STOP"),
@@ -287,13 +286,13 @@ def reverse_link() -> str:
         *message(478, PROGRAM, OURS, "textmsg: finished"),
         *message(502, CONTROLLER, OURS, "reports that it has ended"),
         *message(526, OURS, YOU, "handle, in phase DONE"),
-        *frame(546, 68, "if no message comes for 0.1 s (watchdog)"),
+        *frame(546, 68, "if no message arrives for 0.1 s (watchdog)"),
         *step(580, PROGRAM, "brakes and ends; textmsg: nothing to go to", is_left=True),
         *message(604, OURS, YOU, "handle fails: ConnectionLost"),
     ]
     title = (
-        "A motion over the reverse link: the program connects back, obeys a set-point for each cycle, and brakes by "
-        "itself if none comes"
+        "A motion over the reverse link: the program connects back, follows a set-point for each cycle, and brakes on "
+        "its own if no set-point arrives"
     )
     return drawing("reverse-link", 800, 626, title, SEQUENCE, body)
 
@@ -308,7 +307,7 @@ DIAGRAMS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Draw them all."""
+    """Draw all diagrams."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, default=FOLDER)
     folder = parser.parse_args(arguments).folder

@@ -1,4 +1,4 @@
-"""Draw the pictures of the how-to pages: docs/images/how-to-*.svg, each one row of boxes.
+"""Draw the figures of the how-to pages: docs/images/how-to-*.svg, each one row of boxes.
 
 The same code gives the same bytes.
 """
@@ -17,7 +17,7 @@ WIDTH, HEIGHT, MARGIN = 800.0, 112.0, 8.0
 
 
 class Box(NamedTuple):
-    """One box of a row: whose it is, its name and lines, and what is written over the arrow to the next one."""
+    """A box of a row: its kind, its name and lines, and the text over the arrow to the next box."""
 
     kind: str
     name: str
@@ -27,7 +27,7 @@ class Box(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What a picture shows, for those who do not see it, and its boxes from left to right."""
+    """Description of a figure for readers who do not see it, and its boxes from left to right."""
 
     title: str
     boxes: tuple[Box, ...]
@@ -45,16 +45,16 @@ PICTURES = {
         ),
     ),
     "wait-for-something": Picture(
-        "The robot's states come every 2 or 8 ms; each is looked at until the condition holds",
+        "The robot's states arrive every 2 or 8 ms; each state is checked until the condition holds",
         (
             Box("robot", "robot", ("input, mode, speed",), "2 or 8 ms"),
-            Box("ours", "every state", ("none is left out",)),
+            Box("ours", "every state", ("none is skipped",)),
             Box("ours", "condition", ("holds?",), "yes"),
             Box("yours", "the next line", ("or LinkTimeout",)),
         ),
     ),
     "several-robots": Picture(
-        "Two robots in one program: each has streams, threads and an interlock of its own",
+        "Two robots in one program: each has its own streams, threads and interlock",
         (
             Box("robot", "left", ("192.168.56.101",), both_ways=True),
             Box("ours", "connect", ("streams, interlock",), both_ways=True),
@@ -64,17 +64,17 @@ PICTURES = {
         ),
     ),
     "share-numbers": Picture(
-        "Input registers lead from your program to the one on the controller, output registers back",
+        "Input registers carry numbers from your program to the program on the controller, output registers back",
         (
             Box("yours", "your program", ("write_float(24)",), "input 24"),
             Box("robot", "registers", ("24 to 47 are", "for clients")),
             Box("robot", "URScript", ("read_input_...", "write_output_...")),
             Box("robot", "registers", ("kept until they", "are written"), "output 25"),
-            Box("yours", "your program", ("a stream of RTDE",)),
+            Box("yours", "your program", ("an RTDE stream",)),
         ),
     ),
     "confirm-a-setting": Picture(
-        "A setting is sent, the robot's states show it, and the call returns; else it raises NotConfirmed",
+        "A setting is sent, the robot's states show it, and the call returns; otherwise it raises NotConfirmed",
         (
             Box("yours", "set_digital_out", ("1, True",), "RTDE, script"),
             Box("robot", "controller", ("local control:", "ignored silently"), "states"),
@@ -83,7 +83,7 @@ PICTURES = {
         ),
     ),
     "container": Picture(
-        "From a container: connections to the robot work; what would come back needs registers or a port",
+        "From a container: connections to the robot work; connections from the robot need registers or a port",
         (
             Box("yours", "container", ("your program",), "link=rtde", both_ways=True),
             Box("box", "host, NAT", ("port 50001", "published"), both_ways=True),
@@ -91,17 +91,17 @@ PICTURES = {
         ),
     ),
     "log-states": Picture(
-        "A recording keeps the bytes as they came; files and the proof that none is missing are made of it",
+        "A recording keeps the bytes unchanged; it is exported to files, and shows that no packet is missing",
         (
-            Box("robot", "robot", ("500 states a second",)),
-            Box("ours", "record", ("bytes as they came",)),
+            Box("robot", "robot", ("500 states per s",)),
+            Box("ours", "record", ("unchanged bytes",)),
             Box("box", "run.urlog", ("with checksums",)),
             Box("ours", "load, export", ("missing: ()",)),
             Box("box", "run.csv", ("or Parquet, MCAP",)),
         ),
     ),
     "without-a-robot": Picture(
-        "The same program against a robot or a simulated controller with faults: only the address differs",
+        "The same program with a robot or a simulated controller with faults: only the address differs",
         (
             Box("yours", "your program", ("connect(address)",), both_ways=True),
             Box("ours", "sim://ur5", ("real wire format", "in the test"), both_ways=True),
@@ -109,7 +109,7 @@ PICTURES = {
         ),
     ),
     "what-is-wrong": Picture(
-        "What urlink doctor looks at, in this order: computer, ports, controller, inputs, data",
+        "urlink doctor checks, in this order: computer, ports, controller, inputs, data",
         (
             Box("yours", "computer", ("wakes up late?",)),
             Box("box", "ports", ("30001 to 30004", "29999")),
@@ -119,19 +119,19 @@ PICTURES = {
         ),
     ),
     "steer-by-a-camera": Picture(
-        "Targets come at any time; the filter makes a set-point for each cycle, within limits",
+        "Targets arrive at any time; the filter makes a set-point for each cycle, within limits",
         (
             Box("yours", "camera, policy", ("late, with jumps",), "targets"),
             Box("ours", "target filter", ("limits of speed,", "acceleration, jerk"), "125, 500 Hz"),
             Box("robot", "arm", ("servoj",), "states"),
-            Box("yours", "history", ("where it was then",)),
+            Box("yours", "history", ("earlier states",)),
         ),
     ),
 }
 
 
 def drawn(name: str, picture: Picture) -> str:
-    """The text of one picture."""
+    """Return the text of one figure."""
     count = len(picture.boxes)
     gap = 40.0 if not any(each.then for each in picture.boxes) else 92.0 if count < 5 else 60.0
     width = (WIDTH - 2 * MARGIN - gap * (count - 1)) / count
@@ -149,7 +149,7 @@ def drawn(name: str, picture: Picture) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Draw them all."""
+    """Draw all figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, default=FOLDER)
     folder = parser.parse_args(arguments).folder

@@ -1,6 +1,7 @@
-"""Draw docs/images/arm.svg: a simulated arm that follows a figure of eight, and its joint positions as they are sent.
+"""Draw docs/images/arm.svg: a simulated arm that follows a figure of eight, and its joint positions.
 
-The controller is stepped, so the same code gives the same bytes. What is drawn was decoded from its real-time packets.
+The controller is stepped, so the same code gives the same bytes. The drawn positions are decoded from its real-time
+packets.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from urlink.simulator.robot.setpoint_sources import Setpoint
 
 PICTURE = Path(__file__).parent / "images" / "arm.svg"
 
-#: s in which the tool goes round once
+#: Time of one round of the tool, in s.
 PERIOD = 8.0
-#: control cycles a second
+#: Control cycles per second.
 RATE = 500
-#: frames of one round; a browser draws straight lines between them
+#: Frames of one round; a browser interpolates linearly between them.
 FRAMES = 80
 START = (-0.3, -1.35, 1.75, -1.97, -1.57, -0.3)
 
@@ -48,7 +49,7 @@ STYLE = """
 
 
 class Round:
-    """Set-points along a figure of eight, again and again."""
+    """Generator of set-points along a figure of eight, which repeats."""
 
     is_program = True
 
@@ -58,7 +59,7 @@ class Round:
         eight = np.zeros((len(angle), 6))
         eight[:, 1] = 0.24 * np.sin(angle)
         eight[:, 2] = 0.13 * np.sin(2.0 * angle)
-        # At the same speed everywhere.
+        # the same speed everywhere
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(eight, axis=0), axis=1))])
         even = np.linspace(0.0, way[-1], round(PERIOD * RATE) + 1)
         poses = pose + np.stack([np.interp(even, way, column) for column in eight.T], axis=1)
@@ -66,17 +67,17 @@ class Round:
         self._count = 0
 
     def start(self, q: Sequence[float]) -> None:
-        """It begins where it begins, wherever the arm is."""
+        """Start at the beginning of the path, at any position of the arm."""
 
     def advance(self, seconds: float) -> Setpoint:
-        """The next set-point."""
+        """Return the next set-point."""
         before, now = self._q[(self._count - 1) % len(self._q)], self._q[self._count % len(self._q)]
         self._count += 1
         return Setpoint(now.tolist(), ((now - before) * RATE).tolist(), [0.0] * 6)
 
 
 def recorded() -> Floats:
-    """Joint positions of one round, of the second one: (FRAMES, 6), rad."""
+    """Return the joint positions of the second round, shape (FRAMES, 6), in rad."""
     controller = Controller("UR5e", "5.11", motion=Round(Arm("UR5e")))
     cycles = round(PERIOD * RATE)
     controller.step(cycles)
@@ -90,7 +91,7 @@ def recorded() -> Floats:
 
 
 def projected(points: Floats) -> Floats:
-    """Points of space on the picture, seen from the arm's side and a little from above."""
+    """Project points in space to the figure, seen from the arm's side and slightly from above."""
     turn, tilt = math.radians(52.0), math.radians(14.0)
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     right = math.sin(turn) * y - math.cos(turn) * x
@@ -100,21 +101,21 @@ def projected(points: Floats) -> Floats:
 
 
 def text_of(points: Floats) -> str:
-    """Points as SVG has them."""
+    """Return points in the notation of SVG."""
     return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
 
 
 def animated(attribute: str, values: Sequence[str], is_closed: bool = True) -> str:
-    """An attribute that goes through the values, and back to the first one if it `is_closed`."""
+    """Animate an attribute through the values, and back to the first value if it `is_closed`."""
     every = ";".join([*values, values[0]] if is_closed else values)
     return f'<animate attributeName="{attribute}" dur="{PERIOD:g}s" repeatCount="indefinite" values="{every}"/>'
 
 
 def arm_drawing(q: Floats) -> list[str]:
-    """The arm, its shadow, the way of the tool, and what of it is fresh."""
+    """Draw the arm, its shadow, the path of the tool, and the latest part of the path."""
     frames = Arm("UR5e").frames(q)
     origins = frames[:, :, :3, 3]
-    # The tool is drawn 4 cm long.
+    # the tool is drawn 4 cm long
     tip = origins[:, 6] + 0.04 * frames[:, 6, :3, 2]
     joints, tips = projected(origins), projected(tip)
     ground = projected(origins * [1.0, 1.0, 0.0])
@@ -147,12 +148,12 @@ def arm_drawing(q: Floats) -> list[str]:
 
 
 def curves_drawing(q: Floats) -> list[str]:
-    """Each joint's position against time, in a band of its own, behind a cursor that runs along."""
+    """Draw each joint's position over time, in a separate band, with a moving cursor."""
     left, right, top, band = 490.0, 770.0, 52.0, 38.0
     closed = np.vstack([q, q[:1]])
     x = np.linspace(left, right, len(closed))
     drawn = [f'<text class="code" x="{left:g}" y="30">state.q_actual</text>']
-    drawn.append(f'<text class="axis" x="{right:g}" y="30" text-anchor="end">rad, 500 times a second</text>')
+    drawn.append(f'<text class="axis" x="{right:g}" y="30" text-anchor="end">rad, 500 times per second</text>')
     width = animated("width", ["3", f"{right - left + 3:g}"], is_closed=False)
     drawn.append(f'<clipPath id="arm-past"><rect x="{left - 3:g}" width="3" height="320">{width}</rect></clipPath>')
     names = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
@@ -171,12 +172,12 @@ def curves_drawing(q: Floats) -> list[str]:
 
 
 def main() -> None:
-    """Draw it."""
+    """Draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=PICTURE)
     args = parser.parse_args()
     q = recorded()
-    title = "A simulated UR5e draws a figure of eight; beside it run the positions of its six joints"
+    title = "A simulated UR5e draws a figure of eight; next to it are the positions of its six joints over time"
     picture = drawing("arm", 800, 320, title, STYLE, [*arm_drawing(q), *curves_drawing(q)])
     args.output.write_text(picture, encoding="utf-8")
 

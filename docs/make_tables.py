@@ -30,7 +30,7 @@ import dashboard  # noqa: E402
 import layouts  # noqa: E402
 import variables  # noqa: E402
 
-#: Name of a directive -> function that returns its nodes.
+#: Functions that return the nodes of a directive, by the name of the directive.
 _DIRECTIVES: dict[str, Callable[..., list[nodes.Node]]] = {
     "layouts": layouts.tables,
     "variables": variables.tables,
@@ -38,7 +38,7 @@ _DIRECTIVES: dict[str, Callable[..., list[nodes.Node]]] = {
     "dashboard": dashboard.tables,
 }
 
-#: Name of a page -> title of the file with its tables.
+#: Titles of the files with the tables, by the name of the page.
 PAGES = {
     "layouts": "Layouts: every field of every packet",
     "rtde-variables": "RTDE variables",

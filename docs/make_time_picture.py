@@ -1,4 +1,7 @@
-"""Draw docs/images/time.svg: a simulated arm on a curve while the speed slider moves. The same bytes each time."""
+"""Draw docs/images/time.svg: a simulated arm on a curve while the speed slider moves.
+
+The same code gives the same bytes.
+"""
 
 import threading
 import time
@@ -20,12 +23,12 @@ READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
 
 
 def slider(t):
-    """0 to 1, at s since the motion began."""
+    """Return the position of the slider, 0 to 1, at a time in s since the start of the motion."""
     return 1.0 if t < 0.7 else 0.3 if t < 1.7 else 0.0 if t < 2.4 else 1.0
 
 
 def run(scaling):
-    """Time, slider, time on the trajectory, and the first two joints as desired and as they are."""
+    """Return time, slider, trajectory time, and positions (desired, actual) of two joints."""
     angle = np.linspace(0.0, 1.0, 41)
     angle = 2.0 * np.pi * angle**3 * (10.0 - 15.0 * angle + 6.0 * angle**2)
     q = np.array([np.add(READY, [0.4 * np.sin(a), 0.4 * (1 - np.cos(a)), 0, 0, 0, 0]) for a in angle])
@@ -55,7 +58,7 @@ def run(scaling):
 
 
 def main():
-    """The times, and the two joints against each other."""
+    """Plot the times, and the two joints against each other."""
     followed, ignored = run("follow"), run("ignore")
     with matplotlib.rc_context(PLOT_STYLE):
         figure, (times, paths) = pyplot.subplots(1, 2, figsize=(8.0, 3.2), layout="constrained")

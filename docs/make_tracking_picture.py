@@ -1,4 +1,4 @@
-"""Draw docs/images/tracking.svg from what `python benchmarks/tracking.py --output FILE` wrote.
+"""Draw docs/images/tracking.svg from the output of `python benchmarks/tracking.py --output FILE`.
 
 The same results give the same bytes.
 """
@@ -20,7 +20,7 @@ PICTURE = Path(__file__).parent / "images" / "tracking.svg"
 
 
 def main() -> None:
-    """One column for each controller: positions, error, and what the runs differ by."""
+    """Draw one column for each controller: positions, error, and difference between runs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--output", type=Path, default=PICTURE)

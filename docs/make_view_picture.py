@@ -1,4 +1,4 @@
-"""Take docs/images/view.png: what `urlink view` shows of a simulated arm that is pushed. Needs chromedriver."""
+"""Take docs/images/view.png: the page of `urlink view` with a simulated arm that is pushed. Needs chromedriver."""
 
 import argparse
 import io
@@ -13,11 +13,11 @@ import urlink
 
 
 def main() -> None:
-    """Open the page in a browser without a window, and save what it shows."""
+    """Open the page in a browser without a window, and save a screenshot."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "images" / "view.png")
     parser.add_argument("--address", default="sim://ur5e?motion=demo")
-    parser.add_argument("--seconds", type=float, default=40.0, help="for the first picture, without a graphics card")
+    parser.add_argument("--seconds", type=float, default=40.0, help="time to wait for the first image, s")
     args = parser.parse_args()
     options = webdriver.ChromeOptions()
     for option in ("headless=new", "no-sandbox", "enable-unsafe-swiftshader", "window-size=1180,760"):
@@ -29,7 +29,7 @@ def main() -> None:
                 robot.controller.push([0.0, 40.0, 60.0, 0.0, 0.0, 0.0])
             driver.get(view.address)
             time.sleep(args.seconds)
-            # That there is no graphics card is of no interest.
+            # The missing graphics card does not matter.
             driver.execute_script("document.querySelectorAll('[class*=Notifications-root]').forEach(n => n.remove())")
             picture = Image.open(io.BytesIO(driver.get_screenshot_as_png()))
             picture.convert("RGB").quantize(128).save(args.output, optimize=True)

@@ -1,4 +1,4 @@
-"""A path of several movements with blends: where the tool goes, and how fast in each of its segments."""
+"""A path of several segments with blends: position of the tool, and its speed in each segment."""
 
 from __future__ import annotations
 
@@ -15,13 +15,17 @@ from urlink.simulator import Controller, Still
 
 SIZE = (8.0, 3.2)
 COLOURS = ("#2b6cb0", "#c05621", "#2f855a", "#805ad5")
-#: m from the tool, in the plane of y and z; m of the blend; m/s.
+#: Distance from the tool in the plane of y and z, in m; blend, in m; speed, in m/s.
 WAYPOINTS = (((0.0, 0.1), 0.03, None), ((0.15, 0.1), 0.05, 0.1), ((0.15, 0.0), 0.0, None), ((0.0, 0.0), 0.0, None))
 SPEED, ACCELERATION = 0.25, 1.2
 
 
 def followed() -> tuple[NDArray[np.float64], NDArray[np.int_], float]:
-    """(n, 2) y and z of the tool, m, in each cycle; (n) which waypoint it is on its way to; and s of a cycle."""
+    """Return the path of the tool.
+
+    Returns:
+        y and z in each cycle, shape (n, 2), in m; next waypoint in each cycle, shape (n,); length of a cycle, in s.
+    """
     controller = Controller("UR5e", "5.11", motion=Still())
     controller.step()
     (state,) = urlink.decode(controller.realtime_packet(), "realtime")
@@ -31,7 +35,7 @@ def followed() -> tuple[NDArray[np.float64], NDArray[np.int_], float]:
         Linear(start + np.array([0, y, z, 0, 0, 0]), blend=blend, speed=speed) for (y, z), blend, speed in WAYPOINTS
     ]
     body = plan(waypoints, Rates(1.0, 1.4), Rates(SPEED, ACCELERATION), controller.arm.kinematics, state).body
-    # Where the program says that a segment begins, let it write the number into a register instead.
+    # At the start of each segment, let the program write the number of the segment to a register.
     number = 0
     for at, line in enumerate(body):
         if line == segment(number):
@@ -48,7 +52,7 @@ def followed() -> tuple[NDArray[np.float64], NDArray[np.int_], float]:
 
 
 def draw(figure: Figure) -> str:
-    """The way of the tool from waypoint to waypoint, and its speed."""
+    """Plot the path of the tool from waypoint to waypoint, and its speed."""
     places, segments, cycle = followed()
     times = cycle * np.arange(len(places))
     speeds = np.linalg.norm(np.diff(places, axis=0, append=places[-1:]), axis=1) / cycle

@@ -1,4 +1,4 @@
-"""An arm in freedrive that is pushed, and one that is not in freedrive."""
+"""An arm that is pushed in freedrive, and the same without freedrive."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from urlink.simulator import Controller, Still
 
 SIZE = (7.0, 4.2)
-#: N upwards, and from when to when, s.
+#: Force upwards, in N; start and end of the push, in s.
 PUSH, BEGINS, ENDS = 20.0, 0.3, 0.8
 DURATION = 1.6
 PROGRAM = """
@@ -19,7 +19,7 @@ end
 
 
 def pushed(program: str) -> tuple[list[float], list[float], list[float]]:
-    """s, N of the hand, and mm that the tool has gone up."""
+    """Return times (s), force of the hand (N), and rise of the tool (mm)."""
     controller = Controller("UR5e", "5.11", motion=Still())
     controller.step()
     start = controller.arm.sample.pose_target[2]
@@ -35,7 +35,7 @@ def pushed(program: str) -> tuple[list[float], list[float], list[float]]:
 
 
 def draw(figure: Figure) -> str:
-    """The hand, and the way of the tool."""
+    """Plot the force of the hand, and the motion of the tool."""
     times, forces, ways = pushed(PROGRAM)
     held = pushed("def hold():\n  sleep(60)\nend\n")[2]
     hand, way = figure.subplots(2, 1, sharex=True, height_ratios=(1, 2))
@@ -53,5 +53,5 @@ def draw(figure: Figure) -> str:
 
 
 def settled(times: list[float], ways: list[float]) -> float:
-    """s from which on it stays within 0.1 mm of where it ends."""
+    """Return the time, in s, after which the tool stays within 0.1 mm of its end position."""
     return next(time for time, way in zip(reversed(times), reversed(ways), strict=True) if abs(way - ways[-1]) > 0.1)

@@ -1,4 +1,4 @@
-"""A gripper that closes upon something and opens again: what it answers while it does."""
+"""A gripper that closes on an object and opens again, and its replies during that."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from urlink.protocol.gripper.protocol import get_line, set_line, value_of
 from urlink.simulator import Controller, Still
 
 SIZE = (7.0, 4.2)
-#: s at which the lines are sent, m between the fingers, and s that are drawn.
+#: Times at which the lines are sent, in s; width of the object, in m; duration of the plot, in s.
 LINES = {0.2: {"POS": 255, "SPE": 100, "FOR": 50, "GTO": 1}, 1.6: {"POS": 0, "SPE": 255}}
 WIDTH, DURATION = 0.05, 2.6
 
 
 def draw(figure: Figure) -> str:
-    """Position, what stops the fingers, and their current."""
+    """Plot position, object detection, and current of the fingers."""
     controller = Controller("UR5e", "5.11", motion=Still())
     gripper, rate = controller.gripper, controller.firmware.rate
     gripper.reply(set_line({"ACT": 1}))

@@ -1,4 +1,4 @@
-"""An arm on springs: how it yields to a push, and how it follows targets that come 10 times a second."""
+"""An arm on springs: how it yields to a push, and how it follows targets that arrive 10 times per second."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from urlink.script.wrapping import program
 from urlink.simulator import Controller, Still
 
 SIZE = (7.0, 4.6)
-#: Parts of the vendor's stiffness; N of the push, and s from when to when.
+#: Fractions of the vendor's stiffness; force of the push, in N; its start and end, and the duration, in s.
 PARTS, FORCE, BEGINS, ENDS, DURATION = (1.0, 0.5, 0.25), 15.0, 0.1, 0.9, 1.8
-#: s at which targets come, rad/s at which they go; two are missing.
+#: Times at which targets arrive, in s (two are missing); speed of the targets, in rad/s.
 TIMES, SPEED = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.9, 1.0, 1.1, 1.2, 1.3), 0.2
 LINK = InputRegisters(36, 44, 1)
 
 
 def run(part: float, act: Callable[[Controller, float], float]) -> tuple[list[float], list[list[float]]]:
-    """The times, s, and joint positions, rad, of an arm on springs; `act` returns the target of the base joint."""
+    """Return times (s) and joint positions (rad) of an arm on springs.
+
+    `act` returns the target of the base joint.
+    """
     arm = model("UR5e")
     controller = Controller(arm.name, "5.25", motion=Still())
     controller.step()
@@ -50,7 +53,7 @@ def run(part: float, act: Callable[[Controller, float], float]) -> tuple[list[fl
             inputs.floats[LINK.first_float + at] = value
         inputs.integers[LINK.date], inputs.integers[LINK.message] = round(controller.time * 500), cycle + 1
         inputs.integers[LINK.mode], inputs.integers[LINK.proof] = FOLLOW, LINK.token
-        controller._state.watchdogs.clear()  # the controller's own, which RTDE feeds
+        controller._state.watchdogs.clear()  # the watchdog of the controller itself, which RTDE feeds
         controller.step()
         times.append(cycle / 500)
         places.append([a - b for a, b in zip(controller.arm.setpoint.q, begin, strict=True)])
@@ -58,18 +61,18 @@ def run(part: float, act: Callable[[Controller, float], float]) -> tuple[list[fl
 
 
 def pushed(controller: Controller, time: float) -> float:
-    """A push to the side, and the same target."""
+    """Push the arm to the side, and return the same target."""
     controller.push([0.0, -FORCE if BEGINS <= time < ENDS else 0.0, 0.0, 0.0, 0.0, 0.0])
     return 0.0
 
 
 def led(controller: Controller, time: float) -> float:
-    """The newest of the targets."""
+    """Return the newest target."""
     return max((SPEED * each for each in TIMES if each <= time), default=0.0)
 
 
 def draw(figure: Figure) -> str:
-    """The push above, the targets below."""
+    """Plot the push above, and the targets below."""
     push, follow = figure.subplots(2, 1, sharex=True)
     push.axvspan(BEGINS, ENDS, color="0.92", label=f"a push of {FORCE:g} N")
     for part, colour in zip(PARTS, ("#2f855a", "#2b6cb0", "#c05621"), strict=True):

@@ -1,10 +1,10 @@
-"""The times between packets, from a benchmark's results.
+"""Times between packets, from the results of a benchmark.
 
-`benchmarks/results/jitter.json` holds:
+`benchmarks/results/jitter.json` contains:
 
-    rate            packets a second that were sent
-    seconds         how long they were
-    share_in_band   share of the times between two packets that lie in the band, 0 to 1
+    rate            packets sent per second
+    seconds         duration of the run
+    share_in_band   fraction (0 to 1) of the times between two packets that are in the band
     periods_ms      {"edges": [...], "counts": [...]}, the histogram in milliseconds
 """
 
@@ -17,18 +17,18 @@ from matplotlib.figure import Figure
 
 SIZE = (7.0, 3.2)
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results" / "jitter.json"
-#: ms on either side of the period: the band in which the first driver's experiment counted.
+#: Half-width of the band around the period, in ms, which the experiment of the first driver used.
 BAND = 0.5
 
 
 def draw(figure: Figure) -> str:
-    """The histogram."""
+    """Plot the histogram."""
     results = json.loads(RESULTS.read_text())
     period = 1e3 / results["rate"]
     axes = figure.subplots()
     axes.axvspan(period - BAND, period + BAND, color="0.92", label=f"{period:g} ± {BAND:g} ms")
     axes.stairs(results["periods_ms"]["counts"], results["periods_ms"]["edges"], fill=True, color="#2b6cb0")
-    # Counts from one stray packet to tens of thousands: only a logarithm shows both.
+    # The counts are from one single packet to tens of thousands, so only a logarithmic axis shows both.
     axes.set(yscale="log", xlabel="time between two packets, ms", ylabel="packets")
     axes.legend()
     return (

@@ -1,4 +1,4 @@
-"""Which commands of the dashboard each generation and release has, from the tables that `robot.dashboard` works by."""
+"""Dashboard commands of each generation and release, from the tables that `robot.dashboard` uses."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from urlink.protocol.dashboard.robot_api import REQUESTS, find
 from urlink.protocol.firmware import NEWEST, Firmware
 
 SIZE = (7.0, 6.4)
-#: What a command is answered by.
+#: Interface that answers a command.
 NOTHING, DASHBOARD_SERVER, ROBOT_API = range(3)
 COLOURS = ListedColormap(["#e2e8f0", "#2b6cb0", "#2f855a"])
 
 
 def answered(command: str, firmware: Firmware) -> int:
-    """By what this firmware answers it."""
+    """Return the interface that answers the command with this firmware."""
     if not firmware.is_polyscope_x:
         since = COMMANDS[command].e
         return DASHBOARD_SERVER if since is not None and firmware >= since else NOTHING
@@ -25,7 +25,7 @@ def answered(command: str, firmware: Firmware) -> int:
 
 
 def draw(figure: Figure) -> str:
-    """One column for each release, one row for each command that the Robot API has, and one for the others."""
+    """Plot a column for each release, a row for each Robot API command, and one for the others."""
     releases = [NEWEST, *(Firmware(10, minor) for minor in range(7, 15))]
     shared = [command for command in COMMANDS if command in REQUESTS]
     others = sum(command.e is not None for command in COMMANDS.values()) - len(shared)

@@ -1,4 +1,4 @@
-"""The eight ways in which an arm reaches one pose, from `Arm.branches`."""
+"""The eight postures in which an arm reaches the same pose, from `Arm.branches`."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ POSTURE = (0.3, -1.5, 1.8, -1.2, 1.1, 0.3)
 
 
 def corners(arm: Arm, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The line along the links: from joint to joint, at the end of each link's offset."""
+    """Return the line along the links, from joint to joint, at the end of each link's offset."""
     frames = arm.frames(q)
     line = [frames[0][:3, 3]]
     for i, offset in enumerate(arm.model.dh_d):
-        # Along the joint's axis first, then along the link.
+        # first along the axis of the joint, then along the link
         line.append(frames[i][:3, 3] + offset * frames[i][:3, 2])
         line.append(frames[i + 1][:3, 3])
     return np.array(line)
 
 
 def draw(figure: Figure) -> str:
-    """The arm as its axes and links, once for each way; the shoulder decides the row."""
+    """Plot axes and links of the arm once for each posture; the shoulder determines the row."""
     arm = Arm(MODEL)
     figure.set_layout_engine(None)
     plots = figure.subplots(2, 4, subplot_kw={"projection": "3d"})
     for number, (axes, q) in enumerate(zip(plots.flat, arm.branches(arm.forward(POSTURE)), strict=True)):
         axes.plot(*corners(arm, q).T, color="#2b6cb0", linewidth=2.5, solid_joinstyle="round")
         axes.scatter(*arm.frames(q)[:6, :3, 3].T, color="#1a365d", s=12, depthshade=False)
-        # The flange: where all eight are the same.
+        # the flange, whose pose is the same in all eight postures
         flange = arm.frames(q)[6]
         for column, colour in enumerate(("#c53030", "#2f855a", "#2c5282")):
             tip = flange[:3, 3] + 0.15 * flange[:3, column]

@@ -1,4 +1,4 @@
-"""The force over time of a peg that force mode presses on a plane."""
+"""Force over time of a peg that force mode presses on a plane."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from urlink.simulator import Controller, Plane, Still
 
 SIZE = (7.0, 4.2)
-#: N/m of the planes, and s that are drawn.
+#: Stiffnesses of the planes, in N/m; duration of the plot, in s.
 STIFFNESSES = (2_000, 20_000, 100_000)
 DURATION = 1.6
 PROGRAM = """
@@ -19,7 +19,7 @@ end
 
 
 def force_over_time(stiffness: float) -> tuple[list[float], list[float], list[float]]:
-    """s, N that the sensor shows, and mm of the tool below where it began."""
+    """Return times (s), force of the sensor (N), and depth of the tool below its start (mm)."""
     controller = Controller("UR5e", "5.11", motion=Still())
     controller.step()
     x, y, z = controller.arm.sample.pose_target[:3]
@@ -35,7 +35,7 @@ def force_over_time(stiffness: float) -> tuple[list[float], list[float], list[fl
 
 
 def draw(figure: Figure) -> str:
-    """Force and depth, one line for each plane."""
+    """Plot force and depth, one line for each plane."""
     force, depth = figure.subplots(2, 1, sharex=True)
     force.axhspan(9.5, 10.5, color="0.92", label="10 ± 0.5 N")
     for stiffness, colour in zip(STIFFNESSES, ("#2f855a", "#2b6cb0", "#c05621"), strict=True):

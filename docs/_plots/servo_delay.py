@@ -1,7 +1,7 @@
-"""How far an arm is from where it should be, without and with its delay made up for.
+"""Error of an arm that follows set-points, without and with compensation of its delay.
 
-A program leads the arm by `servoj` to what is in the registers, and a loop writes them once a cycle, from each state,
-as `servo(link="rtde")` does. The delay is measured as `Servo.measure_delay` measures it.
+A program moves the arm with `servoj` to the positions in the registers. A loop writes the registers once per cycle,
+after each state, like `servo(link="rtde")`. The delay is measured in the same way as in `Servo.measure_delay`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Still
 
 SIZE = (7.0, 4.2)
-#: The wave that is followed: rad of wrist 3, s of one turn, and s that are drawn.
+#: Amplitude of the wave of wrist 3, in rad; its period, and the duration of the plot, in s.
 AMPLITUDE, PERIOD, DURATION = 0.3, 2.0, 3.0
 LED = ", ".join(f"read_input_float_register({number})" for number in range(6))
 PROGRAM = f"""
@@ -31,7 +31,7 @@ end
 
 
 class Led:
-    """A simulated arm that goes where the registers say, cycle by cycle."""
+    """Simulated arm that follows the registers, cycle by cycle."""
 
     def __init__(self) -> None:
         self.controller = Controller("UR5e", "5.11", motion=Still())
@@ -41,11 +41,11 @@ class Led:
         self.controller.step(10)
 
     def send(self, q: list[float]) -> None:
-        """Where to, from the next cycle on."""
+        """Set the position for the next cycles."""
         self.controller.registers.inputs.floats[:6] = q
 
     def states(self) -> Iterator[RealtimeState]:
-        """One for each cycle, without end."""
+        """Yield one state for each cycle, endlessly."""
         while True:
             self.controller.step()
             (state,) = urlink.decode(self.controller.realtime_packet(), "realtime")
@@ -54,12 +54,15 @@ class Led:
 
 
 def desired(time: float) -> float:
-    """Rad of wrist 3 from where it begins."""
+    """Return the desired position of wrist 3 relative to its start, in rad."""
     return 0.5 * AMPLITUDE * (1.0 - math.cos(math.tau * max(time, 0.0) / PERIOD))
 
 
 def errors(ahead: float) -> tuple[list[float], list[float], list[float]]:
-    """s, rad that were desired, and desired minus actual, of a loop that sends what is to be `ahead` s later."""
+    """Return times (s), desired positions (rad), and desired minus actual position.
+
+    The loop sends the position that is desired `ahead` seconds later.
+    """
     led = Led()
     times, wanted, off = [], [], []
     start = None
@@ -76,17 +79,17 @@ def errors(ahead: float) -> tuple[list[float], list[float], list[float]]:
 
 
 def draw(figure: Figure) -> str:
-    """What is desired, and how far off the arm is both times."""
+    """Plot the desired position, and both errors of the arm."""
     led = Led()
     delay = measure(led.states(), led.send, joint=5, amplitude=0.05, duration=0.5)
     times, wanted, before = errors(0.0)
     after = errors(delay)[2]
-    # The arm begins to move with what it is told first, so the first moments are not those of a loop that runs.
+    # The arm starts to move at the first set-point, so the first moments do not represent a running loop.
     settled = np.array(times) > 0.2
     worst = [float(1e3 * np.abs(np.array(off)[settled]).max()) for off in (before, after)]
     position, error = figure.subplots(2, 1, sharex=True)
     position.plot(times, wanted, color="black")
-    error.plot(times, 1e3 * np.array(before), color="#c05621", label=f"as it is: up to {worst[0]:.1f} mrad")
+    error.plot(times, 1e3 * np.array(before), color="#c05621", label=f"uncompensated: up to {worst[0]:.1f} mrad")
     error.plot(
         times, 1e3 * np.array(after), color="#2b6cb0", label=f"{1e3 * delay:.1f} ms ahead: up to {worst[1]:.2f} mrad"
     )

@@ -1,4 +1,4 @@
-"""A stream that runs dry, goes on, and is replaced: where the joint is led, its speed and its acceleration."""
+"""A stream that runs dry, continues, and is replaced: position, speed and acceleration of the joint."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ WAY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 def wave(t: float, offset: float = 0.0) -> TrajectoryPoint:
-    """A point on a wave of wrist 3, `offset` rad beside it."""
+    """Return a point on a wave of wrist 3, with an offset in rad."""
     c, s = math.cos(2.0 * t), math.sin(2.0 * t)
     q, qd, qdd = 0.1 * (1 - c) ** 2, 0.4 * (1 - c) * s, 0.8 * (s * s + (1 - c) * c)
     return TrajectoryPoint(READY + (q + offset) * WAY, t, qd * WAY, qdd * WAY)
 
 
 def draw(figure: Figure) -> str:
-    """Positions, speeds and accelerations of wrist 3 over the controller's time, and the points."""
+    """Plot positions, speeds and accelerations of wrist 3 over time, and the points."""
     rows: list[tuple[float, float, float]] = []
     marks: dict[str, float] = {}
     given: list[tuple[float, float]] = []

@@ -1,4 +1,4 @@
-"""A spring and a damper for one joint, made of torques: three dampers, and where the joint goes."""
+"""A spring and a damper for one joint, made of torques: the motion of the joint with three dampers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from urlink.simulator import Controller, Still
 
 SIZE = (7.0, 4.2)
-#: Nm/rad; Nms/rad of each run; rad from which the joint is let go, and s that are drawn.
+#: Stiffness, in Nm/rad; damping of each run, in Nms/rad; start of the joint, in rad; duration of the plot, in s.
 STIFFNESS, DAMPINGS, AWAY, DURATION = 5.0, (0.1, 0.5, 2.0), 0.3, 2.0
 PROGRAM = """
 def spring():
@@ -24,7 +24,7 @@ end
 
 
 def response(damping: float) -> tuple[list[float], list[float], list[float]]:
-    """s, rad that the joint has turned, and Nm that the loop made."""
+    """Return times (s), angle of the joint (rad), and torque of the loop (Nm)."""
     controller = Controller("UR5e", "5.25", motion=Still())
     controller.step()
     start = controller.arm.setpoint.q[5]
@@ -39,7 +39,7 @@ def response(damping: float) -> tuple[list[float], list[float], list[float]]:
 
 
 def draw(figure: Figure) -> str:
-    """Angle and torque, one line for each damper."""
+    """Plot angle and torque, one line for each damper."""
     angle, torque = figure.subplots(2, 1, sharex=True)
     angle.axhline(AWAY, color="0.8")
     for damping, colour in zip(DAMPINGS, ("#c05621", "#2b6cb0", "#2f855a"), strict=True):

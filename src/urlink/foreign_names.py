@@ -155,8 +155,10 @@ def _places(row: tuple[str, ...]) -> str:
 def name_on(interface: str, name: str) -> str | None:
     """Return the name of a quantity on one interface, given its name on any interface; None if it is unknown.
 
-    >>> name_on("realtime", "actual_q"), name_on("rtde", "q_actual"), name_on("primary", "actual_q")
-    ('q_actual', 'actual_q', 'joint_data.q_actual')
+    >>> name_on("realtime", "actual_q"), name_on("rtde", "q_actual")
+    ('q_actual', 'actual_q')
+    >>> name_on("primary", "actual_q")
+    'joint_data.q_actual'
 
     Args:
         interface: Interface of the returned name: one of `INTERFACES`.

@@ -1,4 +1,4 @@
-"""The fixtures as the test suites of users have them: each test here runs a small suite."""
+"""The fixtures as test suites of users see them: each test here runs a small suite."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-# A suite that runs in this process takes what it has imported with it, and numpy cannot be imported twice.
+# A suite in this process shares its imports with later suites, and numpy cannot be imported twice.
 import rhdlink.host.plugins.turtle  # noqa: F401
 from tests.waiting import until
 from urlink import LocalError
@@ -21,18 +21,18 @@ pytest_plugins = ["pytester"]
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "testing.md"
 
-#: Loaded by name, as well where it is installed and loaded by its entry point.
+#: Load the plugin by name, because it might be installed and loaded by its entry point as well.
 OPTIONS = ("-p", "pytest_urlink", "-p", "no:cacheprovider", "--strict-markers", "-W", "error")
 
 
 @pytest.mark.slow
-def test_the_examples_of_the_page_are_suites_that_pass(pytester: pytest.Pytester) -> None:
+def test_examples_of_the_documentation_pass(pytester: pytest.Pytester) -> None:
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     pytester.makepyfile(**{f"test_block_{number}": block for number, block in enumerate(blocks)})
     pytester.runpytest_inprocess(*OPTIONS).assert_outcomes(passed=sum(block.count("def test_") for block in blocks) + 1)
 
 
-def test_an_smr_can_be_had(pytester: pytest.Pytester) -> None:
+def test_marker_selects_an_smr_turtle(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
         import pytest
@@ -47,7 +47,7 @@ def test_an_smr_can_be_had(pytester: pytest.Pytester) -> None:
 
 
 @pytest.mark.slow
-def test_a_marker_that_makes_no_sense_says_so(pytester: pytest.Pytester) -> None:
+def test_invalid_markers_raise_clear_errors(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
         import pytest
@@ -70,17 +70,17 @@ def test_a_marker_that_makes_no_sense_says_so(pytester: pytest.Pytester) -> None
     )
     result = pytester.runpytest_inprocess(*OPTIONS)
     result.assert_outcomes(errors=5)
-    for said in ("*pass arguments by name*", "*modle*", "*protective_halt*", "*expected a list*", "*size=-1*"):
-        result.stdout.fnmatch_lines([said])
+    for text in ("*pass arguments by name*", "*modle*", "*protective_halt*", "*expected a list*", "*size=-1*"):
+        result.stdout.fnmatch_lines([text])
 
 
-def test_a_run_that_has_nothing_to_do_with_robots_imports_nothing() -> None:
+def test_plugin_imports_no_robot_library_until_needed() -> None:
     program = "import sys, pytest_urlink; print(*{name.partition('.')[0] for name in sys.modules})"
     done = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=True)
     assert {"numpy", "urlink", "linkcore", "rhdlink"}.isdisjoint(done.stdout.split())
 
 
-def test_a_controller_that_is_stepped_stands_still_between_the_steps() -> None:
+def test_stepped_controller_does_not_advance_between_steps() -> None:
     with Controller("UR5e", "5.11", stepped=True) as controller:
         controller.step(250)
         assert (controller.cycle, controller.time) == (250, 0.5)

@@ -1,4 +1,4 @@
-"""Every test of this folder compares what a lock guards with the lock."""
+"""Every test of this folder checks that attributes guarded by a lock are used only with the lock."""
 
 from tests.worlds.guarded import guards
 

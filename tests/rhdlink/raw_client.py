@@ -1,4 +1,4 @@
-"""A client that does exactly what it is told, to drive a host with."""
+"""Client that sends exactly the bytes that a test gives it, to test a host."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from rhdlink.variables.database import Database
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import Batch, Handshake
 
-#: Seconds after which a host that says nothing has failed the test.
+#: Seconds of silence after which the test fails.
 TIMEOUT = 10.0
 
 
 class RawClient:
-    """A connection to a host on this machine.
+    """Connection to a host on this machine.
 
     Args:
-        port: of the host.
-        access: sent at once; b"" for nothing.
+        port: Port of the host.
+        access: Bytes that are sent immediately; b"" sends none.
+        width: Words of a time stamp, 2 or 4.
     """
 
     def __init__(self, port: int, access: bytes = b"ar", *, width: int = 2) -> None:
@@ -43,7 +44,7 @@ class RawClient:
         return handshake
 
     def raw(self) -> bytes:
-        """The bytes of the next batch, of which nothing has come yet."""
+        """Return the bytes of the next batch, which must not have arrived yet."""
         parts: list[bytes] = []
         feed = self.stream.feed
 
@@ -70,7 +71,7 @@ class RawClient:
         self.stream.feed(data)
 
     def sync(self, values: Mapping[str, int | Sequence[int]] | None = None) -> Batch:
-        """Ask as a reader, or with values as a writer; the reply."""
+        """Send a request as a reader, or with values as a writer, and return the reply."""
         self.send(b"rree" if values is None else self.request(values))
         return self.batch()
 
@@ -85,18 +86,18 @@ class RawClient:
         return b"".join(parts) + b"ee"
 
     def words(self, name: str) -> list[int]:
-        """The words of a variable as they were told last."""
+        """Return the words of a variable that the host sent last."""
         for table in (self.tables.read, self.tables.write):
             if (identity := table.find(name)) is not None:
                 return list(map(int, table.value(identity)))
         raise KeyError(name)
 
     def value(self, name: str) -> int:
-        """The first of them."""
+        """Return the first word of a variable."""
         return self.words(name)[0]
 
     def is_closed(self) -> bool:
-        """Wait for the host to close the connection, whatever comes before that; False if it does not."""
+        """Whether the host closes the connection in time; data that arrives before is discarded."""
         try:
             while self.socket.recv(1 << 16):
                 pass

@@ -1,6 +1,6 @@
-"""Connections of the original RHD programs: bytes of both directions, and what the original client printed.
+"""Recorded connections of the original RHD programs: bytes of both directions, and the output of the original client.
 
-For tests marked ``captures("rhd")``.
+The recordings are for tests marked ``captures("rhd")``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def from_client(name: str) -> bytes:
 
 
 class Line(NamedTuple):
-    """What the original client printed of one variable."""
+    """One variable in the output of the original client."""
 
     direction: str
     identity: int
@@ -37,7 +37,7 @@ _LINE = re.compile(r"([rw]) (\d+) (\S+) len=(\d+) upd=(\d+) chg=(\d+) ts=(\d+)\.
 
 
 def printed(name: str) -> list[list[Line]]:
-    """The tables after the handshake, and after each sync."""
+    """Return the printed tables after the handshake and after each sync."""
     tables: list[list[Line]] = []
     for text in (folder("rhd") / f"{name}.client.txt").read_text().splitlines():
         match = _LINE.fullmatch(text.strip())

@@ -35,7 +35,7 @@ def host(turtle: Turtle) -> Iterator[Host]:
         yield host
 
 
-def test_a_robot_is_driven_while_other_things_go_on(host: Host, turtle: Turtle) -> None:
+def test_robot_is_driven_while_other_tasks_run(host: Host, turtle: Turtle) -> None:
     async def drive() -> int:
         others = 0
 
@@ -54,7 +54,7 @@ def test_a_robot_is_driven_while_other_things_go_on(host: Host, turtle: Turtle) 
             counting.cancel()
         return others
 
-    assert asyncio.run(drive()) > 100  # of which there would be one for each sync, if it were waited for
+    assert asyncio.run(drive()) > 100  # there would be only one run per sync if the loop blocked
     assert turtle.world.odometry.x > 0.02
 
 
@@ -77,7 +77,7 @@ async def updated(address: str) -> None:
 
 
 @pytest.mark.parametrize("use", [connected, synced, updated])
-def test_what_is_cancelled_at_any_turn_of_the_loop_ends_at_once_and_leaves_nothing(
+def test_cancelled_calls_end_immediately_and_leave_nothing(
     host: Host, use: Callable[[str], Coroutine[Any, Any, None]], sends: list[Sent]
 ) -> None:
     async def work(trial: Trial) -> None:
@@ -92,13 +92,13 @@ def test_what_is_cancelled_at_any_turn_of_the_loop_ends_at_once_and_leaves_nothi
     assert number > 3
 
 
-def test_it_needs_a_loop_of_asyncio(host: Host) -> None:
-    """As in trio, which steps coroutines itself."""
+def test_connect_async_needs_an_asyncio_loop(host: Host) -> None:
+    """Other libraries, such as trio, step coroutines without an asyncio loop."""
     with pytest.raises(LocalError, match="connect_async needs a running asyncio event loop"):
         connected(host.address).send(None)
 
 
-def test_it_is_a_thread_less_when_it_is_closed(host: Host) -> None:
+def test_closed_robot_leaves_no_thread(host: Host) -> None:
     async def connect_and_close() -> None:
         robot = await rhdlink.aio.connect(host.address)
         await robot.sync()
@@ -113,16 +113,16 @@ def test_it_is_a_thread_less_when_it_is_closed(host: Host) -> None:
     until(lambda: threading.active_count() <= before)
 
 
-def test_nobody_there_is_an_error() -> None:
+def test_connect_raises_when_no_server_listens() -> None:
     async def connect() -> None:
         async with rhdlink.aio.connect("localhost:1"):
-            raise AssertionError("it is connected to nothing")
+            raise AssertionError("connected although no server listens")
 
     with pytest.raises(ConnectFailed):
         asyncio.run(connect())
 
 
-def test_who_gives_up_leaves_the_robot_in_step(host: Host) -> None:
+def test_cancelled_syncs_leave_the_robot_in_step(host: Host) -> None:
     async def give_up() -> None:
         async with rhdlink.aio.connect(host.address) as robot:
             for _ in range(20):
@@ -136,7 +136,7 @@ def test_who_gives_up_leaves_the_robot_in_step(host: Host) -> None:
     asyncio.run(give_up())
 
 
-def test_a_connection_that_is_made_when_nobody_waits_any_more_is_closed() -> None:
+def test_connection_made_after_a_cancelled_connect_is_closed() -> None:
     is_given_up = threading.Event()
 
     def late(peer: Peer) -> None:
@@ -151,18 +151,18 @@ def test_a_connection_that_is_made_when_nobody_waits_any_more_is_closed() -> Non
             await asyncio.wait_for(connect(), 0.05)
         is_given_up.set()
 
-    with ScriptedServer(late) as server:  # which waits until the client has left
+    with ScriptedServer(late) as server:  # the script waits until the client has left
         asyncio.run(impatient(server.address))
 
 
-def test_a_silent_robot_is_an_error_in_time(host: Host, turtle: Turtle) -> None:
+def test_sync_times_out_when_the_robot_is_silent(host: Host, turtle: Turtle) -> None:
     goes_on = threading.Event()
 
     async def wait() -> None:
         async with rhdlink.aio.connect(host.address) as robot:
             turtle.periodic = lambda tick: goes_on.wait(10.0)  # type: ignore[method-assign, assignment]
 
-            async def sync_thrice() -> None:  # an answer or two may be on their way
+            async def sync_thrice() -> None:  # one or two replies may already have been sent
                 for _ in range(3):
                     await robot.sync(0.05)
 
@@ -173,7 +173,7 @@ def test_a_silent_robot_is_an_error_in_time(host: Host, turtle: Turtle) -> None:
     asyncio.run(wait())
 
 
-def test_missions_and_motions_are_awaited() -> None:
+def test_missions_and_motions_can_be_awaited() -> None:
     async def drive() -> tuple[float, float]:
         with Drive(Turtle(World(1000.0))) as drive:
             await drive.forward(0.2)

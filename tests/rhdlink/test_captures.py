@@ -1,4 +1,4 @@
-"""Whole connections of the original programs, decoded: cut anywhere, and held against what its client printed."""
+"""Recorded connections of the original programs, decoded and compared with the output of the original client."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.rhdlink import recorded
 
 pytestmark = pytest.mark.captures("rhd")
 
-#: name -> words of a time stamp, batches after the handshake, access granted
+#: name -> words of a time stamp, batches after the handshake, granted access
 STREAMS: dict[str, tuple[int, int, str | None]] = {
     "reader64": (2, 50, "r"),
     "reader64naive": (4, 50, "r"),
@@ -71,7 +71,7 @@ def plain(batch: Batch | Request) -> list[object]:
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_every_stream_is_understood_to_its_last_byte(name: str) -> None:
+def test_every_recorded_stream_is_decoded_to_its_last_byte(name: str) -> None:
     width, count, granted = STREAMS[name]
     stream, handshake, batches = whole(recorded.from_server(name))
     assert (handshake.width, len(batches), handshake.granted) == (width, count, granted)
@@ -81,12 +81,12 @@ def test_every_stream_is_understood_to_its_last_byte(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_what_the_original_client_printed(name: str) -> None:
+def test_decoded_values_equal_the_output_of_the_original(name: str) -> None:
     _, handshake, batches = whole(recorded.from_server(name))
     requests = requests_of(recorded.from_client(name), handshake)
     tables = recorded.printed(name)
     database = Database(handshake.read, handshake.write)
-    # `changed` is meaningless in the _64 sources; the naive build loses the microseconds of all it receives.
+    # `changed` has no meaning in the _64 sources. The naive build loses the microseconds of all received stamps.
     has_changed, has_micros = not ("64" in name and "naive" not in name), handshake.width == 2
 
     def compare(lines: list[recorded.Line]) -> None:
@@ -106,7 +106,7 @@ def test_what_the_original_client_printed(name: str) -> None:
     for data in handshake.data:
         database.table(data.direction).receive(data, updates=False)
     compare(tables[0])
-    assert len(tables) == len(batches) + 2  # the last sync is printed twice
+    assert len(tables) == len(batches) + 2  # the original client prints the last sync twice
     for batch, request, lines in zip(batches, requests, tables[1:], strict=False):
         database.read.begin_round()
         database.write.begin_round(updates=False)
@@ -120,7 +120,7 @@ def test_what_the_original_client_printed(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_byte_by_byte_is_the_same_as_whole(name: str) -> None:
+def test_decoding_does_not_depend_on_chunking(name: str) -> None:
     data = recorded.from_server(name)
     _, handshake, batches = whole(data)
     stream, found = ServerDecoder(), []
@@ -138,12 +138,12 @@ def test_byte_by_byte_is_the_same_as_whole(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_cut_in_two_anywhere(name: str) -> None:
-    """At each seventh byte; of the recordings, which are alike, one begins where the other leaves gaps."""
+def test_decoding_works_when_cut_in_two_anywhere(name: str) -> None:
+    """Every seventh byte is a cut. The recordings are similar, and each starts where another leaves gaps."""
     data = recorded.from_server(name)
     stream, handshake, batches = whole(data)
     if batches:
-        # The handshake, and the last batches, which in one case hold tables.
+        # Keep the handshake and the last batches, which contain tables in one case.
         size = sum(batch.size for batch in batches)
         data = data[: len(data) - size] + data[len(data) - batches[-1].size :]
         batches = batches[-1:]
@@ -160,7 +160,7 @@ def test_cut_in_two_anywhere(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["writer64", "writer64naive", "allwriters64_A", "second_writer_continues64"])
-def test_requests_byte_by_byte(name: str) -> None:
+def test_request_decoding_does_not_depend_on_chunking(name: str) -> None:
     _, handshake, _ = whole(recorded.from_server(name))
     data = recorded.from_client(name)
     requests = requests_of(data, handshake)
@@ -174,7 +174,7 @@ def test_requests_byte_by_byte(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_encoded_again_it_is_the_same_bytes(name: str) -> None:
+def test_encoding_reproduces_the_recorded_bytes(name: str) -> None:
     data = recorded.from_server(name)
     _, handshake, batches = whole(data)
     database = Database(handshake.read, handshake.write)
@@ -201,7 +201,7 @@ def test_encoded_again_it_is_the_same_bytes(name: str) -> None:
     assert asked == recorded.from_client(name)
 
 
-def test_the_width_is_known_with_the_last_byte_of_the_handshake() -> None:
+def test_width_is_known_at_the_last_byte_of_the_handshake() -> None:
     for name, size in (("reader64", 1582), ("reader64naive", 1726)):
         stream = ServerDecoder()
         stream.feed(recorded.from_server(name)[: size - 1])
@@ -210,12 +210,12 @@ def test_the_width_is_known_with_the_last_byte_of_the_handshake() -> None:
         assert stream.take_handshake() is not None
 
 
-def test_the_wrong_width_is_refused_and_says_where() -> None:
+def test_wrong_width_is_rejected_with_its_offset() -> None:
     stream = ServerDecoder(width=4)
     stream.feed(recorded.from_server("reader64"))
     with pytest.raises(PacketError, match="do not fit time stamps of 4 words") as caught:
         stream.take_handshake()
-    assert caught.value.offset == 710  # 4 before byte 714, where section 12 counts the end of the id
+    assert caught.value.offset == 710  # 4 before byte 714, which section 12 states as the end of the id
 
 
 def test_values_are_words_of_32_bits() -> None:

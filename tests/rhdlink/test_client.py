@@ -1,4 +1,4 @@
-"""The client against servers that say what a test, or a recorded server of the original, says."""
+"""The client, tested with servers that send scripted data or recordings of the original server."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ pytestmark = pytest.mark.simulated_time
 
 
 class Recording:
-    """What a recorded server said: its handshake, and its batches."""
+    """Handshake and batches of a recorded server."""
 
     def __init__(self, name: str) -> None:
         data = recorded.from_server(name)
@@ -76,7 +76,7 @@ class Smr(Variables):
 
 
 def without_stamps(request: bytes) -> bytes:
-    """A request of a writer of one-word variables with all its time stamps 0."""
+    """Return a writer's request for one-word variables with all its time stamps set to 0."""
     cut = bytearray(request)
     for at in range(8, len(cut) - 2, 16):
         cut[at + 4 : at + 12] = bytes(8)
@@ -95,7 +95,7 @@ def leaves_no_thread() -> Iterator[None]:
 
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["reader64", "reader64naive", "reader32", "reader_orig2014", "reader64_with_master"])
-def test_a_recorded_server_is_read_as_the_original_client_read_it(name: str) -> None:
+def test_recorded_server_is_read_as_by_the_original_client(name: str) -> None:
     recording, tables = Recording(name), recorded.printed(name)
 
     def script(peer: Peer) -> None:
@@ -115,7 +115,7 @@ def test_a_recorded_server_is_read_as_the_original_client_read_it(name: str) -> 
                 assert robot.stamp(line.name).seconds == line.seconds
                 assert robot.updated(line.name) == line.updated
         assert robot.width == (4 if name == "reader64naive" else 2)
-        # The original sends what was set once for ever; only here does one see that it is not new.
+        # The original server sends a variable forever once it was set; only `fresh` shows that its value is not new.
         assert robot.updated("once")
         assert not robot.fresh("once")
         assert robot.fresh("tick")
@@ -123,7 +123,7 @@ def test_a_recorded_server_is_read_as_the_original_client_read_it(name: str) -> 
 
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["writer64", "writer64naive", "writer32", "writer_orig2014"])
-def test_a_writer_says_what_the_original_client_said(name: str) -> None:
+def test_writer_sends_the_bytes_of_the_original_client(name: str) -> None:
     recording = Recording(name)
     width = 4 if name == "writer64naive" else 2
     asked = recorded.from_client(name)
@@ -135,7 +135,7 @@ def test_a_writer_says_what_the_original_client_said(name: str) -> None:
         for number, batch in enumerate(recording.batches):
             theirs, ours = asked[2 + number * size :][:size], peer.read(size)
             at = 8
-            for length in (1, 1, 4):  # but for the time stamps, which are its own
+            for length in (1, 1, 4):  # all bytes except the time stamps, which differ
                 theirs, ours = (
                     each[: at + 4] + bytes(4 * width) + each[at + 4 + 4 * width :] for each in (theirs, ours)
                 )
@@ -155,7 +155,7 @@ def test_a_writer_says_what_the_original_client_said(name: str) -> None:
 
 
 @pytest.mark.captures("rhd")
-def test_a_second_writer_is_denied_access() -> None:
+def test_second_writer_is_denied_access() -> None:
     def script(peer: Peer) -> None:
         peer.hear(b"aw")
         peer.say(Recording("second_writer64").handshake)
@@ -166,13 +166,13 @@ def test_a_second_writer_is_denied_access() -> None:
 
 
 @pytest.mark.captures("rhd")
-def test_a_second_writer_can_make_do_with_reading() -> None:
+def test_second_writer_can_fall_back_to_reading() -> None:
     recording = Recording("reader64")
 
     def refuse(peer: Peer) -> None:
         peer.hear(b"aw")
         peer.say(Recording("second_writer64").handshake)
-        assert peer.is_left()  # the original would serve it all the same, as one who may write
+        assert peer.is_left()  # the original would nevertheless serve the client as a writer
 
     def serve(peer: Peer) -> None:
         peer.hear(b"ar")
@@ -190,7 +190,7 @@ def test_a_second_writer_can_make_do_with_reading() -> None:
             robot["speedl"] = 5
 
 
-def test_a_server_that_grants_less_is_taken_at_its_word() -> None:
+def test_client_accepts_less_access_than_requested() -> None:
     robot_side = Robot()
 
     def script(peer: Peer) -> None:
@@ -207,8 +207,8 @@ def test_a_server_that_grants_less_is_taken_at_its_word() -> None:
 @pytest.mark.real_time
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["late_first_sync64", "late_first_sync_orig2014"])
-def test_a_late_first_sync_is_in_step(name: str) -> None:
-    """The unasked batch has come before the first request: it is applied, and each sync gets its own answer."""
+def test_late_first_sync_is_in_step(name: str) -> None:
+    """The unsolicited batch arrives before the first request: it is applied, and each sync gets its own reply."""
     recording = Recording(name)
     unasked, *answers = recording.batches
     is_connected, is_said = threading.Event(), threading.Event()
@@ -240,8 +240,8 @@ def test_a_late_first_sync_is_in_step(name: str) -> None:
 
 
 @pytest.mark.captures("rhd")
-def test_the_corrupted_reader_goes_on() -> None:
-    """The server's threads mixed another client's tables into the last answer: they say nothing new."""
+def test_client_continues_after_a_corrupted_batch() -> None:
+    """Threads of the server mixed tables of another client into the last reply; the tables contain nothing new."""
     recording = Recording("race_corrupted_reader64")
 
     def script(peer: Peer) -> None:
@@ -263,10 +263,10 @@ def test_the_corrupted_reader_goes_on() -> None:
 # -- in step -----------------------------------------------------------------------------------
 
 
-def test_an_unasked_batch_that_crosses_the_first_request_leaves_nothing_behind(
+def test_unsolicited_batch_that_crosses_a_request_is_absorbed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The server sent it before the request reached it: what looks like the answer is not."""
+    """The server sent the batch before it received the request, so the batch only looks like the reply."""
     side = Robot()
     is_settling = threading.Event()
     settle = Connection.settle
@@ -277,14 +277,14 @@ def test_an_unasked_batch_that_crosses_the_first_request_leaves_nothing_behind(
         settle(link, period, end)
 
     monkeypatch.setattr(Connection, "settle", settle_slowly)
-    monkeypatch.setattr(rhdlink.connection, "_MOST_UNSOLICITED_WAIT", 10.0)  # so that a slow machine does not decide
+    monkeypatch.setattr(rhdlink.connection, "_MOST_UNSOLICITED_WAIT", 10.0)  # enough for a slow machine
 
     def script(peer: Peer) -> None:
         side.greet(peer)
         peer.hear(b"rree")
-        peer.say(side.batch(1))  # unasked
+        peer.say(side.batch(1))  # unsolicited
         assert is_settling.wait(10)
-        peer.say(side.batch(2))  # the answer, one tick later
+        peer.say(side.batch(2))  # the reply, one tick later
         for tick in range(3, 7):
             peer.hear(b"rree")
             assert peer.hears_nothing()
@@ -298,7 +298,7 @@ def test_an_unasked_batch_that_crosses_the_first_request_leaves_nothing_behind(
             assert robot.tick == tick
 
 
-def test_a_server_that_sends_nothing_unasked_is_asked_once_for_each_sync() -> None:
+def test_each_sync_sends_exactly_one_request() -> None:
     side = Robot()
 
     def script(peer: Peer) -> None:
@@ -315,8 +315,8 @@ def test_a_server_that_sends_nothing_unasked_is_asked_once_for_each_sync() -> No
             assert robot.tick == tick
 
 
-def test_a_batch_is_the_last_until_the_next_has_come() -> None:
-    """A sync takes a tick, in which the flags can be asked."""
+def test_flags_stay_until_the_next_batch_arrives() -> None:
+    """A sync takes a tick, during which the flags can be read."""
     side = Robot()
     is_asked, may_answer = threading.Event(), threading.Event()
 
@@ -342,7 +342,7 @@ def test_a_batch_is_the_last_until_the_next_has_come() -> None:
         assert not robot.fresh("encl")
 
 
-def test_what_is_set_on_hearing_that_the_connection_is_lost_is_sent() -> None:
+def test_value_set_in_the_loss_callback_is_sent() -> None:
     with (
         ScriptedServer(lambda peer: Robot().greet(peer, "w")) as server,
         rhdlink.connect(server.address, Smr, access="w") as robot,
@@ -358,11 +358,11 @@ def test_what_is_set_on_hearing_that_the_connection_is_lost_is_sent() -> None:
         robot.speedl = 1
         with pytest.raises(ConnectionLost):
             robot.sync()
-        assert robot.updated("speedl")  # it waits to be sent
+        assert robot.updated("speedl")  # still to be sent
 
 
 def closed_while_it_syncs(robot: Smr, has_begun: threading.Event) -> BaseException:
-    """What `sync` raises in a thread of its own when the robot is closed after it has begun."""
+    """Return the exception that `sync` raises in another thread if the robot is closed during the sync."""
     raised: list[BaseException] = []
 
     def sync() -> None:
@@ -380,8 +380,8 @@ def closed_while_it_syncs(robot: Smr, has_begun: threading.Event) -> BaseExcepti
     return error
 
 
-def test_closed_is_the_last_word() -> None:
-    """Also where another thread is about to connect again."""
+def test_close_wins_over_a_reconnect_in_progress() -> None:
+    """Another thread is reconnecting at the time of the close."""
     is_greeted = threading.Event()
 
     def second(peer: Peer) -> None:
@@ -397,8 +397,8 @@ def test_closed_is_the_last_word() -> None:
         assert robot.connection is ConnectionState.CLOSED
 
 
-def test_nothing_connects_after_the_close() -> None:
-    """Also where nothing was used before; a connection that nobody takes would fail."""
+def test_robot_does_not_reconnect_after_close() -> None:
+    """The robot was never used before. A new connection would fail the test, because no script accepts it."""
     with ScriptedServer(lambda peer: Robot().greet(peer)) as server:
         robot = rhdlink.connect(server.address, Smr)
         robot.close()
@@ -413,7 +413,7 @@ def test_nothing_connects_after_the_close() -> None:
                 use()
 
 
-def test_what_came_in_all_batches_of_a_sync_is_fresh() -> None:
+def test_variables_of_all_batches_of_a_sync_are_fresh() -> None:
     side = Robot()
     is_said = threading.Event()
 
@@ -439,7 +439,7 @@ def test_what_came_in_all_batches_of_a_sync_is_fresh() -> None:
         assert not robot.updated("encl")
 
 
-def test_a_late_answer_is_collected_before_anything_else_is_said() -> None:
+def test_late_reply_is_received_before_the_next_request() -> None:
     side = Robot()
     go_on = threading.Event()
 
@@ -449,7 +449,7 @@ def test_a_late_answer_is_collected_before_anything_else_is_said() -> None:
         assert go_on.wait(10)
         assert peer.hears_nothing()
         peer.say(side.batch(1))
-        # Of all that was set meanwhile the newest is sent, and only now.
+        # Only the newest value that was set meanwhile is sent, and only now.
         assert without_stamps(peer.read(26)) == side.write(speedl=300)
         peer.say(side.batch(2))
 
@@ -470,7 +470,7 @@ def test_a_late_answer_is_collected_before_anything_else_is_said() -> None:
 # -- values ------------------------------------------------------------------------------------
 
 
-def test_values_by_name() -> None:
+def test_values_are_read_and_set_by_name() -> None:
     side = Robot()
     side.database = Database([SymbolRow("tick", 1), SymbolRow("line", 3)], side.database.write.rows)
     side.database.read.set(1, [1, 2, 3])
@@ -500,7 +500,7 @@ def test_values_by_name() -> None:
                 robot["speedl"] = bad
 
 
-def test_values_by_declaration() -> None:
+def test_values_are_read_and_set_by_declaration() -> None:
     side = Robot()
     with ScriptedServer(serving(side, "w", 1)) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
         assert type(robot) is Smr
@@ -512,7 +512,7 @@ def test_values_by_declaration() -> None:
             robot.encl = 5
 
 
-def test_a_reader_sets_nothing() -> None:
+def test_reader_cannot_set_values() -> None:
     with (
         ScriptedServer(serving(Robot())) as server,
         rhdlink.connect(server.address, Smr) as robot,
@@ -521,7 +521,7 @@ def test_a_reader_sets_nothing() -> None:
         robot.speedl = 0.5
 
 
-def test_all_that_a_robot_lacks_is_one_error() -> None:
+def test_all_missing_variables_are_in_one_error() -> None:
     class Wishes(Variables):
         tick = Read(Int32)
         encl = Write(Int32)
@@ -541,7 +541,7 @@ def test_all_that_a_robot_lacks_is_one_error() -> None:
     )
 
 
-def test_the_table_of_variables() -> None:
+def test_variables_are_shown_as_a_table() -> None:
     side = Robot(read=("tick", "encl", "<b>bold</b>"))
     side.database.read.set(0, 41, TimeStamp(5, 6))
     with ScriptedServer(serving(side)) as server, rhdlink.connect(server.address, Smr) as robot:
@@ -589,7 +589,7 @@ def nothing_more(peer: Peer) -> None:
         (b"artw\x7f\xff\xff\xff", PacketError, "counts 2147483647"),
     ],
 )
-def test_no_handshake(says: bytes, error: type[Exception], reason: str) -> None:
+def test_connect_raises_the_reason_of_a_failed_handshake(says: bytes, error: type[Exception], reason: str) -> None:
     def script(peer: Peer) -> None:
         peer.hear(b"ar")
         peer.say(says)
@@ -599,7 +599,7 @@ def test_no_handshake(says: bytes, error: type[Exception], reason: str) -> None:
         rhdlink.connect(server.address, timeout=0.2 if error is LinkTimeout else 10)
 
 
-def test_all_slots_of_the_server_are_in_use() -> None:
+def test_connect_suggests_that_all_client_slots_are_in_use() -> None:
     with (
         ScriptedServer(lambda peer: None) as server,
         pytest.raises(ConnectFailed, match=r"before sending a byte; are all its client slots in use\?"),
@@ -607,7 +607,7 @@ def test_all_slots_of_the_server_are_in_use() -> None:
         rhdlink.connect(server.address)
 
 
-def test_a_server_that_leaves_in_its_handshake() -> None:
+def test_connect_raises_when_the_server_closes_early() -> None:
     def script(peer: Peer) -> None:
         peer.hear(b"ar")
         peer.say(b"artw\0\0")
@@ -616,7 +616,7 @@ def test_a_server_that_leaves_in_its_handshake() -> None:
         rhdlink.connect(server.address)
 
 
-def test_nobody_is_there() -> None:
+def test_connect_raises_when_no_server_listens() -> None:
     with ScriptedServer() as server:
         pass
     with pytest.raises(ConnectFailed):
@@ -624,12 +624,12 @@ def test_nobody_is_there() -> None:
 
 
 @pytest.mark.parametrize("text", ["", " ", "a b", "http://x", "host:0", "host:65536", "host:x", "rhd://", "h/p", "u@h"])
-def test_addresses_that_cannot_be(text: str) -> None:
+def test_connect_rejects_invalid_addresses(text: str) -> None:
     with pytest.raises(BadAddress):
         rhdlink.connect(text)
 
 
-def test_addresses() -> None:
+def test_addresses_are_parsed_and_printed() -> None:
     assert parse_address(" smr12 ") == Address("smr12", 24902)
     assert parse_address("rhd://[::1]:8001") == Address("::1", 8001)
     assert (str(Address("::1", 1)), str(Address("smr", 1))) == ("[::1]:1", "smr:1")
@@ -654,12 +654,12 @@ def test_addresses() -> None:
         ((Path("drive.urlog"),), {}, "invalid address .*; to play a recording, use `rhdlink replay`"),
     ],
 )
-def test_arguments_that_cannot_be(arguments: tuple[Any, ...], options: dict[str, Any], text: str) -> None:
+def test_connect_rejects_invalid_arguments(arguments: tuple[Any, ...], options: dict[str, Any], text: str) -> None:
     with pytest.raises((BadValue, BadAddress), match=text):
         rhdlink.connect(*arguments, **options)
 
 
-def test_names_that_are_almost_right() -> None:
+def test_misspelt_names_get_a_suggestion() -> None:
     with ScriptedServer(serving(Robot(), "w")) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
         with pytest.raises(NotThere, match="has no variable 'encI'; did you mean 'encl'"):
             _ = robot["encI"]
@@ -682,7 +682,7 @@ def test_names_that_are_almost_right() -> None:
         ((print, "wings"), {}, "has no variable 'wings'"),
     ],
 )
-def test_subscriptions_that_cannot_be(arguments: tuple[Any, ...], options: dict[str, Any], text: str) -> None:
+def test_subscribe_rejects_invalid_arguments(arguments: tuple[Any, ...], options: dict[str, Any], text: str) -> None:
     with (
         ScriptedServer(nothing_more_after_greeting) as server,
         rhdlink.connect(server.address) as robot,
@@ -695,7 +695,7 @@ def test_subscriptions_that_cannot_be(arguments: tuple[Any, ...], options: dict[
 
 
 @pytest.mark.parametrize("ending", [Peer.reset, lambda peer: None, lambda peer: peer.say(b"dr\0\0\0\xff")])
-def test_a_lost_connection_is_made_again_and_names_are_found_again(ending: Callable[[Peer], object]) -> None:
+def test_client_reconnects_and_finds_variables_by_name(ending: Callable[[Peer], object]) -> None:
     before, after = Robot(), Robot(read=("new", "encl", "tick"), write=("speedr", "new", "speedl"))
 
     def first(peer: Peer) -> None:
@@ -736,7 +736,7 @@ def test_a_lost_connection_is_made_again_and_names_are_found_again(ending: Calla
     ]
 
 
-def test_what_was_set_before_the_connection_was_lost_is_forgotten(caplog: pytest.LogCaptureFixture) -> None:
+def test_unsent_values_are_discarded_when_the_connection_is_lost(caplog: pytest.LogCaptureFixture) -> None:
     side = Robot()
 
     def first(peer: Peer) -> None:
@@ -758,10 +758,10 @@ def test_what_was_set_before_the_connection_was_lost_is_forgotten(caplog: pytest
     assert "lost the values set for 'speedl', 'speedr': the connection was lost" in caplog.text
 
 
-def test_what_is_set_while_the_robot_is_away_is_forgotten_with_each_try_that_fails(
+def test_values_are_discarded_with_each_failed_reconnect(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """However long it is away: a value is sent by the sync that follows it, or never."""
+    """A value is sent by the next sync or never, however long the robot is away."""
     side = Robot()
 
     def leaves(peer: Peer) -> None:
@@ -783,7 +783,7 @@ def test_what_is_set_while_the_robot_is_away_is_forgotten_with_each_try_that_fai
         assert robot.updated("speedl")
         robot.sync()
         assert robot.discarded == 4
-    # One line for the outage, however many tries failed in it.
+    # The outage is logged once, however many attempts failed.
     assert caplog.text.count("lost the values set") == 1
 
 
@@ -813,7 +813,7 @@ def test_values_can_be_kept_until_they_are_sent() -> None:
         assert robot.discarded == 0
 
 
-def test_what_has_arrived_is_not_counted_as_lost() -> None:
+def test_values_that_arrived_are_not_counted_as_discarded() -> None:
     side = Robot()
 
     def script(peer: Peer) -> None:
@@ -831,7 +831,7 @@ def test_what_has_arrived_is_not_counted_as_lost() -> None:
         assert robot.discarded == 0
 
 
-def test_a_kept_value_that_the_robot_no_longer_has_is_counted(caplog: pytest.LogCaptureFixture) -> None:
+def test_kept_value_of_a_removed_variable_is_counted(caplog: pytest.LogCaptureFixture) -> None:
     before, after = Robot(), Robot(write=("speedl",))
 
     def last(peer: Peer) -> None:
@@ -854,11 +854,11 @@ def test_a_kept_value_that_the_robot_no_longer_has_is_counted(caplog: pytest.Log
 
 @pytest.mark.real_time
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
-def test_a_forked_child_neither_syncs_nor_ends_its_parent_s_connection() -> None:
+def test_forked_child_cannot_sync_or_end_the_connection() -> None:
     with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
         robot.sync()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of forking with threads, which is what is tried here
+            warnings.simplefilter("ignore", DeprecationWarning)  # forking with threads is intended here
             child = os.fork()
         if not child:  # pragma: no cover
             status = 1
@@ -874,7 +874,7 @@ def test_a_forked_child_neither_syncs_nor_ends_its_parent_s_connection() -> None
             robot.sync()
 
 
-def test_a_robot_that_comes_back_as_another_is_refused() -> None:
+def test_reconnect_rejects_a_robot_with_other_variables() -> None:
     def first(peer: Peer) -> None:
         Robot().greet(peer)
 
@@ -895,7 +895,7 @@ def test_a_robot_that_comes_back_as_another_is_refused() -> None:
         assert robot.tick == 1
 
 
-def test_close_wakes_who_syncs() -> None:
+def test_close_interrupts_a_sync_in_another_thread() -> None:
     is_asked = threading.Event()
 
     def script(peer: Peer) -> None:
@@ -912,11 +912,11 @@ def test_close_wakes_who_syncs() -> None:
         for use in (robot.sync, robot.background, lambda: robot.subscribe(print)):
             with pytest.raises(Closed):
                 use()
-        assert robot.tick == 0  # what was known can still be read
+        assert robot.tick == 0  # the last values can still be read
 
 
 @pytest.mark.parametrize("timeout", [0, -1, float("nan")])
-def test_timeouts_that_cannot_be(timeout: float) -> None:
+def test_sync_rejects_invalid_timeouts(timeout: float) -> None:
     with (
         ScriptedServer(nothing_more_after_greeting) as server,
         rhdlink.connect(server.address) as robot,
@@ -926,7 +926,7 @@ def test_timeouts_that_cannot_be(timeout: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_server_that_floods_does_not_hold_a_sync_for_ever() -> None:
+def test_sync_ends_even_if_the_server_floods() -> None:
     side = Robot()
 
     def script(peer: Peer) -> None:
@@ -938,7 +938,7 @@ def test_a_server_that_floods_does_not_hold_a_sync_for_ever() -> None:
             pass
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
-        # It is answered with what there is, or gives up when time is up; either way it returns.
+        # The sync returns with the received data or times out.
         for _ in range(3):
             with contextlib.suppress(LinkTimeout):
                 robot.sync(timeout=0.2)
@@ -948,7 +948,7 @@ def test_a_server_that_floods_does_not_hold_a_sync_for_ever() -> None:
 # -- subscriptions ----------------------------------------------------------------------------
 
 
-def test_closing_a_robot_ends_its_background_and_delivers_what_waits() -> None:
+def test_close_ends_the_background_and_delivers_queued_updates() -> None:
     with ScriptedServer(endless(Robot())) as server:
         robot = rhdlink.connect(server.address, Smr)
         ticks: list[int] = []
@@ -960,11 +960,11 @@ def test_closing_a_robot_ends_its_background_and_delivers_what_waits() -> None:
         assert ticks == list(range(1, background.syncs + 1))
 
 
-def test_several_threads_may_sync_and_each_update_is_told_once_and_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_syncs_deliver_each_update_once_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
     changes = Replica.changes
 
     def after_a_moment(self: Replica, *arguments: Any) -> dict[str, rhdlink.variables.Change]:
-        time.sleep(0.001)  # in which another thread could sync
+        time.sleep(0.001)  # enough time for a sync in another thread
         return changes(self, *arguments)
 
     monkeypatch.setattr(Replica, "changes", after_a_moment)
@@ -985,7 +985,7 @@ def test_several_threads_may_sync_and_each_update_is_told_once_and_in_order(monk
     assert ticks == list(range(1, 91))
 
 
-def test_an_update_that_is_older_than_its_lifespan_is_dropped_and_counted() -> None:
+def test_update_older_than_its_lifespan_is_dropped() -> None:
     is_in, go_on = threading.Event(), threading.Event()
     ticks: list[int] = []
 
@@ -1010,7 +1010,7 @@ def test_an_update_that_is_older_than_its_lifespan_is_dropped_and_counted() -> N
     assert (stats.delivered, stats.dropped, stats.expired) == (2, 1, 1)
 
 
-def test_a_missed_deadline_is_told() -> None:
+def test_missed_deadline_is_reported() -> None:
     missed = threading.Event()
     with ScriptedServer(nothing_more_after_greeting) as server, rhdlink.connect(server.address) as robot:
         robot.subscribe(print, deadline=0.01, on_deadline=lambda age: missed.set())

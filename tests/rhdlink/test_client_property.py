@@ -1,4 +1,4 @@
-"""Whatever a server says, the client ends with a value or an error of the tree."""
+"""Whatever a server sends, the client returns a value or raises a documented error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HANDSHAKE = Database(read=[SymbolRow("tick", 1), SymbolRow("line", 8)], write=[S
 
 
 class Says:
-    """A transport that says these things, one at each receive, and then no more."""
+    """Transport that returns one of the given chunks for each receive, and no data after the last."""
 
     name = "says"
 
@@ -74,16 +74,16 @@ pieces = st.sampled_from(
 
 @pytest.mark.property
 @given(st.lists(pieces, max_size=20))
-def test_any_handshake(chunks: list[bytes]) -> None:
+def test_any_handshake_is_decoded_or_raises_a_link_error(chunks: list[bytes]) -> None:
     with suppress(LinkError), connected(*chunks) as (robot, _):
-        # What was understood is what was said; the last byte says nothing.
+        # Encoding the decoded handshake must reproduce the received bytes; the last byte carries no information.
         again = robot._known().database.encode_handshake("w", robot.width)
         assert b"".join(chunks).startswith(again[:-1])
 
 
 @pytest.mark.property
 @given(st.lists(pieces, max_size=20))
-def test_anything_after_a_handshake(chunks: list[bytes]) -> None:
+def test_any_bytes_after_a_handshake_keep_or_end_the_link(chunks: list[bytes]) -> None:
     with connected(HANDSHAKE, *chunks) as (robot, transport):
         for number in itertools.count():
             robot["speed"] = number
@@ -95,6 +95,6 @@ def test_anything_after_a_handshake(chunks: list[bytes]) -> None:
             except LinkError:
                 assert not transport.is_open
                 break
-        # Never more than one request that was not answered: one before each answer, and one for the timeout.
+        # At most one request is unanswered: there is one before each reply, and one before the timeout.
         assert transport.sent.count(b"rw") <= number + 1
         assert robot["line"].shape == (8,)

@@ -1,4 +1,4 @@
-"""rhdconfig.xml: the original's elements are understood, and what XML can do beyond them is refused."""
+"""rhdconfig.xml: elements of the original are read, and other features of XML are rejected."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rhdlink.variables import Limits
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
-#: Bytes of a file, levels and elements in it, that are read.
+#: Largest file size in bytes, deepest level and number of elements that the parser accepts.
 LARGEST, DEEPEST, MOST_ELEMENTS = 1_048_576, 32, 10_000
 
 WHOLE = """<?xml version="1.0"?>
@@ -49,12 +49,12 @@ def test_every_element_of_the_original_is_read(scheduler: str) -> None:
     first, second = found.plugins
     assert (first.name, first.is_enabled, first.is_critical, first.safety) == ("first", True, True, 2)
     assert first.config.number("gain", 1.0) == 0.5
-    # Only the exact text "true" counts (section 9).
+    # Only the exact text "true" counts as true (section 9).
     assert (second.name, second.is_enabled, second.is_critical, second.safety) == ("second", False, False, 0)
     assert second.config.integer("speed", 0) == 7
 
 
-def test_what_is_left_out_is_as_the_host_has_it() -> None:
+def test_missing_settings_have_the_defaults_of_the_host() -> None:
     found = parse_config("<rhd/>")
     assert found == Configuration()
     assert Host.from_config(found).period == Host().period == 0.01
@@ -109,14 +109,14 @@ EXTERNAL = '<!DOCTYPE rhd [<!ENTITY x SYSTEM "file:///etc/hostname">]><rhd>&x;</
         ('<rhd><plugins><x enable="true" lib="a:B" safety="-1"/></plugins></rhd>', "safety"),
     ],
 )
-def test_what_is_refused_says_why(text: str, reason: str) -> None:
+def test_rejected_configuration_raises_the_reason(text: str, reason: str) -> None:
     with pytest.raises(BadConfiguration, match=reason) as caught:
         parse_config(text)
-    # One reason and no other: what is no encoding is not said to be one.
+    # The message must give only this reason: other errors must not mention an encoding.
     assert ("encoding" in str(caught.value)) == (reason == "encoding")
 
 
-def test_numbers_at_their_bounds() -> None:
+def test_numbers_are_checked_at_their_bounds() -> None:
     def of(text: str) -> Element:
         return Element("x", {"value": text}, line=3, source="robot.xml")
 
@@ -132,7 +132,7 @@ def test_numbers_at_their_bounds() -> None:
     for bounds, said in (({"least": 1.0}, "from 1"), ({"most": -1.0}, "to -1")):
         with pytest.raises(BadConfiguration, match=f"value='0' is not a number {said}$"):
             of("0").number("value", 0.0, **bounds)
-    # Without a place in a file none is named.
+    # An element without a line in a file has no line in its message.
     with pytest.raises(BadConfiguration, match=r"^robot\.xml: <x>: no good$"):
         Element("x", source="robot.xml").reject("no good")
     for element in (Element("x"), Element("x", line=3)):
@@ -152,7 +152,7 @@ def test_numbers_at_their_bounds() -> None:
         ("<plugins><x safety='{}'/></plugins>", 0, 127),
     ],
 )
-def test_settings_at_their_bounds(text: str, least: float, most: float) -> None:
+def test_settings_are_checked_at_their_bounds(text: str, least: float, most: float) -> None:
     text = f"<rhd>{text}</rhd>"
     step = 1 if isinstance(least, int) else 1e-4
     for within in (least, most):
@@ -162,13 +162,13 @@ def test_settings_at_their_bounds(text: str, least: float, most: float) -> None:
             parse_config(text.format(beyond))
 
 
-def test_limits_are_not_one_too_low() -> None:
+def test_largest_allowed_document_is_accepted() -> None:
     parse_config("<rhd>" * DEEPEST + "</rhd>" * DEEPEST)
     parse_config("<rhd>" + "<a/>" * (MOST_ELEMENTS - 1) + "</rhd>")
     parse_config("<rhd>" + " " * (LARGEST - 11) + "</rhd>")
 
 
-def test_a_file_is_as_large_as_a_text_may_be(tmp_path: Path) -> None:
+def test_largest_allowed_file_is_accepted(tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.write_text("<rhd>" + " " * (LARGEST - 11) + "</rhd>")
     assert read_config(path) == Configuration()
@@ -177,7 +177,7 @@ def test_a_file_is_as_large_as_a_text_may_be(tmp_path: Path) -> None:
         read_config(path)
 
 
-def test_the_message_names_file_and_line(tmp_path: Path) -> None:
+def test_error_names_file_and_line(tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.write_text('<rhd>\n<server>\n<port value="x"/>\n</server></rhd>')
     with pytest.raises(BadConfiguration, match=r"robot\.xml:3: <port>"):
@@ -188,7 +188,7 @@ def test_the_message_names_file_and_line(tmp_path: Path) -> None:
         read_config(tmp_path)
     with pytest.raises(BadConfiguration, match="cannot read 0: expected the path"):
         read_config(0)  # type: ignore[arg-type]
-    # The child where there is one, or else the element that has the attribute.
+    # The error names the child element if there is one, otherwise the element with the attribute.
     for text, place in (
         ("<scheduler>\n<type value='cron'/>\n</scheduler>", "2: <type>"),
         ("<scheduler type='cron'>\n</scheduler>", "1: <scheduler>"),
@@ -199,7 +199,7 @@ def test_the_message_names_file_and_line(tmp_path: Path) -> None:
             parse_config(f"<rhd>{text}</rhd>")
 
 
-def test_what_clients_are_told_and_may_ask_for() -> None:
+def test_client_settings_and_limits_are_read() -> None:
     text = """<rhd><server><clients number='3' timeout='0.5' inactivity='60'/><resend value='original'/>
       <limits length='16' batch='4096'/></server></rhd>"""
     found = parse_config(text)
@@ -213,8 +213,8 @@ def test_what_clients_are_told_and_may_ask_for() -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_host_has_what_the_file_says_of_clients() -> None:
-    """A batch with more than the file allows costs the client its connection."""
+def test_host_applies_the_limits_of_the_file() -> None:
+    """A client that sends a larger batch than the file allows loses its connection."""
     text = """<rhd><server><port value='0'/><limits batch='64'/></server>
       <plugins><smr enable='true' lib='rhdlink.host.plugins.turtle:SmrTurtle'/></plugins></rhd>"""
     with Host.from_config(parse_config(text)) as host, RawClient(host.port, b"aw") as client:
@@ -226,7 +226,7 @@ def test_a_host_has_what_the_file_says_of_clients() -> None:
         until(lambda: host.stats.bad_clients == 1)
 
 
-def test_the_width_of_time_stamps() -> None:
+def test_width_of_time_stamps_is_read_and_checked() -> None:
     text = "<rhd><server><width value='{}'/></server></rhd>"
     assert parse_config(text.format(4)).width == 4
     assert parse_config("<rhd/>").width == 2
@@ -240,14 +240,14 @@ def entry(lib: str) -> object:
     return found.load()
 
 
-def test_a_python_plugin_is_loaded() -> None:
+def test_python_plugin_is_loaded() -> None:
     from collections import OrderedDict
 
     assert type(entry("collections:OrderedDict")) is OrderedDict
 
 
 @pytest.mark.parametrize("lib", ["libsmrd.so.1", "libx.so", "/opt/rhd/libx", "x.dll"])
-def test_a_c_library_is_an_error_that_says_what_to_do(lib: str) -> None:
+def test_c_library_is_rejected_with_an_instruction(lib: str) -> None:
     with pytest.raises(BadConfiguration, match=r"rhdconfig.xml:3: .*in C.*package.module:Class"):
         entry(lib)
 
@@ -265,12 +265,12 @@ def test_a_c_library_is_an_error_that_says_what_to_do(lib: str) -> None:
         ("numbers:Rational", "cannot create"),
     ],
 )
-def test_a_plugin_that_cannot_be_loaded_says_why(lib: str, reason: str) -> None:
+def test_plugin_that_cannot_be_loaded_raises_the_reason(lib: str, reason: str) -> None:
     with pytest.raises(BadConfiguration, match=reason):
         entry(lib)
 
 
-def test_settings_of_a_plugin_in_both_styles() -> None:
+def test_plugin_settings_may_be_attributes_or_elements() -> None:
     element = Element("x", {"port": "/dev/ttyS0"}, (Element("rate", {"value": " 9600 "}), Element("bare")))
     assert element.get("port") == "/dev/ttyS0"
     assert element.integer("rate", 0) == 9600
@@ -283,7 +283,7 @@ def test_settings_of_a_plugin_in_both_styles() -> None:
         Element("x", {"a": "1.5"}).number("a", 0.0, least=0.0, most=1.0)
 
 
-def test_an_element_has_the_text_in_it_without_that_of_its_children() -> None:
+def test_text_of_an_element_excludes_its_children() -> None:
     (entry,) = parse_config("<rhd><plugins><x> a <y>\nb &amp; c</y> d </x></plugins></rhd>").plugins
     (child,) = entry.config.children
     assert (entry.config.text, child.text) == ("a  d", "b & c")
@@ -293,6 +293,6 @@ def test_an_element_has_the_text_in_it_without_that_of_its_children() -> None:
 @given(
     st.one_of(st.binary(max_size=200), st.text(max_size=200), st.from_regex(r"(<[a-c]( b='[0-9&;]*')?/?>|</[a-c]>)*"))
 )
-def test_anything_is_a_configuration_or_a_documented_error(data: bytes | str) -> None:
+def test_any_input_is_a_configuration_or_a_documented_error(data: bytes | str) -> None:
     with contextlib.suppress(LocalError):
         assert isinstance(parse_config(data), Configuration)

@@ -1,4 +1,4 @@
-"""How long a connection waits for the batch that nobody asked for, on a clock that the tests move."""
+"""Waiting time of a connection for the unsolicited batch, on a clock that the tests move."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BATCH = b"dr\0\0\0\0ee"
 
 
 class Wire:
-    """A transport whose peer says things at certain times, with the clock that goes with it."""
+    """Transport whose peer sends data at given times, with the clock for it."""
 
     name = "wire"
 
@@ -53,7 +53,7 @@ class Wire:
 
 
 class Client:
-    """A client that syncs as `Variables` does."""
+    """Client that syncs in the same way as `Variables`."""
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
@@ -69,7 +69,7 @@ class Client:
         )
 
     def sync(self, period: float | None, timeout: float = 1.0) -> float:
-        """The seconds that it waited before it asked."""
+        """Sync once and return how many seconds the connection waited before the request."""
         began = self.wire.clock.now
         until = began + timeout
         self.connection.take_waiting(until)
@@ -89,15 +89,13 @@ def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
 @pytest.mark.parametrize(
     ("period", "seconds"),
     [
-        (None, 0.1),  # four ticks of the slowest robot known
-        (0.01, 0.017),  # a tick and a half, and what a busy machine takes
+        (None, 0.1),  # four ticks of the slowest known robot
+        (0.01, 0.017),  # a tick and a half, plus the delay of a busy machine
         (0.025, 0.0395),
-        (1.0, 0.1),  # a robot that ticks once in a second does not make each connection wait that long
+        (1.0, 0.1),  # a robot that ticks once per second must not delay each connection that long
     ],
 )
-def test_it_waits_a_tick_and_a_half_once_after_the_first_answer(
-    wire: Wire, period: float | None, seconds: float
-) -> None:
+def test_connection_waits_once_after_the_first_reply(wire: Wire, period: float | None, seconds: float) -> None:
     client = Client(wire)
     assert client.sync(None) == 0.0
     assert client.sync(period) == pytest.approx(seconds)
@@ -105,8 +103,8 @@ def test_it_waits_a_tick_and_a_half_once_after_the_first_answer(
     assert (wire.requests, len(client.batches)) == (3, 3)
 
 
-def test_what_comes_meanwhile_settles_it(wire: Wire) -> None:
-    """The first answer was the unsolicited batch; the reply follows one tick later, and nothing is waited for after."""
+def test_batch_that_arrives_during_the_wait_ends_it(wire: Wire) -> None:
+    """The first reply was the unsolicited batch; the real reply follows one tick later, and later syncs do not wait."""
     client = Client(wire)
     client.sync(None)
     wire.coming = [(wire.clock.now + 0.012, BATCH)]
@@ -115,7 +113,7 @@ def test_what_comes_meanwhile_settles_it(wire: Wire) -> None:
     assert (wire.requests, len(client.batches)) == (3, 4)
 
 
-def test_what_has_come_before_the_first_request_settles_it(wire: Wire) -> None:
+def test_batch_before_the_first_request_avoids_the_wait(wire: Wire) -> None:
     client = Client(wire)
     wire.coming = [(0.0, BATCH)]
     assert client.sync(None) == 0.0
@@ -123,7 +121,7 @@ def test_what_has_come_before_the_first_request_settles_it(wire: Wire) -> None:
     assert (wire.requests, len(client.batches)) == (2, 3)
 
 
-def test_a_sync_without_time_for_it_leaves_the_rest_to_the_next(wire: Wire) -> None:
+def test_wait_continues_in_the_next_sync_after_a_timeout(wire: Wire) -> None:
     client = Client(wire)
     client.sync(None)
     with pytest.raises(LinkTimeout):

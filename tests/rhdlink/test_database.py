@@ -1,4 +1,4 @@
-"""The database against a simple model of it, and what is told to whom."""
+"""The database compared with a simple model, including the values that each observer still has to receive."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ stamps = st.builds(TimeStamp, st.integers(0, 2**32 - 1), st.integers(0, 999_999)
 
 
 class DatabaseModel(RuleBasedStateMachine):
-    """A table, and two of those who are told of it, held against dictionaries and sets."""
+    """A table and two sets of unsent variables, compared with dictionaries and sets."""
 
     @initialize(lengths=st.lists(st.integers(1, 4), min_size=1, max_size=9), many=st.booleans())
     def begin(self, lengths: list[int], many: bool) -> None:
-        # With many variables, DirtySet looks at all marks rather than sorting few.
+        # With many variables, DirtySet scans all marks instead of sorting a few.
         self.lengths = lengths * (20 if many else 1)
         self.table = VariableTable("r", [SymbolRow(f"v{number}", length) for number, length in enumerate(self.lengths)])
         count = len(self.lengths)
@@ -118,7 +118,7 @@ class DatabaseModel(RuleBasedStateMachine):
         assert not dirty
 
     @invariant()
-    def it_is_as_the_model(self) -> None:
+    def table_equals_the_model(self) -> None:
         if not hasattr(self, "table"):
             return
         assert self.table.values.tolist() == [each for value in self.values for each in value]
@@ -135,12 +135,12 @@ DatabaseModel.TestCase.settings = settings(stateful_step_count=25)
 TestDatabase = pytest.mark.property(DatabaseModel.TestCase)
 
 
-def test_variables_are_made_until_the_first_handshake() -> None:
+def test_variables_can_be_added_until_the_first_handshake() -> None:
     database = Database()
     assert [database.read.add("tick"), database.read.add("line", 8)] == [0, 1]
     database.read.set(1, range(8), TimeStamp(1, 2))
     assert database.read.add("late", 2) == 2
-    assert database.read.value(1).tolist() == list(range(8))  # the original zeroes it here
+    assert database.read.value(1).tolist() == list(range(8))  # the original would set it to zero here
     assert database.read.stamp(1) == (1, 2)
     assert database.read.dirty.take().tolist() == [1]
     database.encode_handshake("r")
@@ -151,7 +151,7 @@ def test_variables_are_made_until_the_first_handshake() -> None:
 @pytest.mark.parametrize(
     ("name", "length"), [("", 1), ("n" * 33, 1), ("a\0", 1), ("€", 1), ("there", 1), ("a", 0), ("a", -1)]
 )
-def test_variables_that_cannot_be(name: str, length: int) -> None:
+def test_add_rejects_invalid_names_and_lengths(name: str, length: int) -> None:
     table = VariableTable("r", [SymbolRow("there", 1)])
     with pytest.raises(BadValue):
         table.add(name, length)
@@ -159,7 +159,7 @@ def test_variables_that_cannot_be(name: str, length: int) -> None:
 
 
 @pytest.mark.parametrize("identity", [-1, 2, 100])
-def test_ids_that_cannot_be(identity: int) -> None:
+def test_table_rejects_invalid_ids(identity: int) -> None:
     table = VariableTable("r", [SymbolRow("a", 1), SymbolRow("b", 2)])
     for use in (
         lambda: table.set(identity, 1),
@@ -172,7 +172,7 @@ def test_ids_that_cannot_be(identity: int) -> None:
 
 
 @pytest.mark.parametrize("value", [2**31, -(2**31) - 1, [1], [1, 2, 3], 1.5, [2**40, 0], "x", [None, None]])
-def test_values_that_cannot_be(value: Any) -> None:
+def test_set_rejects_invalid_values(value: Any) -> None:
     table = VariableTable("r", [SymbolRow("a", 2)])
     with pytest.raises(BadValue):
         table.set(0, value)
@@ -182,7 +182,7 @@ def test_values_that_cannot_be(value: Any) -> None:
     assert not table.dirty
 
 
-def test_a_view_of_a_variable_is_read_only_and_changes_with_it() -> None:
+def test_view_of_a_variable_is_read_only_and_follows_it() -> None:
     table = VariableTable("r", [SymbolRow("a", 2)])
     view = table.value(0)
     table.set(0, [1, 2])
@@ -191,14 +191,14 @@ def test_a_view_of_a_variable_is_read_only_and_changes_with_it() -> None:
         view[0] = 5
 
 
-def test_of_two_with_the_same_name_the_first_is_found() -> None:
+def test_find_returns_the_first_of_equal_names() -> None:
     table = VariableTable("r", [SymbolRow("a", 1), SymbolRow("a", 2)])
     assert table.find("a") == 0
     assert table.find("b") is None
     assert "a" in table
 
 
-def test_a_selection_does_not_follow_the_array_it_was_made_from() -> None:
+def test_selection_is_independent_of_its_source_array() -> None:
     table = VariableTable("r", [SymbolRow("a", 1), SymbolRow("b", 1)])
     ids = np.array([0])
     assert table.select(ids).ids.tolist() == [0]
@@ -206,7 +206,7 @@ def test_a_selection_does_not_follow_the_array_it_was_made_from() -> None:
     assert table.select(ids).ids.tolist() == [1]
 
 
-def test_what_two_are_told_alike_is_prepared_once() -> None:
+def test_equal_changes_of_two_observers_are_prepared_once() -> None:
     table = VariableTable("r", [SymbolRow(f"v{number}", 1 + number % 3) for number in range(300)])
     table.set_many(table.select(range(300)), 5)
     ids = table.dirty.take()
@@ -217,7 +217,7 @@ def test_what_two_are_told_alike_is_prepared_once() -> None:
     assert table.select(ids) is table.select(ids)
 
 
-def test_the_present_is_exact() -> None:
+def test_now_lies_between_the_surrounding_times() -> None:
     before, stamp, after = now(), now(), now()
     assert before <= stamp <= after
     assert TimeStamp(3, 250_000).time == 3.25
@@ -225,7 +225,7 @@ def test_the_present_is_exact() -> None:
 
 @pytest.mark.property
 @given(st.integers(0, 5), st.sampled_from([2, 4]))
-def test_a_server_with_no_write_variables(count: int, width: int) -> None:
+def test_handshake_without_write_variables_is_decoded(count: int, width: int) -> None:
     database = Database(read=[SymbolRow(f"v{number}", 1) for number in range(count)])
     stream = ServerDecoder(width=width)
     stream.feed(database.encode_handshake(None, width))
@@ -234,10 +234,10 @@ def test_a_server_with_no_write_variables(count: int, width: int) -> None:
     assert (handshake.granted, handshake.write, len(handshake.read)) == (None, (), count)
 
 
-def test_neither_table() -> None:
+def test_table_rejects_other_directions() -> None:
     with pytest.raises(BadValue, match="neither"):
         Database().table("x")
 
 
-def test_the_layout_of_nothing() -> None:
+def test_empty_layout_has_no_words() -> None:
     assert (TableLayout([]).words, TableLayout([]).uniform) == (0, None)

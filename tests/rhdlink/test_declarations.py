@@ -1,4 +1,4 @@
-"""Declared variables: bound by name, typed, and refused where they cannot be."""
+"""Declared variables: bound by name, typed, and rejected if they are invalid."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def bound() -> tuple[Everything, Database]:
     return everything, database
 
 
-def test_the_types_are_known_to_mypy() -> None:
+def test_types_are_known_to_mypy() -> None:
     it, _ = bound()
     assert_type(it.whole, int)
     assert_type(it.line, NDArray[np.int32])
@@ -61,7 +61,7 @@ def test_the_types_are_known_to_mypy() -> None:
     assert_type(it.flags, NDArray[np.bool_])
     assert_type(it.label, str)
     assert_type(it.fix, np.void)
-    # What cannot be set is refused by mypy too, or these comments would be reported as unused.
+    # mypy must reject these assignments too, otherwise it reports the comments as unused.
     for wrong in ("fast", None):
         with pytest.raises(BadValue):
             it.speed = wrong  # type: ignore[assignment]
@@ -72,7 +72,7 @@ def test_the_types_are_known_to_mypy() -> None:
     assert type(it.on) is bool
 
 
-def test_there_and_back() -> None:
+def test_values_are_set_and_read_back() -> None:
     it, database = bound()
     it.whole, it.bits, it.long, it.small = -5, 2**32 - 1, -(2**40), 0.5
     it.line, it.pose, it.flags = range(8), [1.5, -2.0, 1e300], [True, False]
@@ -90,7 +90,7 @@ def test_there_and_back() -> None:
     assert set(database.write.dirty.take().tolist()) == {0, 1, 2, 3, 4}
 
 
-def test_arrays_do_not_change_and_cannot_be_changed() -> None:
+def test_arrays_are_immutable_copies() -> None:
     it, _ = bound()
     it.line = range(8)
     before = it.line
@@ -100,7 +100,7 @@ def test_arrays_do_not_change_and_cannot_be_changed() -> None:
         before[0] = 1
 
 
-def test_a_bad_value_names_the_variable_and_sets_nothing() -> None:
+def test_bad_value_names_the_variable_and_sets_nothing() -> None:
     it, database = bound()
     with pytest.raises(BadValue, match=r"speed: .* does not fit"):
         it.speed = 1e9
@@ -110,7 +110,7 @@ def test_a_bad_value_names_the_variable_and_sets_nothing() -> None:
     assert not database.read.dirty
 
 
-def test_the_order_of_a_class_and_of_a_declaration() -> None:
+def test_order_is_set_by_the_class_or_the_declaration() -> None:
     class Big(Declarations, order="big"):
         value = Read(Float64)
         other = Read(Float64, order="little")
@@ -131,7 +131,7 @@ def test_the_order_of_a_class_and_of_a_declaration() -> None:
             pass
 
 
-def test_all_differences_are_one_error() -> None:
+def test_all_differences_are_in_one_error() -> None:
     database = Database(
         read=[SymbolRow("whole", 2), SymbolRow("speed", 1), SymbolRow("bits", 1), SymbolRow("maybe", 1)],
         write=[SymbolRow("line", 8), SymbolRow("on", 1)],
@@ -157,7 +157,7 @@ def test_all_differences_are_one_error() -> None:
     assert (again.differences, str(again)) == (caught.value.differences, str(caught.value))
 
 
-def test_what_a_robot_may_lack() -> None:
+def test_optional_variable_may_be_missing() -> None:
     class Hopeful(Declarations):
         tick = Read(Int32)
         gyro = Read(Int32, 3, optional=True)
@@ -170,7 +170,7 @@ def test_what_a_robot_may_lack() -> None:
         _ = it.gyro
 
 
-def test_before_it_is_bound() -> None:
+def test_unbound_declarations_raise_not_connected() -> None:
     for it in (Everything(), robots.Smr()):
         with pytest.raises(LocalError, match="is not connected"):
             _ = it.whole if isinstance(it, Everything) else it.encl
@@ -189,7 +189,7 @@ def test_declarations_are_inherited_replaced_and_removed() -> None:
     assert "gyro" in robots.Smr.declared()
 
 
-def test_a_declaration_looked_at_in_its_class() -> None:
+def test_declaration_is_accessible_in_its_class() -> None:
     line = Everything.line
     assert_type(line, Read[NDArray[np.int32], ArrayLike])
     assert (line.name, line.unit, line.doc, line.length) == ("line", "raw", "reflectance", 8)
@@ -202,12 +202,12 @@ def test_a_declaration_looked_at_in_its_class() -> None:
     ("arguments", "options"),
     [((int,), {}), ((Int32, 0), {}), ((Int32, -1), {}), ((Int32,), {"order": "middle"})],
 )
-def test_declarations_that_cannot_be(arguments: tuple[Any, ...], options: dict[str, Any]) -> None:
+def test_read_rejects_invalid_arguments(arguments: tuple[Any, ...], options: dict[str, Any]) -> None:
     with pytest.raises(BadValue):
         Read(*arguments, **options)
 
 
-def test_a_variable_cannot_hide_what_every_robot_has() -> None:
+def test_variable_must_not_hide_an_attribute_of_its_base() -> None:
     with pytest.raises(
         BadValue, match=r"Bad.sync would hide an attribute that every Variables object has; .* name='sync'"
     ):
@@ -226,16 +226,16 @@ def test_a_variable_cannot_hide_what_every_robot_has() -> None:
     assert Good.declared()["synchronous"].name == "sync"
 
 
-def test_a_slip_of_the_pen_is_no_new_attribute() -> None:
+def test_misspelt_attribute_cannot_be_set() -> None:
     with pytest.raises(NotThere, match="Smr does not declare speedL"):
         robots.Smr().speedL = 5
 
 
 @pytest.mark.parametrize("robot", [robots.Smr, robots.VelocityOmega, robots.Ackerman, robots.Gps])
-def test_ready_made_robots_can_be_made_and_bound(robot: type[Variables]) -> None:
+def test_predefined_robots_can_be_created_and_bound(robot: type[Variables]) -> None:
     database = Database()
     create_variables(robot, database)
-    create_variables(robot, database)  # another plugin declares the same
+    create_variables(robot, database)  # another plugin declares the same variables
     it = robot()
     bind(it, database)
     assert len(database.read) + len(database.write) == len(robot.declared())
@@ -246,7 +246,7 @@ def test_ready_made_robots_can_be_made_and_bound(robot: type[Variables]) -> None
         assert len(declaration.name) <= 32
 
 
-def test_the_scales_of_the_original() -> None:
+def test_scales_equal_those_of_the_original() -> None:
     database = Database()
     create_variables(robots.VelocityOmega, database)
     it = robots.VelocityOmega()

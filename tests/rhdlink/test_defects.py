@@ -1,7 +1,7 @@
-"""The defects of the original server that section 13 of the protocol notes lists: ours has none of them.
+"""The defects of the original server that section 13 of the protocol notes lists: rhdlink has none of them.
 
-Each test is numbered as there. Hostile clients do their worst against a host that ticks by itself, while a witness has
-one sync answered after the other: a host that one client can stop fails by the deadline of the witness, on any machine.
+The numbers of the tests are the numbers of that list. Hostile clients attack a host with its own clock, while a witness
+client syncs repeatedly. If a single client can stop the host, the witness times out, on any machine.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ def robot() -> Robot:
 
 @pytest.fixture
 def host(robot: Robot) -> Iterator[Host]:
-    # A period that a hostile client cannot hide in: the witness needs fifty of them.
+    # The period is so short that a hostile client cannot act unnoticed within it: the witness needs fifty periods.
     with Host([robot], period=0.002, port=0, client_timeout=30.0) as host:
         yield host
 
 
 def witness(host: Host, syncs: int = 50) -> None:
-    """Another client comes and is answered, each time in a later round, and the robot's plugin has run in between."""
+    """Check that another client connects and is answered in later rounds, and that the plugin runs in between."""
     with RawClient(host.port) as client:
         client.greeting()
         last = client.value("tick")
@@ -85,7 +85,7 @@ HOSTILE_WRITES = {
     "id 2^31-1": int32(1, 2**31 - 1, 0, 0, 5),
     "id -2^31": int32(1, -(2**31), 0, 0, 5),
     "id is the number of variables": int32(1, 2, 0, 0, 5),
-    "a good entry before a hostile one": int32(2) + ENTRY + int32(77, 0, 0, 5),
+    "a valid entry before a hostile entry": int32(2) + ENTRY + int32(77, 0, 0, 5),
     "count -1": int32(-1),
     "count -2^31": int32(-(2**31)),
     "count 2^31-1": int32(2**31 - 1),
@@ -95,7 +95,7 @@ HOSTILE_WRITES = {
 
 @pytest.mark.parametrize("access", [b"aw", b"ar"])
 @pytest.mark.parametrize("payload", HOSTILE_WRITES.values(), ids=HOSTILE_WRITES)
-def test_1_and_13_hostile_ids_and_counts_close_their_connection_only(
+def test_1_and_13_hostile_ids_and_counts_close_only_their_link(
     host: Host, robot: Robot, access: bytes, payload: bytes
 ) -> None:
     with RawClient(host.port, access) as client:
@@ -108,7 +108,7 @@ def test_1_and_13_hostile_ids_and_counts_close_their_connection_only(
     assert host.writers == 0
 
 
-def test_2_a_reader_cannot_move_the_robot(host: Host, robot: Robot) -> None:
+def test_2_reader_cannot_move_the_robot(host: Host, robot: Robot) -> None:
     with RawClient(host.port) as client:
         client.greeting()
         client.send(b"rrdw" + int32(1) + ENTRY + b"ee")
@@ -119,7 +119,7 @@ def test_2_a_reader_cannot_move_the_robot(host: Host, robot: Robot) -> None:
     assert host.stats.refused_writes == 1
 
 
-def test_2_nor_can_a_refused_writer(host: Host, robot: Robot) -> None:
+def test_2_refused_writer_cannot_move_the_robot(host: Host, robot: Robot) -> None:
     with RawClient(host.port, b"aw") as master, RawClient(host.port, b"aw") as second:
         assert master.greeting().granted == "w"
         assert second.greeting().granted == "r"
@@ -128,7 +128,7 @@ def test_2_nor_can_a_refused_writer(host: Host, robot: Robot) -> None:
         master.sync({})
         master.sync({})
         assert robot.seen == [(0, False)]
-        # And if it insists on being a writer, it goes; the master stays.
+        # If it still tries to write, its connection is closed; the master stays connected.
         second.send(b"rwee")
         assert second.is_closed()
         master.sync({"speed": 3})
@@ -140,14 +140,14 @@ def test_2_nor_can_a_refused_writer(host: Host, robot: Robot) -> None:
 HALVES = {
     "one byte": b"r",
     "ready without an end": b"rr",
-    "a count and no entries": b"rrdw" + int32(2),
+    "a count without entries": b"rrdw" + int32(2),
     "half an entry": b"rrdw" + int32(1, 0, 0),
-    "everything but the last byte": b"rrdw" + int32(1) + ENTRY + b"e",
+    "all bytes except the last": b"rrdw" + int32(1) + ENTRY + b"e",
 }
 
 
 @pytest.mark.parametrize("half", HALVES.values(), ids=HALVES)
-def test_3_half_a_package_holds_up_nobody_and_can_be_completed(host: Host, half: bytes) -> None:
+def test_3_half_a_package_delays_no_client_and_can_be_completed(host: Host, half: bytes) -> None:
     whole = b"rrdw" + int32(2) + ENTRY + int32(1, 0, 0, 1, 2, 3, 4) + b"ee"
     if not whole.startswith(half):
         whole = b"rrdw" + int32(1) + ENTRY + b"ee"
@@ -160,7 +160,7 @@ def test_3_half_a_package_holds_up_nobody_and_can_be_completed(host: Host, half:
 
 
 @pytest.mark.parametrize("stray", [b"x", b"\0", b"ree", b"drxx", b"GET / HTTP/1.0\r\n\r\n", b"\xff" * 4096])
-def test_3_stray_bytes_end_their_own_connection(host: Host, stray: bytes) -> None:
+def test_3_stray_bytes_end_only_their_own_connection(host: Host, stray: bytes) -> None:
     with RawClient(host.port) as client:
         client.greeting()
         client.send(stray + b"rree")
@@ -169,7 +169,7 @@ def test_3_stray_bytes_end_their_own_connection(host: Host, stray: bytes) -> Non
 
 
 @pytest.mark.parametrize("said", [b"", b"a"])
-def test_4_silence_in_the_handshake_holds_up_nobody(host: Host, said: bytes) -> None:
+def test_4_silence_in_the_handshake_delays_no_client(host: Host, said: bytes) -> None:
     with ExitStack() as stack:
         silent = [stack.enter_context(RawClient(host.port, said)) for _ in range(5)]
         witness(host)
@@ -178,7 +178,7 @@ def test_4_silence_in_the_handshake_holds_up_nobody(host: Host, said: bytes) -> 
             client.greeting()
 
 
-def test_4_silent_connections_do_not_pile_up(host: Host) -> None:
+def test_4_number_of_silent_connections_is_bounded(host: Host) -> None:
     with ExitStack() as stack:
         silent = [stack.enter_context(RawClient(host.port, b"")) for _ in range(MOST_NEW + 1)]
         assert silent[0].is_closed()
@@ -188,13 +188,13 @@ def test_4_silent_connections_do_not_pile_up(host: Host) -> None:
 
 
 @pytest.mark.parametrize("said", [b"xr", b"ax", b"GET", b"\0\0", b"rree"])
-def test_4_what_is_no_handshake_is_closed_without_a_byte(host: Host, said: bytes) -> None:
+def test_4_invalid_handshake_is_closed_without_a_reply(host: Host, said: bytes) -> None:
     with RawClient(host.port, said) as client, suppress(ConnectionResetError):
         assert client.socket.recv(100) == b""
     witness(host, 3)
 
 
-def test_5_who_connects_meanwhile_gets_its_own_handshake_and_disturbs_nobody(host: Host) -> None:
+def test_5_connecting_client_gets_its_handshake_undisturbed(host: Host) -> None:
     with RawClient(host.port) as steady:
         steady.greeting()
         for _ in range(60):
@@ -202,18 +202,18 @@ def test_5_who_connects_meanwhile_gets_its_own_handshake_and_disturbs_nobody(hos
                 handshake = client.greeting()
                 assert [row.name for row in handshake.read] == ["tick", "counter", "calibration"]
                 assert [row.name for row in handshake.write] == ["speed", "arm"]
-                # `batch` refuses a table, or a package that belongs to another client's handshake.
+                # `batch` rejects a table, or a package that belongs to another client's handshake.
                 assert len(steady.sync().data) == 2
                 client.sync()
 
 
-def test_6_nothing_is_sent_that_was_not_asked_for(host: Host) -> None:
+def test_6_host_sends_nothing_unsolicited(host: Host) -> None:
     with RawClient(host.port) as quiet, RawClient(host.port) as other:
         quiet.greeting()
         other.greeting()
         for _ in range(5):
             other.sync()
-        # Ticks have passed since the handshake; the reply is of now, not of then.
+        # Ticks have passed since the handshake; the reply must contain the current values.
         quiet.sync()
         assert quiet.value("tick") > other.value("tick")
         quiet.socket.setblocking(False)
@@ -221,22 +221,22 @@ def test_6_nothing_is_sent_that_was_not_asked_for(host: Host) -> None:
             quiet.socket.recv(1)
 
 
-def test_7_a_refused_writer_is_told_so(host: Host) -> None:
+def test_7_refused_writer_is_granted_read_access(host: Host) -> None:
     with RawClient(host.port, b"aw") as master, RawClient(host.port, b"aw") as second:
         assert (master.greeting().granted, second.greeting().granted) == ("w", "r")
 
 
-def test_8_only_what_was_set_since_is_sent(host: Host) -> None:
+def test_8_only_newly_set_variables_are_sent(host: Host) -> None:
     with RawClient(host.port) as client:
         client.greeting()
         client.sync()
         for _ in range(3):
-            # tick and counter; calibration was set once, long ago
+            # The ids are those of tick and counter; calibration was set only once, long ago.
             (_, data) = client.sync().data
             assert data.ids.tolist() == [0, 1]
 
 
-def test_8_the_original_s_way_can_be_had(robot: Robot) -> None:
+def test_8_resend_original_sends_all_variables_set_once(robot: Robot) -> None:
     with Host([robot], period=0.002, port=0, resend="original") as host, RawClient(host.port) as client:
         client.greeting()
         for _ in range(3):
@@ -244,8 +244,8 @@ def test_8_the_original_s_way_can_be_had(robot: Robot) -> None:
             assert data.ids.tolist() == [0, 1, 2]
 
 
-def test_9_a_silent_master_costs_a_synchronized_host_one_period(robot: Robot) -> None:
-    # One period is the longest that a tick waits: were it a thousand, the witness would run out of time.
+def test_9_silent_master_delays_a_synchronized_host_one_period(robot: Robot) -> None:
+    # A tick waits for at most one period: with a thousand periods, the witness would time out.
     with Host([robot], period=0.005, port=0, synchronized=True) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         witness(host, 20)
@@ -253,7 +253,7 @@ def test_9_a_silent_master_costs_a_synchronized_host_one_period(robot: Robot) ->
         witness(host, 5)
 
 
-def test_10_every_reader_is_sent_the_write_table_whoever_left_before(robot: Robot) -> None:
+def test_10_every_reader_gets_the_write_table(robot: Robot) -> None:
     with ExitStack() as stack:
         host = stack.enter_context(Host([robot], period=0.002, port=0, allwriters=True))
         first, last = (stack.enter_context(RawClient(host.port, b"aw")) for _ in range(2))
@@ -262,7 +262,7 @@ def test_10_every_reader_is_sent_the_write_table_whoever_left_before(robot: Robo
         assert host.writers == 2
         last.close()
         until(lambda: host.writers == 1)
-        # It gets the slot of the writer that was granted last.
+        # The reader gets the slot of the writer that was granted access last.
         reader = stack.enter_context(RawClient(host.port))
         reader.greeting()
         first.sync({"speed": 6})
@@ -270,7 +270,7 @@ def test_10_every_reader_is_sent_the_write_table_whoever_left_before(robot: Robo
         assert reader.value("speed") == 6
 
 
-def test_11_an_index_equal_to_the_length_reaches_no_neighbour(robot: Robot) -> None:
+def test_11_index_equal_to_the_length_changes_no_neighbour(robot: Robot) -> None:
     with Host([robot], period=0.002, port=0) as host:
         with pytest.raises(BadValue):
             robot.calibration = [1, 2, 3, 4]
@@ -280,21 +280,21 @@ def test_11_an_index_equal_to_the_length_reaches_no_neighbour(robot: Robot) -> N
 
 
 @pytest.mark.real_time
-def test_12_the_port_is_free_again_at_once_and_of_this_machine_only(robot: Robot, own_port: int) -> None:
+def test_12_port_is_reusable_immediately_and_only_local(robot: Robot, own_port: int) -> None:
     with Host([robot], period=0.002, port=own_port):
         client = RawClient(own_port)
         client.greeting()
-    # The host closed first, so that its end of the connection lingers.
+    # The host closed its connection first, so its end of the connection is still in a waiting state.
     with Host([Robot()], period=0.002, port=own_port) as host:
         assert host.port == own_port
         witness(host, 1)
-        # Another address of this machine, which a server that listens everywhere would answer on.
+        # A server that listened on all addresses would also answer at this other address of the machine.
         with pytest.raises(OSError):  # noqa: PT011  (refused, or no such address)
             socket.create_connection(("127.0.0.2", own_port), timeout=1.0)
     client.close()
 
 
-def test_14_the_width_of_stamps_is_a_setting_and_not_the_machine_s(robot: Robot) -> None:
+def test_14_width_of_time_stamps_is_a_setting(robot: Robot) -> None:
     with Host([robot], period=0.002, port=0, width=4) as host, RawClient(host.port, b"aw", width=4) as master:
         assert master.greeting().width == 4
         master.send(b"rwdw" + int32(1, 0, 2_000_000_000, 1, 999_999, 0, 42) + b"ee")
@@ -307,7 +307,7 @@ def test_14_the_width_of_stamps_is_a_setting_and_not_the_machine_s(robot: Robot)
             assert reader.tables.write.stamp(identity) == (2_000_000_000 + (1 << 32), 999_999)
 
 
-def test_14_the_wrong_width_is_noticed(host: Host, robot: Robot) -> None:
+def test_14_wrong_width_is_detected(host: Host, robot: Robot) -> None:
     with RawClient(host.port, b"aw") as master:
         master.greeting()
         master.send(
@@ -328,12 +328,12 @@ class Wide(Plugin):
         self.big = [tick] * 4000
 
 
-def test_15_a_client_that_does_not_read_holds_up_nobody_and_keeps_nothing() -> None:
+def test_15_client_that_does_not_read_delays_no_other() -> None:
     with Host([Wide()], period=0.002, port=0, client_timeout=30.0) as host, RawClient(host.port, b"") as deaf:
         deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
         deaf.send(b"ar")
         deaf.socket.setblocking(False)
-        # Asking without reading works until the host reads no further, which is how it bounds what it keeps.
+        # Requests without reading succeed until the host stops reading, which bounds the host's buffer.
         with RawClient(host.port) as other:
             other.greeting()
             refused = 0
@@ -357,7 +357,7 @@ def test_15_a_client_that_does_not_read_holds_up_nobody_and_keeps_nothing() -> N
         assert ticks == sorted(set(ticks))
 
 
-def test_15_a_client_that_does_not_read_is_closed_in_the_end() -> None:
+def test_15_client_that_does_not_read_is_closed_eventually() -> None:
     with Host([Wide()], period=0.002, port=0, client_timeout=0.1) as host, RawClient(host.port, b"") as deaf:
         deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.send(b"ar" + b"rree" * 2000)
@@ -368,13 +368,13 @@ def test_15_a_client_that_does_not_read_is_closed_in_the_end() -> None:
         witnessed.close()
 
 
-def test_3_a_client_that_leaves_a_package_half_sent_is_closed_in_the_end(robot: Robot) -> None:
+def test_3_client_with_half_a_package_is_closed_eventually(robot: Robot) -> None:
     with Host([robot], period=0.002, port=0, client_timeout=0.1) as host:
         with RawClient(host.port, b"aw") as master:
             master.greeting()
             master.send(b"rwdw")
             assert master.is_closed()
-        # A client that has begun nothing may be silent for as long as it likes.
+        # A client that has not begun a package may be silent forever.
         with RawClient(host.port) as reader, RawClient(host.port, b"aw") as other:
             reader.greeting()
             other.greeting()
@@ -389,7 +389,7 @@ def test_16_lengths_are_checked(length: int) -> None:
         Database().read.add("big", length)
 
 
-def test_16_lengths_beyond_127_and_values_set_before_another_variable_is_made() -> None:
+def test_16_long_variables_keep_their_values() -> None:
     class Early(Plugin):
         first = Read(Int32, 300)
 
@@ -405,7 +405,7 @@ def test_16_lengths_beyond_127_and_values_set_before_another_variable_is_made() 
         assert client.words("second") == [0] * 200
 
 
-def test_17_the_end_is_in_order_whoever_is_connected(robot: Robot) -> None:
+def test_17_host_ends_in_order_with_connected_clients(robot: Robot) -> None:
     ended: list[str] = []
 
     class Ending(Plugin):
@@ -427,8 +427,8 @@ def test_17_the_end_is_in_order_whoever_is_connected(robot: Robot) -> None:
 
 
 @pytest.mark.slow
-def test_all_at_once(host: Host, robot: Robot) -> None:
-    """Thirty connections, each hostile in its own way, over and over; the master and a reader miss nothing."""
+def test_all_attacks_at_once_do_not_disturb_other_clients(host: Host, robot: Robot) -> None:
+    """Thirty connections attack repeatedly, each in its own way; the master and a reader must miss nothing."""
     worst = [
         b"",
         b"a",
@@ -456,7 +456,7 @@ def test_all_at_once(host: Host, robot: Robot) -> None:
             if len(hostile) > 30:
                 hostile.pop(0).close()
             before = master.value("tick")
-            # What the master writes now is what the reader is told in the round after, at the latest.
+            # The reader must receive the written value in the next round at the latest.
             master.sync({"speed": number})
             assert master.value("tick") > before
             reader.sync()

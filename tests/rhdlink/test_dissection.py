@@ -1,4 +1,4 @@
-"""Decoders and dissection, which both come from one declaration, agree on any bytes."""
+"""Decoders and dissection come from the same declaration and must agree on any bytes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ words = st.integers(-(2**31), 2**31 - 1)
 
 @st.composite
 def packages(draw: st.DrawFn, width: int, sender: str) -> bytes:
-    """A package that is right, or almost."""
+    """Draw a package that is valid or almost valid."""
     kind = draw(st.sampled_from("derrrtx" if sender == "client" else "dddetxr"))
     if kind == "d":
         direction = draw(st.sampled_from("wwwr" if sender == "client" else "rw"))
@@ -55,19 +55,19 @@ def packages(draw: st.DrawFn, width: int, sender: str) -> bytes:
         ((0, -(2**31), 0, 2**31 - 1), [-(2**63), (2**31 - 1) << 32]),
     ],
 )
-def test_time_stamps_of_four_words_are_numbers_of_64_bits_with_a_sign(words: tuple[int, ...], stamp: list[int]) -> None:
+def test_four_word_time_stamps_are_signed_64_bit_numbers(words: tuple[int, ...], stamp: list[int]) -> None:
     (piece,) = dissect(b"dw" + int32(1, 0, *words, 8), "client", TABLES, 4)
     assert piece.parts[1].content["stamp"] == stamp
 
 
-def test_a_variable_without_words_can_be_shown() -> None:
-    """No server has one, and the decoders refuse it; the dissection shows what there is."""
+def test_variable_without_words_is_shown() -> None:
+    """The decoders reject such a variable, which servers never have, but the dissection shows it."""
     table = b"tw" + int32(1, 0) + b"none".ljust(33, b"\0")
     (_, piece) = dissect(table + b"dw" + int32(1, 0, 1, 2), "server")
     assert (piece.error, piece.parts[1].content["words"]) == (None, [])
 
 
-def told(package: DataPackage) -> list[tuple[int, tuple[int, ...], list[int]]]:
+def decoded(package: DataPackage) -> list[tuple[int, tuple[int, ...], list[int]]]:
     return [(identity, stamp, values.tolist()) for identity, stamp, values in entries(package)]
 
 
@@ -80,7 +80,7 @@ def shown(piece: Piece) -> list[tuple[int, tuple[int, ...], list[int]]]:
 
 
 def shown_batches(pieces: list[Piece]) -> list[list[list[tuple[int, tuple[int, ...], list[int]]]]]:
-    """The data packages of each whole batch, up to the first piece that is wrong."""
+    """Return the data packages of each complete batch, up to the first invalid piece."""
     batches: list[list[list[tuple[int, tuple[int, ...], list[int]]]]] = []
     current: list[list[tuple[int, tuple[int, ...], list[int]]]] = []
     for piece in pieces:
@@ -96,7 +96,7 @@ def shown_batches(pieces: list[Piece]) -> list[list[list[tuple[int, tuple[int, .
 
 @pytest.mark.property
 @given(st.data(), st.sampled_from([2, 4]))
-def test_a_client_s_bytes(data: st.DataObject, width: int) -> None:
+def test_dissection_agrees_with_the_decoder_of_client_bytes(data: st.DataObject, width: int) -> None:
     raw = b"".join(data.draw(st.lists(packages(width, "client"), max_size=8)))
     decoder = ClientDecoder(TableLayout([row.length for row in WRITE]), width=width)
     decoder.feed(b"aw" + raw)
@@ -104,32 +104,32 @@ def test_a_client_s_bytes(data: st.DataObject, width: int) -> None:
     batches, refused = [], False
     try:
         while (request := decoder.take_request()) is not None:
-            batches.append([told(package) for package in request.data])
+            batches.append([decoded(package) for package in request.data])
     except PacketError:
         refused = True
     pieces = list(dissect(raw, "client", TABLES, width))
     assert b"".join(part.data for piece in pieces for part in piece.parts) == raw
     assert shown_batches(pieces) == batches
-    # It shows an access request wherever one stands, and does not know that only the first bytes can be one.
+    # The dissection shows access requests anywhere; it does not know that only the first bytes can be one.
     assume(all(piece.package[:1] != "a" for piece in pieces))
-    # What the decoder refuses is wrong in the dissection too. What is only cut off is waited for by the decoder.
+    # The dissection must mark everything that the decoder rejects. Incomplete data makes the decoder wait.
     wrong = [piece.error for piece in pieces if piece.error is not None]
     assert refused == bool(wrong and not any("cut off" in error or "one byte" in error for error in wrong))
 
 
 @pytest.mark.property
 @given(st.data(), st.sampled_from([2, 4]))
-def test_a_server_s_bytes(data: st.DataObject, width: int) -> None:
+def test_dissection_agrees_with_the_decoder_of_server_bytes(data: st.DataObject, width: int) -> None:
     greeting = Database(READ, WRITE).encode_handshake("r", width)
     raw = b"".join(data.draw(st.lists(packages(width, "server"), max_size=8)))
     decoder = ServerDecoder(width=width)
     decoder.feed(greeting + raw)
     handshake = decoder.take_handshake()
     assert handshake is not None
-    batches, refused = [[told(package) for package in handshake.data]], False
+    batches, refused = [[decoded(package) for package in handshake.data]], False
     try:
         while (batch := decoder.take_batch()) is not None:
-            batches.append([told(package) for package in batch.data])
+            batches.append([decoded(package) for package in batch.data])
     except PacketError:
         refused = True
     pieces = list(dissect(greeting + raw, "server", width=width))

@@ -1,4 +1,4 @@
-"""What the documents say of the tests is so."""
+"""The statements of the documentation about the tests must be true."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.listed import assert_listed
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_every_defect_has_the_tests_that_the_page_of_differences_names() -> None:
+def test_differences_page_lists_the_tests_of_every_defect() -> None:
     page = (ROOT / "docs" / "rhd-differences.md").read_text(encoding="utf-8")
     defects = (ROOT / "tests" / "rhdlink" / "test_defects.py").read_text(encoding="utf-8")
     there = set(re.findall(r"^def (test_\d+_\w+)\(", defects, re.MULTILINE))
@@ -18,12 +18,12 @@ def test_every_defect_has_the_tests_that_the_page_of_differences_names() -> None
     assert [int(number) for number in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)] == list(range(1, 18))
 
 
-def test_the_sections_that_comments_cite_are_there() -> None:
+def test_sections_cited_in_comments_exist() -> None:
     page = (ROOT / "docs" / "protocols" / "rhd.md").read_text(encoding="utf-8")
     sections = set(re.findall(r"^#+ (.+)$", page, re.MULTILINE))
     cited = set()
     for path in (ROOT / "src" / "rhdlink").rglob("*.py"):
-        # A citation may be broken over two lines of a comment.
+        # A citation may be split across two lines of a comment.
         text = re.sub(r"\n\s*#?\s*", " ", path.read_text(encoding="utf-8"))
         cited |= set(re.findall(r"docs/protocols/rhd\.md, ([A-Z][A-Za-z ]+)", text))
     assert len(cited) > 5

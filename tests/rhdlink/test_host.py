@@ -1,4 +1,4 @@
-"""The host: how plugins live, when ticks come, and how it ends."""
+"""The host: the life cycle of plugins, the times of ticks, and the end of the host."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ pytestmark = pytest.mark.simulated_time
 
 
 class Noted(Plugin):
-    """Notes what is done with it."""
+    """Plugin that notes the calls of its methods."""
 
     def __init__(
         self, name: str, notes: list[str], *, fails_in: str = "", critical: bool = True, safety: int = 0
@@ -62,7 +62,7 @@ class Noted(Plugin):
 
 
 class Stops(Plugin):
-    """Ends the host in its n-th round, after all others."""
+    """Plugin that stops the host in its n-th round, after all other plugins."""
 
     safety = 127
 
@@ -74,7 +74,7 @@ class Stops(Plugin):
             self.host.stop()
 
 
-def test_order_is_the_original_s_and_the_end_is_the_reverse_of_the_beginning() -> None:
+def test_plugins_run_in_the_original_order_and_end_in_reverse() -> None:
     notes: list[str] = []
     plugins = [Noted("a", notes), Noted("safe", notes, safety=1), Noted("b", notes), Noted("safest", notes, safety=9)]
     Host([*plugins, Stops()], port=0, period=0.001).run()
@@ -85,7 +85,7 @@ def test_order_is_the_original_s_and_the_end_is_the_reverse_of_the_beginning() -
     ]
 
 
-def test_a_critical_plugin_that_fails_in_init_ends_the_host_before_it_begins() -> None:
+def test_critical_plugin_failing_in_init_prevents_the_start() -> None:
     notes: list[str] = []
     host = Host([Noted("a", notes), Noted("bad", notes, fails_in="init"), Noted("c", notes)], port=0)
     with pytest.raises(PluginFailed, match="bad failed in init: RuntimeError: bad is out of order") as caught:
@@ -97,7 +97,7 @@ def test_a_critical_plugin_that_fails_in_init_ends_the_host_before_it_begins() -
         _ = host.port
 
 
-def test_a_plugin_that_is_not_critical_may_fail_in_init(caplog: pytest.LogCaptureFixture) -> None:
+def test_noncritical_plugin_may_fail_in_init(caplog: pytest.LogCaptureFixture) -> None:
     notes: list[str] = []
     host = Host(
         [Noted("a", notes), Noted("bad", notes, fails_in="init", critical=False), Stops()], port=0, period=0.001
@@ -108,7 +108,7 @@ def test_a_plugin_that_is_not_critical_may_fail_in_init(caplog: pytest.LogCaptur
     assert "bad failed in init" in caplog.text
 
 
-def test_a_critical_plugin_that_fails_ends_the_host_in_order(caplog: pytest.LogCaptureFixture) -> None:
+def test_critical_plugin_that_fails_ends_the_host_in_order(caplog: pytest.LogCaptureFixture) -> None:
     notes: list[str] = []
     host = Host([Noted("a", notes), Noted("bad", notes, fails_in="periodic"), Noted("c", notes)], port=0, period=0.001)
     with pytest.raises(PluginFailed, match="bad failed in periodic"):
@@ -121,7 +121,7 @@ def test_a_critical_plugin_that_fails_ends_the_host_in_order(caplog: pytest.LogC
     assert "critical plugin bad failed" in caplog.text
 
 
-def test_in_a_thread_the_failure_is_kept_for_who_asks() -> None:
+def test_failure_in_a_thread_is_raised_by_wait() -> None:
     notes: list[str] = []
     with Host([Noted("bad", notes, fails_in="periodic")], port=0, period=0.001) as host:
         with pytest.raises(PluginFailed):
@@ -131,11 +131,11 @@ def test_in_a_thread_the_failure_is_kept_for_who_asks() -> None:
 
 
 class Boom(BaseException):
-    """What no code expects."""
+    """Exception that no code expects."""
 
 
 @pytest.mark.parametrize("error", [ValueError("boom"), SystemExit(3), Boom()])
-def test_what_nobody_foresaw_is_kept_for_who_asks(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
+def test_unexpected_exception_is_raised_by_wait(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
     notes: list[str] = []
     with Host([Noted("a", notes)], port=0, pacing="lockstep") as host, RawClient(host.port) as client:
         client.greeting()
@@ -155,7 +155,7 @@ def test_what_nobody_foresaw_is_kept_for_who_asks(error: BaseException, caplog: 
 
 
 class Exits(Plugin):
-    """Calls sys.exit where it is told to."""
+    """Plugin that calls sys.exit in the given method."""
 
     def __init__(self, where: str) -> None:
         self.where = where
@@ -169,7 +169,7 @@ class Exits(Plugin):
             sys.exit("enough")
 
 
-def test_a_plugin_that_exits_has_failed() -> None:
+def test_plugin_that_calls_exit_has_failed() -> None:
     notes: list[str] = []
     with Host([Noted("a", notes), Exits("periodic")], port=0, period=0.001) as host:
         with pytest.raises(PluginFailed, match="exits failed in periodic: SystemExit: enough"):
@@ -183,24 +183,24 @@ def test_a_plugin_that_exits_has_failed() -> None:
 
 
 @pytest.mark.parametrize("timeout", [True, -1.0, float("nan"), "1"])
-def test_who_waits_says_for_how_many_seconds(timeout: Any) -> None:
+def test_wait_rejects_invalid_timeouts(timeout: Any) -> None:
     with Host([Noted("a", [])], port=0, period=0.01) as host, pytest.raises(BadValue, match="number of seconds"):
         host.wait(timeout)
 
 
-def test_a_plugin_that_exits_at_the_end_keeps_nobody_from_ending() -> None:
+def test_exit_in_terminate_does_not_stop_the_shutdown() -> None:
     notes: list[str] = []
     with Host([Noted("a", notes), Exits("terminate")], port=0, period=0.001):
         pass
     assert notes[-1] == "terminate a"
     notes.clear()
-    # In the caller's thread it may come from a signal handler, so it goes on its way when all have ended.
+    # In the caller's thread, SystemExit might come from a signal handler, so it is raised again after the shutdown.
     with pytest.raises(SystemExit):
         Host([Noted("a", notes), Exits("terminate"), Stops()], port=0, period=0.001).run()
     assert notes[-1] == "terminate a"
 
 
-def test_ctrl_c_in_a_plugin_ends_a_host_in_the_foreground_in_order() -> None:
+def test_ctrl_c_in_a_plugin_ends_a_foreground_host_in_order() -> None:
     class Interrupted(Plugin):
         def periodic(self, tick: int) -> None:
             signal.raise_signal(signal.SIGINT)
@@ -215,7 +215,7 @@ def test_ctrl_c_in_a_plugin_ends_a_host_in_the_foreground_in_order() -> None:
         host.wait(0.0)
 
 
-def test_a_plugin_that_does_not_come_back_is_named_by_close() -> None:
+def test_close_reports_a_plugin_that_does_not_return() -> None:
     class Hangs(Plugin):
         released = threading.Event()
 
@@ -233,7 +233,7 @@ def test_a_plugin_that_does_not_come_back_is_named_by_close() -> None:
     assert host.wait(10.0)
 
 
-def test_a_host_that_has_not_run_has_counted_nothing_and_can_be_stopped() -> None:
+def test_unstarted_host_has_zero_statistics_and_can_be_stopped() -> None:
     host = Host([Echo()])
     assert host.stats == HostStatistics(0, 0, 0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, ())
     assert host.writers == 0
@@ -241,14 +241,14 @@ def test_a_host_that_has_not_run_has_counted_nothing_and_can_be_stopped() -> Non
     host.close()
 
 
-def test_a_host_is_reached_at_its_address() -> None:
-    """Also one that listens on all addresses, which is none to connect to."""
+def test_host_is_reachable_at_its_address() -> None:
+    """A host that listens on all addresses must report an address that clients can connect to."""
     for listening, reached in (("127.0.0.1", "127.0.0.1"), ("", "127.0.0.1"), ("localhost", "localhost")):
         with Host([Echo()], port=0, address=listening) as host:
             assert parse_address(host.address) == (reached, host.port)
 
 
-def test_without_a_thread_left_it_says_so_and_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_start_without_a_free_thread_raises_and_terminates(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_thread(self: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
@@ -262,7 +262,7 @@ def test_without_a_thread_left_it_says_so_and_has_ended(monkeypatch: pytest.Monk
     host.close()
 
 
-def test_a_plugin_that_is_not_critical_is_disabled_and_the_host_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+def test_failed_noncritical_plugin_is_disabled(caplog: pytest.LogCaptureFixture) -> None:
     notes: list[str] = []
     bad = Noted("bad", notes, fails_in="periodic", critical=False)
     host = Host([Noted("a", notes), bad, Stops(2)], port=0, period=0.001)
@@ -277,7 +277,7 @@ def test_a_plugin_that_is_not_critical_is_disabled_and_the_host_goes_on(caplog: 
     assert "bad failed in periodic" in caplog.text
 
 
-def test_one_that_fails_at_the_end_keeps_nobody_from_ending(caplog: pytest.LogCaptureFixture) -> None:
+def test_failure_in_terminate_does_not_stop_the_shutdown(caplog: pytest.LogCaptureFixture) -> None:
     notes: list[str] = []
     Host([Noted("a", notes), Noted("bad", notes, fails_in="terminate"), Stops()], port=0, period=0.001).run()
     assert notes[-2:] == ["terminate bad", "terminate a"]
@@ -304,11 +304,11 @@ def test_plugins_share_variables_of_the_same_name() -> None:
         master.sync({"speed": 100})
         master.sync({})
         master.sync({})
-        # The guard runs after the drive: the first round went too far, the others did not.
+        # The guard runs after the drive, so only the first round uses the excessive speed.
         assert master.value("moved") == 110
 
 
-def test_variables_that_cannot_be_together_are_the_second_plugin_s_failure() -> None:
+def test_conflicting_variables_fail_the_second_plugin() -> None:
     class One(Plugin):
         speed = Write(Int32)
 
@@ -338,7 +338,7 @@ class Echo(Plugin):
             self.orders = self.orders + 1
 
 
-def test_in_lockstep_each_request_is_one_tick_and_the_bytes_are_the_same_each_time() -> None:
+def test_lockstep_makes_one_tick_per_request_reproducibly() -> None:
     def run() -> tuple[bytes, list[int]]:
         echo = Echo()
         with Host([echo], port=0, period=0.01, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
@@ -361,7 +361,7 @@ def test_in_lockstep_each_request_is_one_tick_and_the_bytes_are_the_same_each_ti
     assert first[1] == [number for number in range(50) if number % 3]
 
 
-def test_in_lockstep_requests_sent_ahead_make_a_tick_each() -> None:
+def test_lockstep_makes_a_tick_for_each_queued_request() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.send(master.request({"order": 1}) * 3)
@@ -370,7 +370,7 @@ def test_in_lockstep_requests_sent_ahead_make_a_tick_each() -> None:
             assert master.value("tick") == tick
 
 
-def test_in_lockstep_nonsense_sent_ahead_ends_the_connection_after_the_reply() -> None:
+def test_lockstep_replies_before_it_rejects_later_nonsense() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
         reader.greeting()
         reader.send(b"rreexx")
@@ -378,7 +378,7 @@ def test_in_lockstep_nonsense_sent_ahead_ends_the_connection_after_the_reply() -
         assert host.tick == 1
 
 
-def test_a_tick_wraps_as_a_number_of_32_bits() -> None:
+def test_tick_variable_wraps_at_32_bits() -> None:
     host = Host([Echo()], port=0, period=0.25, pacing="lockstep")
     host.tick = 2**31 - 2
     with host, RawClient(host.port) as reader:
@@ -388,13 +388,13 @@ def test_a_tick_wraps_as_a_number_of_32_bits() -> None:
             reader.sync()
             ticks.append(reader.value("tick"))
         assert ticks == [2**31 - 1, -(2**31), -(2**31) + 1]
-        # The host's own goes on, and the time with it.
+        # The tick of the host does not wrap, and the time continues.
         assert host.tick == 2**31 + 1
         assert reader.tables.read.stamp(0) == (2**29, 250_000)
 
 
-def test_in_lockstep_readers_go_on_when_the_master_is_gone() -> None:
-    """However it went: here the host finds out when it answers a request to which nobody listens any more."""
+def test_lockstep_readers_continue_after_the_master_leaves() -> None:
+    """The host notices the closed connection only when it replies to a request of the master."""
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
         reader.greeting()
         for _ in range(20):
@@ -402,12 +402,12 @@ def test_in_lockstep_readers_go_on_when_the_master_is_gone() -> None:
                 master.greeting()
                 reader.send(b"rree")
                 master.send(master.request({"order": 1}) * 5)
-            # Nothing else happens now that could wake the host.
+            # No other event could wake the host now.
             reader.batch()
             until(lambda: host.writers == 0)
 
 
-def test_in_lockstep_readers_go_along_with_the_master() -> None:
+def test_lockstep_readers_wait_for_ticks_of_the_master() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, ExitStack() as stack:
         reader = stack.enter_context(RawClient(host.port))
         reader.greeting()
@@ -415,7 +415,7 @@ def test_in_lockstep_readers_go_along_with_the_master() -> None:
         assert reader.value("tick") == 1
         master = stack.enter_context(RawClient(host.port, b"aw"))
         master.greeting()
-        # Now it is the master who makes the ticks: the reader waits for one.
+        # The master now causes the ticks: the reader waits for the next one.
         reader.send(b"rree")
         for _ in range(20):
             master.sync({"order": 7})
@@ -424,27 +424,27 @@ def test_in_lockstep_readers_go_along_with_the_master() -> None:
         assert 1 < reader.value("tick") <= 21
 
 
-def test_an_update_is_seen_in_one_round_and_what_it_causes_goes_out_in_the_next() -> None:
+def test_update_takes_effect_in_the_next_round() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"order": 5})
         assert (master.value("echo"), master.value("orders")) == (0, 0)
         master.sync({})
         assert (master.value("echo"), master.value("orders")) == (5, 1)
-        # The same value again is an update too.
+        # Setting the same value again is also an update.
         master.sync({"order": 5})
         master.sync({})
         master.sync({})
         assert (master.value("echo"), master.value("orders")) == (5, 2)
 
 
-def test_what_a_master_says_last_still_counts() -> None:
+def test_last_values_of_a_leaving_master_are_applied() -> None:
     echo = Echo()
     with Host([echo], port=0, period=0.002) as host:
         with RawClient(host.port, b"aw") as master:
             master.greeting()
             master.sync({"order": 8})
-            # The last command, and the end, reach the host together.
+            # The last command and the end of the connection reach the host together.
             master.send(master.request({"order": 1}) + master.request({"order": 0}))
         until(lambda: host.writers == 0)
         until(lambda: 0 in echo.seen)
@@ -452,8 +452,8 @@ def test_what_a_master_says_last_still_counts() -> None:
     assert echo.seen[-1] == 0
 
 
-def test_what_a_master_that_asked_as_a_reader_says_last_still_counts() -> None:
-    """A writer may ask with `rr`; its values are taken like any others, also when it leaves."""
+def test_last_values_of_a_leaving_master_using_rr_are_applied() -> None:
+    """A writer may send requests with `rr`. Its values are applied in the same way, even when it leaves."""
     echo = Echo()
     with Host([echo], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
         reader.greeting()
@@ -462,7 +462,7 @@ def test_what_a_master_that_asked_as_a_reader_says_last_still_counts() -> None:
             request = master.request({"order": 5})
             master.send(request.replace(b"rw", b"rr", 1))
             master.batch()
-            # Two that are complete when it leaves.
+            # Two requests that are complete when the master leaves.
             master.send(master.request({"order": 6}).replace(b"rw", b"rr", 1) * 2)
             master.send(master.request({"order": 7}).replace(b"rw", b"rr", 1))
         until(lambda: host.writers == 0)
@@ -472,7 +472,7 @@ def test_what_a_master_that_asked_as_a_reader_says_last_still_counts() -> None:
     assert echo.seen[-1] == 7
 
 
-def test_requests_sent_ahead_are_answered_one_a_tick() -> None:
+def test_queued_requests_are_answered_one_per_tick() -> None:
     with Host([Echo()], port=0, period=0.002) as host, RawClient(host.port) as reader:
         reader.greeting()
         reader.send(b"rree" * 3)
@@ -483,7 +483,7 @@ def test_requests_sent_ahead_are_answered_one_a_tick() -> None:
         assert ticks == [ticks[0], ticks[0] + 1, ticks[0] + 2]
 
 
-def test_a_request_may_have_no_values_and_any_order_and_an_end_needs_no_reply() -> None:
+def test_requests_may_be_empty_reordered_or_end_without_reply() -> None:
     echo = Echo()
     with Host([echo], port=0, period=0.002) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
@@ -500,7 +500,7 @@ def test_a_request_may_have_no_values_and_any_order_and_an_end_needs_no_reply() 
     assert echo.seen == [3]
 
 
-def test_seats_are_limited_and_free_again() -> None:
+def test_client_slots_are_limited_and_reused() -> None:
     with Host([Echo()], port=0, period=0.002, clients=2) as host, ExitStack() as stack:
         first, second = (stack.enter_context(RawClient(host.port)) for _ in range(2))
         first.greeting()
@@ -514,7 +514,7 @@ def test_seats_are_limited_and_free_again() -> None:
         assert host.stats.refused_clients == 1
 
 
-def test_idle_readers_keep_nobody_out() -> None:
+def test_idle_readers_are_evicted_for_new_clients() -> None:
     with Host([Echo()], port=0, period=0.002, clients=10, inactivity_timeout=0.2) as host, ExitStack() as stack:
         with RawClient(host.port, b"aw") as master:
             master.greeting()
@@ -529,17 +529,17 @@ def test_idle_readers_keep_nobody_out() -> None:
                 newcomer.greeting()
                 newcomer.sync()
                 busy.sync()
-                # The one that has been idle for longest goes, and is told by the end of its connection.
+                # The reader that has been idle the longest is evicted: the host closes its connection.
                 assert idle[number].is_closed()
                 assert host.stats.evicted_clients == number + 1
             busy.sync()
-            # The master has said nothing all along, and keeps its slot.
+            # The master has sent nothing during this time and keeps its slot.
             assert host.writers == 1
             master.sync({"order": 1})
         assert host.stats.refused_clients == 0
 
 
-def test_a_reader_that_is_idle_keeps_its_slot_while_there_is_room_or_it_is_not_idle_for_long() -> None:
+def test_idle_reader_keeps_its_slot_unless_needed_and_old() -> None:
     with Host([Echo()], port=0, period=0.002, clients=2, inactivity_timeout=0.05) as host, ExitStack() as stack:
         first = stack.enter_context(RawClient(host.port))
         first.greeting()
@@ -554,7 +554,7 @@ def test_a_reader_that_is_idle_keeps_its_slot_while_there_is_room_or_it_is_not_i
         assert host.stats.evicted_clients == 0
 
 
-def test_the_master_s_slot_is_free_when_it_has_left() -> None:
+def test_slot_of_the_master_is_free_after_it_leaves() -> None:
     with Host([Echo()], port=0, period=0.002) as host, ExitStack() as stack:
         with RawClient(host.port, b"aw") as master:
             assert master.greeting().granted == "w"
@@ -566,7 +566,7 @@ def test_the_master_s_slot_is_free_when_it_has_left() -> None:
             assert host.writers == 1
 
 
-def test_with_allwriters_all_may_write() -> None:
+def test_allwriters_lets_all_clients_write() -> None:
     echo = Echo()
     with Host([echo], port=0, period=0.002, allwriters=True) as host, ExitStack() as stack:
         clients = [stack.enter_context(RawClient(host.port, b"aw")) for _ in range(3)]
@@ -574,18 +574,18 @@ def test_with_allwriters_all_may_write() -> None:
         for number, client in enumerate(clients):
             client.sync({"order": 10 + number})
             until(lambda number=number: 10 + number in echo.seen)  # type: ignore[misc]
-            # Each is told its own values too (section 4).
+            # Each client also receives its own values (section 4).
             clients[0].sync({})
             assert clients[0].value("order") == 10 + number
 
 
 class Waits:
-    """A server on a clock of its own: notes until when the host waits, and lets time pass until it is enough."""
+    """Server with a fake clock: notes the end of each wait, and lets time pass until the condition is true."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock = Clock()
         self.until: list[float | None] = []
-        #: called when a wait begins, for what happens in it
+        #: called at the start of a wait, to simulate events during the wait
         self.happens: Callable[[], None] = lambda: None
         self.clock.replace(host_module, monkeypatch)
 
@@ -599,14 +599,14 @@ class Waits:
 @pytest.mark.parametrize(
     ("writers", "is_asked", "synchronized", "until"),
     [
-        (1, False, True, [101.0, 102.0, 103.0, 104.0]),  # the one writer has a period beside that of the tick
+        (1, False, True, [101.0, 102.0, 103.0, 104.0]),  # a single writer gets an additional period
         (1, True, True, [101.0, 102.0, 102.0, 103.0]),
         (0, False, True, [101.0, 102.0, 102.0, 103.0]),
         (2, False, True, [101.0, 102.0, 102.0, 103.0]),
         (1, False, False, [101.0, 102.0]),
     ],
 )
-def test_who_is_waited_for(
+def test_synchronized_host_waits_only_for_a_single_writer(
     monkeypatch: pytest.MonkeyPatch, writers: int, is_asked: bool, synchronized: bool, until: list[float]
 ) -> None:
     waits = Waits(monkeypatch)
@@ -615,39 +615,39 @@ def test_who_is_waited_for(
     for _ in range(2):
         host._wait_for_tick(service, waits)  # type: ignore[arg-type]
     assert waits.until == until
-    # To wait for the writer is not to be late.
+    # Waiting for the writer does not count as being late.
     assert (host.stats.late_worst, host.stats.overruns) == (0.0, 0)
 
 
-def test_a_host_that_is_stopped_in_a_wait_waits_for_no_writer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stopped_host_does_not_wait_for_a_writer(monkeypatch: pytest.MonkeyPatch) -> None:
     waits = Waits(monkeypatch)
     host = Host(period=1.0, synchronized=True)
     service: Any = SimpleNamespace(writers=1, is_asked=False)
     waits.happens = host.stop
     host._wait_for_tick(service, waits)  # type: ignore[arg-type]
     assert (waits.until, waits.clock.now) == ([101.0], 100.0)
-    # Nor on, when it is stopped while it waits for one.
+    # The host also stops waiting if it is stopped while it waits for a writer.
     host = Host(period=1.0, synchronized=True)
     waits.happens = lambda: host.stop() if len(waits.until) == 3 else None
     host._wait_for_tick(service, waits)  # type: ignore[arg-type]
     assert (waits.until, waits.clock.now) == ([101.0, 101.0, 102.0], 101.0)
 
 
-def test_a_master_that_is_slower_than_the_period_is_waited_for() -> None:
+def test_synchronized_host_waits_for_a_slow_master() -> None:
     with Host([Echo()], port=0, period=0.2, synchronized=True) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({})
         first = master.value("tick")
         for number in range(1, 4):
-            time.sleep(0.25)  # a period and a bit, of the two that it may take
+            time.sleep(0.25)  # slightly more than one period; the master may take two
             master.sync({})
             assert master.value("tick") == first + number
         assert host.stats.overruns == 0
 
 
-def test_synchronized_each_tick_waits_for_the_master() -> None:
+def test_synchronized_ticks_wait_for_the_master() -> None:
     echo = Echo()
-    # So long a wait that the test ends within one if the host waits at all.
+    # The period is so long that the test ends within a single wait if the host waits at all.
     with Host([echo], port=0, period=0.1, synchronized=True) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"order": 1})
@@ -658,32 +658,32 @@ def test_synchronized_each_tick_waits_for_the_master() -> None:
     assert echo.seen[-5:] == list(range(5))
 
 
-def test_a_free_running_host_serves_its_clients() -> None:
+def test_free_running_host_serves_its_clients() -> None:
     with Host([Echo()], port=0, pacing="free") as host, RawClient(host.port) as client:
         client.greeting()
         for _ in range(5):
             client.sync()
-        assert host.stats.late_worst == 0.0  # nothing is due at any time
+        assert host.stats.late_worst == 0.0  # no tick has a due time
 
 
-def test_the_first_tick_is_due_a_period_after_the_start() -> None:
+def test_first_tick_is_due_a_period_after_the_start() -> None:
     host = Host([Stops(3)], port=0, period=0.05)
     began = time.monotonic()
     host.run()
     assert time.monotonic() - began >= 0.1
-    assert host.stats.skipped < 1000  # and not at the beginning of time
+    assert host.stats.skipped < 1000  # the schedule does not begin at time zero
 
 
-def test_free_running_ticks_follow_each_other() -> None:
+def test_free_running_ticks_follow_without_a_gap() -> None:
     host = Host([Stops(1000)], port=0, pacing="free")
     host.run()
     assert host.tick == 999
 
 
-def test_missed_ticks_are_not_made_up_for() -> None:
-    """After a plugin that takes 50 periods, ticks come no closer together than before.
+def test_missed_ticks_are_not_caught_up() -> None:
+    """After a plugin has taken 50 periods, the next ticks come no closer together than before.
 
-    A loaded machine makes them fewer and not more, so the bound holds on any.
+    A loaded machine only makes the ticks fewer, so the bound holds on any machine.
     """
 
     class Slow(Plugin):
@@ -698,8 +698,8 @@ def test_missed_ticks_are_not_made_up_for() -> None:
     slow = Slow()
     host = Host([slow, Stops(25)], port=0, period=0.01)
     host.run()
-    # From the end of the slow round to the last there are 20 ticks: they need 20 periods, but for the part of one that
-    # had passed when it ended. Ticks that are made up for would need none.
+    # From the end of the slow round to the last tick there are 20 ticks. They take 20 periods, except for the part of a
+    # period that had passed at the end of the slow round. Ticks that were caught up would take no time.
     assert slow.ticks[-1] - slow.ticks[4] >= 0.17
     assert host.stats.skipped >= 49
     assert host.tick == 24
@@ -708,15 +708,15 @@ def test_missed_ticks_are_not_made_up_for() -> None:
 @pytest.mark.property
 @given(
     st.floats(0.001, 1.0),
-    # Whole periods and a part of one, so that rounding decides nothing.
+    # Whole periods and a fraction of a period, so that rounding does not decide the result.
     st.lists(st.builds(float.__add__, st.integers(0, 20).map(float), st.floats(0.05, 0.95)), min_size=1, max_size=40),
 )
-def test_ticks_are_due_at_whole_periods_whatever_came_late(period: float, lateness: list[float]) -> None:
+def test_ticks_are_due_at_whole_periods_despite_delays(period: float, lateness: list[float]) -> None:
     schedule = TickSchedule(period, 100.0)
     now = 100.0
     for number, periods in enumerate(lateness, 1):
         due = schedule.advance()
-        # Never sooner than the period in which the tick before it came.
+        # The tick is not due before the period of the previous tick.
         assert due > now - period * 1e-6
         now = due + periods * period
         schedule.came(now)
@@ -729,7 +729,7 @@ def test_ticks_are_due_at_whole_periods_whatever_came_late(period: float, latene
     assert 0.0 <= median <= p99 <= schedule.worst == pytest.approx(max(lateness) * period)
 
 
-def test_a_tick_that_comes_too_late_is_counted_and_not_made_up_for() -> None:
+def test_late_tick_is_counted_but_not_caught_up() -> None:
     class Slow(Plugin):
         late = threading.Event()
 
@@ -747,8 +747,8 @@ def test_a_tick_that_comes_too_late_is_counted_and_not_made_up_for() -> None:
 
 
 @pytest.mark.slow
-def test_requests_without_end_sent_ahead_are_all_answered() -> None:
-    """More than the host keeps: it reads again when it has answered some."""
+def test_thousands_of_queued_requests_are_all_answered() -> None:
+    """The requests exceed the buffer of the host, which reads again after it has replied to some of them."""
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
         reader.greeting()
         reader.send(b"rree" * 3000)
@@ -757,7 +757,7 @@ def test_requests_without_end_sent_ahead_are_all_answered() -> None:
             assert reader.value("tick") == tick
 
 
-def test_what_nobody_says_is_as_the_original_s_clients_expect() -> None:
+def test_host_defaults_suit_the_original_clients() -> None:
     parameters = inspect.signature(Host).parameters
     assert parameters["port"].default == PORT == 24902
     assert parameters["address"].default == "127.0.0.1"
@@ -775,7 +775,7 @@ def test_what_nobody_says_is_as_the_original_s_clients_expect() -> None:
         ("synchronized", '<mode value="synchronized"/>', "lockstep", False),
     ],
 )
-def test_scheduler_and_mode_of_a_file(kind: str, mode: str, pacing: str, synchronized: bool) -> None:
+def test_scheduler_and_mode_of_a_file_set_the_pacing(kind: str, mode: str, pacing: str, synchronized: bool) -> None:
     text = f'<rhd><scheduler><type value="{kind}"/></scheduler><server>{mode}</server></rhd>'
     host = Host.from_config(parse_config(text))
     assert (host._pacing, host._synchronized) == (pacing, synchronized)
@@ -834,7 +834,7 @@ def test_host_from_a_file_rejects_plugins_without_periodic() -> None:
         Host.from_config(config)
 
 
-def test_a_host_from_a_file() -> None:
+def test_host_is_created_from_a_file() -> None:
     with Host.from_config(parse_config(CONFIG)) as host, RawClient(host.port) as client:
         (plugin,) = host.plugins
         assert (plugin.name, plugin.is_critical, plugin.safety) == ("robot", True, 3)
@@ -843,19 +843,19 @@ def test_a_host_from_a_file() -> None:
         assert client.value("gain") == 14
 
 
-def test_real_time_priority_is_not_had_and_that_is_said(caplog: pytest.LogCaptureFixture) -> None:
+def test_real_time_priority_logs_that_it_is_not_supported(caplog: pytest.LogCaptureFixture) -> None:
     Host.from_config(parse_config("<rhd/>"))
     assert caplog.text == ""
     Host.from_config(parse_config("<rhd><scheduler><realtimepriority enable='true'/></scheduler></rhd>"))
     assert "real-time priority is requested, but not supported by this host" in caplog.text
 
 
-def test_arguments_have_the_last_word_over_the_file() -> None:
+def test_arguments_override_the_file() -> None:
     host = Host.from_config(parse_config(CONFIG), period=0.5, clients=1)
     assert host.period == 0.5
 
 
-def test_a_class_that_is_no_plugin_is_refused() -> None:
+def test_file_with_a_class_that_is_not_a_plugin_is_rejected() -> None:
     text = CONFIG.replace("tests.rhdlink.test_host:Configured", "collections:OrderedDict")
     with pytest.raises(BadConfiguration, match="is not an rhdlink"):
         Host.from_config(parse_config(text))
@@ -882,12 +882,12 @@ def test_a_class_that_is_no_plugin_is_refused() -> None:
         {"address": None},
     ],
 )
-def test_arguments_that_cannot_be(wrong: dict[str, Any]) -> None:
+def test_host_rejects_invalid_arguments(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadValue):
         Host(**wrong)
 
 
-def test_a_plugin_is_given_once_and_a_host_runs_once() -> None:
+def test_host_rejects_duplicate_plugins_and_a_second_run() -> None:
     plugin = Echo()
     with pytest.raises(BadValue):
         Host([plugin, plugin])
@@ -899,7 +899,7 @@ def test_a_plugin_is_given_once_and_a_host_runs_once() -> None:
     host.close()
 
 
-def test_an_address_that_is_taken_or_is_none() -> None:
+def test_start_raises_when_the_address_cannot_be_used() -> None:
     notes: list[str] = []
     with Host([Echo()], port=0) as host, pytest.raises(BadAddress, match="cannot listen"):
         Host([Noted("a", notes)], port=host.port).start()
@@ -910,11 +910,11 @@ def test_an_address_that_is_taken_or_is_none() -> None:
 
 @pytest.mark.real_time
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
-def test_a_forked_child_does_not_end_its_parent_s_host() -> None:
+def test_forked_child_does_not_end_the_host_of_its_parent() -> None:
     with Host([Echo()], port=0, period=0.002) as host, RawClient(host.port) as client:
         client.greeting()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of forking with threads, which is what is tried here
+            warnings.simplefilter("ignore", DeprecationWarning)  # forking with threads is intended here
             child = os.fork()
         if not child:  # pragma: no cover
             host.close()
@@ -925,7 +925,7 @@ def test_a_forked_child_does_not_end_its_parent_s_host() -> None:
         try:
             for _ in range(3):
                 client.sync()
-            # The child lives on, and has no copy of the connection that would keep it open.
+            # The child is still running, but has no copy of the connection that would keep it open.
             client.send(b"nonsense")
             assert client.is_closed()
             with RawClient(host.port) as other:
@@ -945,6 +945,6 @@ def test_a_forked_child_does_not_end_its_parent_s_host() -> None:
         (3, "plugins=3; expected a list of plugins"),
     ],
 )
-def test_what_is_no_plugin_is_said(plugins: Any, text: str) -> None:
+def test_host_rejects_objects_that_are_not_plugins(plugins: Any, text: str) -> None:
     with pytest.raises(BadValue, match=text):
         Host(plugins)

@@ -1,4 +1,4 @@
-"""Small promises of a mobile robot's client, each of which a forgotten or a late statement would break."""
+"""Small guarantees of the client, each of which would break if a statement were missing or came too late."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_asyncio_robot_is_closed_before_its_connection(host: rhdlink.Host, monke
 
 @pytest.fixture
 def replica() -> Replica:
-    """Of a robot with two variables in each direction, whose order changes with `adopt_reversed`."""
+    """Replica of a robot with two variables in each direction; `adopt_reversed` changes their order."""
     replica = Replica("robot", "send", rhdlink.Variables)
     with replica.lock:
         replica.adopt(tables("a", "b"))
@@ -83,7 +83,7 @@ def tables(*names: str) -> Database:
 
 
 def adopt_reversed(replica: Replica) -> None:
-    """A new connection, to a robot that has the variables in another order."""
+    """Simulate a new connection to a robot whose variables have the reverse order."""
     database = tables("b", "a")
     database.read.set(0, 2)
     database.read.set(1, 1)
@@ -91,7 +91,7 @@ def adopt_reversed(replica: Replica) -> None:
         replica.adopt(database)
 
 
-def test_value_is_of_its_name_when_the_order_changes(host: rhdlink.Host, replica: Replica) -> None:
+def test_value_matches_its_name_when_the_order_changes(host: rhdlink.Host, replica: Replica) -> None:
     with rhdlink.connect(host.address) as robot:
         robot._replica = replica
         lock = replica.lock
@@ -100,7 +100,7 @@ def test_value_is_of_its_name_when_the_order_changes(host: rhdlink.Host, replica
         assert robot["a"] == 1
 
 
-def test_request_has_the_numbers_of_its_connection(replica: Replica) -> None:
+def test_request_uses_the_ids_of_its_connection(replica: Replica) -> None:
     replica.set("a", 7)
     lock = replica.lock
     replica.lock = Contended(lock, before=lambda: adopt_reversed(replica))  # type: ignore[assignment]
@@ -120,7 +120,7 @@ def test_flags_of_a_batch_stay_until_the_next_is_applied(replica: Replica) -> No
     assert not updated[0]
 
 
-def test_queue_of_a_subscriber_is_used_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_subscriber_queue_is_used_by_one_thread_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     inside, most = [0], [0]
     threads: list[Any] = []
     subscribers = Subscribers("robot")
@@ -143,7 +143,7 @@ def test_queue_of_a_subscriber_is_used_by_one_thread(monkeypatch: pytest.MonkeyP
     assert most == [1]
 
 
-def test_connection_is_kept_before_it_is_reported(host: rhdlink.Host, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connection_is_stored_before_it_is_reported(host: rhdlink.Host, monkeypatch: pytest.MonkeyPatch) -> None:
     with rhdlink.connect(host.address) as robot:
         seen: list[bool] = []
         tell = Subscribers.tell

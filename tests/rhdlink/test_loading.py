@@ -1,4 +1,4 @@
-"""`rhdlink.load`: a column for each variable, typed as it was declared."""
+"""`rhdlink.load`: a column for each variable, with its declared type."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Otherwise(Variables):
 
 
 @pytest.mark.simulated_time
-def test_columns_of_words_and_of_what_was_declared(tmp_path: Path) -> None:
+def test_load_returns_columns_of_words_or_declared_types(tmp_path: Path) -> None:
     path = tmp_path / "drive.urlog"
     with (
         Host([Counting()], port=0, pacing="lockstep") as host,
@@ -53,7 +53,7 @@ def test_columns_of_words_and_of_what_was_declared(tmp_path: Path) -> None:
             robot.sync()
     words = rhdlink.load(path)
     counts = words["count"].tolist()
-    assert counts[1:] == list(range(counts[0], counts[0] + len(counts) - 1))  # the handshake has the first as well
+    assert counts[1:] == list(range(counts[0], counts[0] + len(counts) - 1))  # the handshake repeats the first count
     assert len(counts) >= 20
     assert words["sizes"].shape == (len(counts), 3)
     assert words["length"].shape == (len(counts), 2)

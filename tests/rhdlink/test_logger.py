@@ -1,4 +1,4 @@
-"""The logger: every tick in the file, and no tick that waits for it."""
+"""The logger: every tick is in the file, and no tick waits for the logger."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def read_table(path: Path) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def test_a_table_has_every_tick_and_every_value(tmp_path: Path) -> None:
+def test_table_has_every_tick_and_every_value(tmp_path: Path) -> None:
     logger = Logger(tmp_path / "drive.csv")
     drive(logger)
     head, rows = read_table(tmp_path / "drive.csv")
     assert head == ["time", "tick", "both[0]", "both[1]", "order"]
-    # It sees what the plugins set in the same tick.
+    # The logger sees the values that the plugins set in the same tick.
     assert [[*map(int, row[1:])] for row in rows] == [[number, number, 2 * number, number] for number in range(6)]
     assert [float(row[0]) for row in rows] == sorted(float(row[0]) for row in rows)
     assert logger.stats is not None
@@ -71,7 +71,7 @@ class Typed(Plugin, order="big"):
         self.fix, self.order = [(3, 0.5), (4, 1.5)], -0.1
 
 
-def test_values_are_typed_as_they_are_declared_and_no_two_columns_have_a_name(tmp_path: Path) -> None:
+def test_table_has_typed_values_and_unique_columns(tmp_path: Path) -> None:
     with (
         Host([Logger(tmp_path / "drive.csv"), Typed()], port=0, pacing="lockstep") as host,
         RawClient(host.port) as reader,
@@ -100,7 +100,7 @@ def test_values_are_typed_as_they_are_declared_and_no_two_columns_have_a_name(tm
     }
 
 
-def test_a_recording_is_what_a_reader_would_have_been_sent(tmp_path: Path) -> None:
+def test_recording_contains_the_bytes_of_a_reader(tmp_path: Path) -> None:
     drive(Logger(tmp_path / "drive.urlog"))
     recording = RecordingFile(tmp_path / "drive.urlog")
     assert recording.is_complete
@@ -112,19 +112,19 @@ def test_a_recording_is_what_a_reader_would_have_been_sent(tmp_path: Path) -> No
     handshake = stream.take_handshake()
     assert handshake is not None
     assert [row.name for row in (*handshake.read, *handshake.write)] == ["tick", "both", "order"]
-    told = []
+    batches = []
     while (batch := stream.take_batch()) is not None:
         written, read = batch.data
-        told.append([*read.values.tolist(), *written.values.tolist()])
-    assert told == [[number, number, 2 * number, number] for number in range(6)]
+        batches.append([*read.values.tolist(), *written.values.tolist()])
+    assert batches == [[number, number, 2 * number, number] for number in range(6)]
 
 
-def test_not_every_tick(tmp_path: Path) -> None:
+def test_every_option_skips_ticks(tmp_path: Path) -> None:
     drive(Logger(tmp_path / "drive.csv", every=3), 7)
     assert [row[1] for row in read_table(tmp_path / "drive.csv")[1]] == ["0", "3", "6"]
 
 
-def test_the_file_of_the_host_says_where(tmp_path: Path) -> None:
+def test_path_and_interval_come_from_the_host_configuration(tmp_path: Path) -> None:
     logger = Logger()
     logger.init(Element("logger", {"path": str(tmp_path / "x.csv"), "every": "2"}))
     logger.terminate()
@@ -134,7 +134,7 @@ def test_the_file_of_the_host_says_where(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".urlog"])
-def test_each_start_has_a_file_of_its_own_and_none_is_overwritten(tmp_path: Path, suffix: str) -> None:
+def test_each_start_writes_a_new_file(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"day{suffix}"
     path.write_text("dear")
     sizes = []
@@ -147,7 +147,7 @@ def test_each_start_has_a_file_of_its_own_and_none_is_overwritten(tmp_path: Path
     assert all(size > 100 for size in sizes)
 
 
-def test_what_cannot_be_a_log(tmp_path: Path) -> None:
+def test_logger_rejects_invalid_arguments(tmp_path: Path) -> None:
     with pytest.raises(BadValue, match=r"\.csv or \.urlog"):
         Logger(tmp_path / "x.txt")
     with pytest.raises(BadValue, match="path=3; expected the path of a"):

@@ -113,7 +113,7 @@ def test_nobody_there_is_an_error_and_a_recording_is_not_isolated(tmp_path: Path
     with pytest.raises(urlink.ConnectFailed, match="refused"):
         transport.open(5.0)
     assert transport.newest() is None
-    with pytest.raises(urlink.LocalError, match="nothing can be sent"):
+    with pytest.raises(urlink.LocalError, match="cannot send to it"):
         transport.send(b"stop", 1.0)
     with pytest.raises(BadValue, match="not supported for the recording"):
         urlink.connect(tmp_path / "run.urlog", isolate=True)

@@ -238,8 +238,10 @@ def model_of(robot_type: int, e_series: bool) -> Model | None:
         robot_type: Number in the configuration packet.
         e_series: Whether the software of the controller is version 5 or later.
 
-    >>> model_of(1, e_series=False).name, model_of(1, e_series=True).name, model_of(4, e_series=False)
-    ('UR5', 'UR5e', None)
+    >>> model_of(1, e_series=False).name, model_of(1, e_series=True).name
+    ('UR5', 'UR5e')
+    >>> model_of(4, e_series=False) is None
+    True
     """
     return _BY_ROBOT_TYPE.get((robot_type, "e" if e_series else "CB"))
 

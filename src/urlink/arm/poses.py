@@ -5,9 +5,12 @@ whose length is the angle. It gives the position and orientation of one frame in
 pose, shape (6,), or any number of poses, shape (..., 6). They broadcast like numpy, and return new float64 arrays.
 
     >>> from urlink import poses
-    >>> table = [0.4, -0.2, 0.1, 0, 0, 1.5707963267948966]       # in the base frame, turned by 90 degrees
-    >>> part = [0.05, 0, 0, 0, 0, 0]                             # in the frame of the table
-    >>> poses.compose(table, part).round(3).tolist()             # in the base frame
+    >>> # in the base frame, turned by 90 degrees
+    >>> table = [0.4, -0.2, 0.1, 0, 0, 1.5707963267948966]
+    >>> # in the frame of the table
+    >>> part = [0.05, 0, 0, 0, 0, 0]
+    >>> # in the base frame
+    >>> poses.compose(table, part).round(3).tolist()
     [0.4, -0.15, 0.1, 0.0, 0.0, 1.571]
 
 Rotations convert from and to rotation vectors:

@@ -1,4 +1,4 @@
-"""The command channel on a clock that the test holds: how long it waits, what it decides anew, what it gives up."""
+"""Command channel with a simulated clock: how long it waits, when it decides again, and when it aborts."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ def desk() -> Desk:
     return desk
 
 
-def test_a_controller_has_half_a_second_to_take_a_text(desk: Desk) -> None:
-    for room, aborts in ((0, 0), (3, 1)):  # what has left in part must not be seen
+def test_motion_times_out_after_half_a_second_without_room(desk: Desk) -> None:
+    # If only a part was sent, the connection is aborted, so that the controller does not receive the rest.
+    for room, aborts in ((0, 0), (3, 1)):
         desk.waits.clear()
         desk.primary.room = room
         with pytest.raises(LinkTimeout, match=r"did not accept a text of 9 bytes within 0\.5 s; it was not sent"):
@@ -43,12 +44,12 @@ def test_a_controller_has_half_a_second_to_take_a_text(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize("line", ["stopj(2)", "stopj(2)\n", "stopj(2)\n\n"])
-def test_a_text_ends_in_one_newline(desk: Desk, line: str) -> None:
+def test_motion_ends_text_with_one_newline(desk: Desk, line: str) -> None:
     desk.channel.motion(line)
     assert desk.sent == ["stopj(2)\n"]
 
 
-def test_who_cannot_wait_sends_now_or_not_at_all(desk: Desk) -> None:
+def test_motion_without_wait_sends_immediately_or_fails(desk: Desk) -> None:
     desk.primary.room = 0
     with pytest.raises(LinkTimeout, match="within 0 s"):
         desk.channel.motion(TEXT, wait=False)
@@ -60,8 +61,8 @@ def test_who_cannot_wait_sends_now_or_not_at_all(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize("room", [0, 3])
-def test_it_is_decided_anew_after_each_wait(desk: Desk, room: int) -> None:
-    """A text of which nothing has left is only kept back; of one that has begun nobody may see the rest."""
+def test_motion_checks_interlock_again_after_each_wait(desk: Desk, room: int) -> None:
+    """An unsent text is held back; after a partly sent text, the connection is aborted."""
     desk.primary.room = room
 
     def stop() -> None:
@@ -79,7 +80,7 @@ def test_it_is_decided_anew_after_each_wait(desk: Desk, room: int) -> None:
 
 
 @pytest.mark.parametrize("room", [0, 3])
-def test_what_has_begun_does_not_go_on_over_another_connection(desk: Desk, room: int) -> None:
+def test_text_does_not_continue_on_another_connection(desk: Desk, room: int) -> None:
     desk.primary.room = room
 
     def reconnect() -> None:
@@ -98,10 +99,8 @@ def test_what_has_begun_does_not_go_on_over_another_connection(desk: Desk, room:
 
 @pytest.mark.parametrize("error", [ConnectionLost("pulled"), KeyboardInterrupt()])
 @pytest.mark.parametrize("is_new", [False, True])
-def test_a_text_that_ends_while_it_waits_for_room_is_in_nobodys_way(
-    desk: Desk, error: BaseException, is_new: bool
-) -> None:
-    """Its connection is lost in the middle of it, or Ctrl-C comes; a connection that was made meanwhile stays."""
+def test_error_while_waiting_for_room_does_not_block_next_text(desk: Desk, error: BaseException, is_new: bool) -> None:
+    """The connection is lost in the middle of the text, or Ctrl-C is pressed. A connection made meanwhile stays."""
     desk.primary.room = 3
 
     def end() -> None:
@@ -117,7 +116,7 @@ def test_a_text_that_ends_while_it_waits_for_room_is_in_nobodys_way(
     assert (desk.sent, desk.primary.aborts) == (["mov", "stopj(2)\n"], not is_new)
 
 
-def test_in_parts_over_the_same_connection(desk: Desk) -> None:
+def test_text_is_sent_in_parts_over_the_same_connection(desk: Desk) -> None:
     desk.primary.room = 3
 
     def make_room() -> None:
@@ -131,8 +130,8 @@ def test_in_parts_over_the_same_connection(desk: Desk) -> None:
     assert desk.sent[3:] == ["set_tool_voltage(0)\n"]
 
 
-def test_a_signal_handler_that_gave_the_text_up_is_believed(desk: Desk) -> None:
-    """It interrupts the thread that waits for room for its text, and sends a stop; nothing of the text follows."""
+def test_interrupted_text_is_not_continued_after_signal_handler(desk: Desk) -> None:
+    """The handler interrupts a thread that waits for room, and sends a stop. The rest of the text is not sent."""
     desk.primary.room = 3
     raised: list[Exception] = []
 
@@ -150,13 +149,11 @@ def test_a_signal_handler_that_gave_the_text_up_is_believed(desk: Desk) -> None:
         desk.channel.motion(TEXT)
     assert len(raised) == 1
     assert "only a part of the previous text" in str(raised[0])
-    # Aborted once: not also the connection that the stop has left by.
+    # Aborted only once: the new connection, which has sent the stop, is kept.
     assert (desk.sent, desk.primary.aborts) == (["mov", "stopj(2)\n"], 1)
 
 
-def test_who_waits_for_another_threads_text_leaves_the_processor_alone(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_waiting_for_text_of_another_thread_sleeps(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk.primary.room = 3
     begun, go_on = threading.Event(), threading.Event()
 
@@ -182,7 +179,7 @@ def test_who_waits_for_another_threads_text_leaves_the_processor_alone(
     assert desk.sent == ["mov", "ej(q)\n", "stopj(2)\n"]
 
 
-#: What sends or asks, the state in its way, and whether news that lifts a stop is waited for, or that it runs.
+#: For each case: the call, the state that blocks it, and whether stops block it (otherwise only a robot that is off).
 NEWS: dict[str, tuple[Callable[[CommandChannel], object], RobotState, bool]] = {
     "check": (lambda channel: channel.check(), slow(SafetyMode.PROTECTIVE_STOP), True),
     "motion": (lambda channel: channel.motion(TEXT), slow(SafetyMode.PROTECTIVE_STOP), True),
@@ -193,8 +190,8 @@ NEWS: dict[str, tuple[Callable[[CommandChannel], object], RobotState, bool]] = {
 
 
 @pytest.mark.parametrize("name", NEWS)
-def test_what_is_in_the_way_may_be_over_already(desk: Desk, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The word that says so is waited for."""
+def test_blocked_call_waits_for_next_report(desk: Desk, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The blocking state may be outdated, so the call waits for the next report."""
     act, in_the_way, moves = NEWS[name]
     asked: list[bool] = []
 
@@ -213,7 +210,7 @@ def test_what_is_in_the_way_may_be_over_already(desk: Desk, name: str, monkeypat
         assert asked == [moves]
 
 
-def test_a_set_point_follows_news_only_of_an_arm_that_may_move(desk: Desk) -> None:
+def test_setpoint_is_sent_when_next_report_permits_motion(desk: Desk) -> None:
     sent: list[int] = []
     desk.monitor.await_news = lambda moves: desk.primary.tell(slow())  # type: ignore[method-assign]
     for mode, safety in ((RobotMode.RUNNING, SafetyMode.FAULT), (RobotMode.IDLE, SafetyMode.NORMAL)):
@@ -222,7 +219,7 @@ def test_a_set_point_follows_news_only_of_an_arm_that_may_move(desk: Desk) -> No
     assert sent == [1, 1]
 
 
-def test_a_claim_that_raises_keeps_the_text(desk: Desk) -> None:
+def test_motion_sends_nothing_when_claim_raises(desk: Desk) -> None:
     def claim() -> None:
         raise Cancelled("given up")
 
@@ -231,10 +228,8 @@ def test_a_claim_that_raises_keeps_the_text(desk: Desk) -> None:
     assert desk.sent == []
 
 
-def test_what_was_claimed_leaves_also_for_a_task_that_gives_it_up_at_that_moment(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What is claimed last is stopped by what is sent next, and has to be there to be stopped."""
+def test_claimed_text_is_sent_when_its_task_is_cancelled(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next text stops the last claimed program, so the claimed program must have been sent."""
     call, send = PendingCall(), desk.primary.send_some
 
     def as_a_transport(data: memoryview) -> int:
@@ -245,11 +240,11 @@ def test_what_was_claimed_leaves_also_for_a_task_that_gives_it_up_at_that_moment
     call.make(lambda: desk.channel.motion(TEXT, claim=lambda: call.give_up(lambda cancel: cancel())))
     assert desk.sent == [f"{TEXT}\n"]
     with pytest.raises(Cancelled, match="nothing more is sent"):
-        call.make(lambda: desk.channel.motion(TEXT, claim=lambda: pytest.fail("it was claimed")))
+        call.make(lambda: desk.channel.motion(TEXT, claim=lambda: pytest.fail("the text was claimed")))
     assert desk.sent == [f"{TEXT}\n"]
 
 
-def test_only_what_was_sent_just_now_is_discarded(desk: Desk) -> None:
+def test_discard_aborts_only_recently_sent_text(desk: Desk) -> None:
     desk.channel.discard(1000.0)
     assert desk.primary.aborts == 0  # nothing was ever sent
     desk.channel.motion(TEXT)
@@ -259,11 +254,11 @@ def test_only_what_was_sent_just_now_is_discarded(desk: Desk) -> None:
     desk.channel.discard(2.5)
     assert desk.primary.aborts == 1
     desk.channel.discard(1000.0)
-    assert desk.primary.aborts == 1  # it is gone
+    assert desk.primary.aborts == 1  # nothing was sent since the last abort
 
 
-def test_over_another_connection(desk: Desk) -> None:
-    """Set-points need an arm that may be moved; what moves nothing needs a robot that runs."""
+def test_beside_and_setpoint_check_safety_and_robot_mode(desk: Desk) -> None:
+    """Set-points need an arm that may be moved; settings that move nothing need only a running robot."""
     sent: list[str] = []
     desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
     desk.channel.check_running()
@@ -300,10 +295,10 @@ def test_over_another_connection(desk: Desk) -> None:
         ({"is_stop": True, "replaces": True}, True, ["sent"], ()),
     ],
 )
-def test_what_was_given_up_is_taken_back_before_a_motion(
+def test_motion_undoes_abandoned_command_first(
     options: dict[str, bool], may_wait: bool, order: list[str], pending: tuple[str, ...]
 ) -> None:
-    """Not before a stop, nor by who cannot wait; a program that replaces the one that runs supersedes it."""
+    """Pending undos wait for a call that can wait and is not a stop. A replacing program drops them."""
     desk, undos, seen = Desk(may_wait=may_wait), PendingUndos("controller"), list[str]()
     desk.clear()
     channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, undos)
@@ -319,7 +314,7 @@ def test_what_was_given_up_is_taken_back_before_a_motion(
     undos.close()
 
 
-def test_a_second_for_what_cannot_be_taken_back() -> None:
+def test_motion_waits_one_second_for_failing_undo() -> None:
     desk, undos = Desk(may_wait=True), PendingUndos("controller")
     desk.clear()
     channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, undos)

@@ -1,4 +1,4 @@
-"""The life of a program that was given up: every event in every phase, and what the name is afterwards."""
+"""Life cycle of an abandoned program: every event in every phase, and the name afterwards."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from urlink.command.given_up import TRANSITIONS, GivenUpEvent, GivenUpPhase, GivenUpProgram
 
-#: how each phase is reached
+#: Events that lead to each phase.
 WAYS: dict[GivenUpPhase, tuple[GivenUpEvent, ...]] = {
     GivenUpPhase.NONE: (),
     GivenUpPhase.STOPPING: (GivenUpEvent.GIVE_UP,),
@@ -25,7 +25,7 @@ def given_up(phase: GivenUpPhase) -> GivenUpProgram:
 
 @pytest.mark.parametrize("event", GivenUpEvent)
 @pytest.mark.parametrize("phase", GivenUpPhase)
-def test_name_is_that_of_the_last_event_unless_there_is_none(phase: GivenUpPhase, event: GivenUpEvent) -> None:
+def test_event_sets_phase_and_name(phase: GivenUpPhase, event: GivenUpEvent) -> None:
     program = given_up(phase)
     program.fire(event, "second")
     assert program.phase is TRANSITIONS[phase, event]
@@ -37,19 +37,19 @@ def test_name_is_that_of_the_last_event_unless_there_is_none(phase: GivenUpPhase
 
 
 @pytest.mark.parametrize("event", [each for each in GivenUpEvent if each.name not in ("GIVE_UP", "KEEP")])
-def test_nothing_is_stopped_when_none_was_given_up(event: GivenUpEvent) -> None:
+def test_event_without_abandoned_program_changes_nothing(event: GivenUpEvent) -> None:
     program = given_up(GivenUpPhase.NONE)
     program.fire(event)
     assert program.phase is GivenUpPhase.NONE
 
 
-def test_a_stop_that_is_prevented_again_waits_for_two_more_states() -> None:
+def test_hinder_returns_clear_to_kept() -> None:
     program = given_up(GivenUpPhase.CLEAR)
     program.fire(GivenUpEvent.HINDER)
     assert (program.phase, program.is_kept) == (GivenUpPhase.KEPT, True)
 
 
-def test_what_has_ended_while_its_stop_was_sent_is_not_stopped_again() -> None:
+def test_end_while_stop_is_sent_forgets_program() -> None:
     program = given_up(GivenUpPhase.KEPT)
     program.fire(GivenUpEvent.END)
     program.fire(GivenUpEvent.DELIVER)

@@ -1,4 +1,4 @@
-"""The interlock as a table: every policy, every state, every event; and what each status means."""
+"""The interlock as a table of every policy, state and event; and the meaning of each status."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ POLICIES: tuple[Policy, ...] = get_args(Policy)
 
 
 class Driver:
-    """A interlock with one source, put into a state by events by name."""
+    """Interlock with one source, which is put into a state by named events."""
 
     def __init__(self, policy: Policy) -> None:
         self.interlock = Interlock(policy)
@@ -29,7 +29,7 @@ class Driver:
         self.interlock.expect("primary")
 
     def do(self, event: str) -> bool:
-        """Whether the event has ended the motions."""
+        """Apply an event; return whether it ended the motions."""
         self.now += 0.1
         interlock = self.interlock
         if event == "enable":
@@ -51,9 +51,9 @@ class Driver:
         return "open" if refusal is None else type(refusal).__name__
 
 
-#: how each state is reached
+#: Events that lead to each state.
 STATES = {
-    "unheard": (),
+    "no report": (),
     "clear": ("clear",),
     "enabled": ("clear", "enable"),
     "stopped": ("clear", "stop"),
@@ -74,7 +74,7 @@ _AFTER = {
     "silence": "NotRunning",
 }
 _STANDING = {
-    "unheard": "NotRunning",
+    "no report": "NotRunning",
     "stopped": "SafetyStop",
     "stopped after enabled": "SafetyStop",
     "emergency": "SafetyStop",
@@ -83,11 +83,13 @@ _STANDING = {
     "silent": "NotRunning",
     "stopped at first": "SafetyStop",
 }
-#: (policy, state) -> what "clear" leads to
+#: (policy, state) -> verdict after the event "clear"
 _CLEARED: dict[tuple[Policy, str], str] = {
     **{("never", state): "open" for state in STATES},
     **{
-        ("on_startup", state): "NotEnabled" if state in ("unheard", "clear", "stopped", "stopped at first") else "open"
+        ("on_startup", state): "NotEnabled"
+        if state in ("no report", "clear", "stopped", "stopped at first")
+        else "open"
         for state in STATES
     },
     **{("always", state): "open" if state == "enabled" else "NotEnabled" for state in STATES},
@@ -100,33 +102,33 @@ def expected(policy: Policy, state: str, event: str) -> str:
     if event == "enable":
         return _STANDING.get(state, "open")
     if event == "silence" and _STANDING.get(state) == "SafetyStop":
-        return "SafetyStop"  # a stop that was heard last still holds, for all that is known
+        return "SafetyStop"  # the last report was a stop, which might still be active
     return _AFTER[event]
 
 
 @pytest.mark.parametrize("event", EVENTS)
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_transition(policy: Policy, state: str, event: str) -> None:
+def test_event_in_state_gives_expected_verdict(policy: Policy, state: str, event: str) -> None:
     driver = Driver(policy)
     for each in STATES[state]:
         driver.do(each)
     was_clear = driver.interlock.blocked(driver.now) is None
     ended = driver.do(event)
     assert driver.verdict == expected(policy, state, event)
-    # What closes the interlock ends the motions, once.
+    # Events that close the interlock end the motions, once.
     assert ended == (was_clear and event in _AFTER)
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_a_stop_between_two_looks_is_not_forgotten(policy: Policy) -> None:
+def test_short_stop_requires_enable_only_with_policy_always(policy: Policy) -> None:
     driver = Driver(policy)
     for event in ("clear", "enable", "stop", "clear"):
         driver.do(event)
     assert driver.verdict == ("NotEnabled" if policy == "always" else "open")
 
 
-def test_a_stop_ends_motions_once() -> None:
+def test_interlock_ends_motions_once_per_closing() -> None:
     driver = Driver("never")
     driver.do("clear")
     assert [driver.do(event) for event in ("stop", "stop", "emergency", "off", "lost", "clear", "stop")] == [
@@ -135,7 +137,7 @@ def test_a_stop_ends_motions_once() -> None:
     ]
 
 
-def test_every_source_has_to_be_clear() -> None:
+def test_interlock_opens_only_when_every_source_is_clear() -> None:
     interlock = Interlock()
     interlock.expect("primary")
     interlock.expect("realtime")
@@ -151,11 +153,11 @@ def test_every_source_has_to_be_clear() -> None:
     assert "realtime" in str(interlock.refusal_to_begin(1.4))
     interlock.forget("realtime")
     assert interlock.refusal_to_begin(1.4) is None
-    # Since it is open again, what closes it ends what has been begun meanwhile.
+    # The interlock was open again, so closing it ends motions that were started meanwhile.
     assert isinstance(interlock.report("primary", STOP, 1.5), SafetyStop)
 
 
-def test_what_has_said_nothing_is_no_running_robot() -> None:
+def test_missing_report_or_mode_means_not_running() -> None:
     interlock = Interlock()
     assert "nothing was received from the robot yet" in str(interlock.refusal_to_begin(0.0))
     interlock.report("primary", Status(safety_mode=SafetyMode.NORMAL), 1.0)
@@ -167,7 +169,7 @@ def test_what_has_said_nothing_is_no_running_robot() -> None:
     assert interlock.refusal_to_begin(1.0) is None
 
 
-def test_which_sources_have_spoken() -> None:
+def test_has_reported_includes_lost_sources() -> None:
     interlock = Interlock()
     interlock.expect("primary")
     assert [interlock.has_reported(name) for name in ("primary", "realtime")] == [False, False]
@@ -176,8 +178,8 @@ def test_which_sources_have_spoken() -> None:
     assert [interlock.has_reported(name) for name in ("primary", "realtime")] == [True, True]
 
 
-def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
-    """Perhaps this program was held up: only who reads can tell that the robot is silent."""
+def test_stale_report_refuses_motions_but_ends_none() -> None:
+    """This program might have been delayed: only the reader thread can detect that the robot is silent."""
     interlock = Interlock("always")
     interlock.report("primary", CLEAR, 1.0)
     interlock.enable(1.0)
@@ -186,14 +188,14 @@ def test_what_is_old_is_not_believed_but_ends_nothing() -> None:
     assert "either the robot is silent, or this program was delayed" in str(interlock.refusal_to_begin(late))
     with pytest.raises(NotRunning):
         interlock.enable(late)
-    # What has come meanwhile is read, and nobody has to enable it anew.
+    # When the states that arrived meanwhile are read, no new `enable()` is necessary.
     assert interlock.report("primary", CLEAR, late) is None
     assert interlock.refusal_to_begin(late) is None
 
 
-def test_silence_that_the_reader_tells_of_ends_motions() -> None:
+def test_silence_reported_by_reader_ends_motions_once() -> None:
     interlock = Interlock("always", stale_after=0.5)
-    assert interlock.fall_silent("primary", 0.5) is None  # which is not listened to
+    assert interlock.fall_silent("primary", 0.5) is None  # not subscribed yet
     interlock.report("primary", CLEAR, 1.0)
     interlock.enable(1.0)
     ended = interlock.fall_silent("primary", 0.5)
@@ -205,8 +207,8 @@ def test_silence_that_the_reader_tells_of_ends_motions() -> None:
     assert isinstance(interlock.refusal_to_begin(2.6), NotEnabled)
 
 
-def test_what_is_left_out_is_as_it_was() -> None:
-    """A state without the part that tells of safety must not lift a stop."""
+def test_missing_part_of_report_keeps_previous_value() -> None:
+    """A state without the safety part must not clear a stop."""
     interlock = Interlock()
     interlock.report("primary", STOP, 1.0)
     interlock.report("primary", Status(RobotMode.RUNNING), 1.1)
@@ -220,7 +222,7 @@ def test_what_is_left_out_is_as_it_was() -> None:
     assert interlock.cause is None
 
 
-def test_a_part_alone_opens_nothing() -> None:
+def test_amend_without_complete_report_has_no_effect() -> None:
     interlock = Interlock()
     interlock.report("realtime", CLEAR, 1.0)
     interlock.report("primary", CLEAR, 1.0)
@@ -232,7 +234,7 @@ def test_a_part_alone_opens_nothing() -> None:
     assert interlock.amend("secondary", CLEAR, 1.3) is None
 
 
-def test_but_not_over_a_lost_connection() -> None:
+def test_lost_connection_discards_previous_values() -> None:
     interlock = Interlock()
     interlock.report("primary", STOP, 1.0)
     interlock.lose("primary", "pulled")
@@ -241,7 +243,7 @@ def test_but_not_over_a_lost_connection() -> None:
 
 
 @pytest.mark.parametrize("mode", SafetyMode)
-def test_safety_modes(mode: SafetyMode) -> None:
+def test_only_normal_and_reduced_permit_motion(mode: SafetyMode) -> None:
     interlock = Interlock()
     interlock.report("primary", Status(RobotMode.RUNNING, mode), 1.0)
     refusal = interlock.refusal_to_begin(1.0)
@@ -253,14 +255,14 @@ def test_safety_modes(mode: SafetyMode) -> None:
         assert refusal.cause == interlock.cause
 
 
-def test_a_safety_mode_without_a_name_stops() -> None:
+def test_unknown_safety_mode_is_a_stop() -> None:
     interlock = Interlock()
     interlock.report("primary", Status(RobotMode.RUNNING, SafetyMode(99)), 1.0)
     assert interlock.cause == "safety mode unknown 99"
 
 
 @pytest.mark.parametrize("mode", RobotMode)
-def test_robot_modes(mode: RobotMode) -> None:
+def test_only_robot_mode_running_permits_motion(mode: RobotMode) -> None:
     interlock = Interlock()
     interlock.report("primary", Status(mode, SafetyMode.NORMAL), 1.0)
     if mode is RobotMode.RUNNING:
@@ -280,8 +282,8 @@ _CB2 = {
 
 
 @pytest.mark.parametrize("mode", RobotModeCB2)
-def test_robot_modes_of_cb2(mode: RobotModeCB2) -> None:
-    """Their numbers are others: 0 runs, and 7, which runs on later ones, has no power."""
+def test_robot_modes_of_cb2_permit_or_stop(mode: RobotModeCB2) -> None:
+    """CB2 uses different numbers: 0 is running, and 7, which is running on later controllers, is without power."""
     interlock = Interlock()
     interlock.report("primary", Status(mode), 1.0)
     assert interlock.cause == _CB2.get(mode)
@@ -305,11 +307,11 @@ def test_robot_modes_of_cb2(mode: RobotModeCB2) -> None:
         (Status(RobotModeCB2.RUNNING, master_safety_state=MasterSafetyState.UNDEFINED), None),
     ],
 )
-def test_flags_and_boards(status: Status, cause: str | None) -> None:
+def test_cause_follows_flags_and_masterboard(status: Status, cause: str | None) -> None:
     assert status.cause == cause
 
 
-def test_commands_need_no_more_than_a_running_robot() -> None:
+def test_absence_ignores_a_stop_of_a_running_robot() -> None:
     interlock = Interlock("always")
     interlock.report("primary", STOP, 1.0)
     assert interlock.absence(1.0) is None
@@ -319,7 +321,7 @@ def test_commands_need_no_more_than_a_running_robot() -> None:
 
 @pytest.mark.parametrize("before", POLICIES)
 @pytest.mark.parametrize("after", POLICIES)
-def test_a_change_of_policy_asks_anew(before: Policy, after: Policy) -> None:
+def test_changed_policy_requires_enable_again(before: Policy, after: Policy) -> None:
     interlock = Interlock(before)
     interlock.report("primary", CLEAR, 1.0)
     interlock.enable(1.0)
@@ -335,25 +337,25 @@ def test_a_change_of_policy_asks_anew(before: Policy, after: Policy) -> None:
     assert interlock.refusal_to_begin(1.0) is None
 
 
-def test_a_running_motion_continues_when_no_new_one_may_begin() -> None:
+def test_running_motion_continues_when_new_motions_are_refused() -> None:
     interlock = Interlock("always")
     interlock.report("primary", CLEAR, 1.0)
     assert isinstance(interlock.refusal_to_begin(1.0), NotEnabled)
     assert interlock.refusal_to_continue() is None
     interlock.enable(1.0)
     late = 1.0 + 2.0 * STALE_AFTER
-    assert isinstance(interlock.refusal_to_begin(late), NotRunning)  # this process was held up
+    assert isinstance(interlock.refusal_to_begin(late), NotRunning)  # this process was delayed
     assert interlock.refusal_to_continue() is None
     assert interlock.fall_silent("primary", STALE_AFTER) is not None  # the robot itself is silent
     assert isinstance(interlock.refusal_to_continue(), NotRunning)
 
 
-def test_no_such_policy() -> None:
+def test_interlock_rejects_unknown_policy() -> None:
     with pytest.raises(BadValue, match="sometimes"):
         Interlock("sometimes")  # type: ignore[arg-type]
 
 
-def test_every_source_has_to_say_something_anew() -> None:
+def test_has_reported_since_requires_every_source() -> None:
     interlock = Interlock()
     running = Status(RobotMode.RUNNING, SafetyMode.NORMAL)
     interlock.report("primary", running, 100.0)
@@ -363,7 +365,7 @@ def test_every_source_has_to_say_something_anew() -> None:
     assert interlock.has_reported_since(100.0)
 
 
-def test_the_newest_word_comes_first() -> None:
+def test_statuses_start_with_newest_report() -> None:
     interlock = Interlock()
     slow, fast = Status(RobotMode.RUNNING, SafetyMode.NORMAL), Status(RobotMode.RUNNING, SafetyMode.PROTECTIVE_STOP)
     interlock.report("primary", slow, 100.0)

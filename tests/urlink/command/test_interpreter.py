@@ -1,4 +1,4 @@
-"""Interpreter mode: `robot.interpreter()` on the simulated controller, its protocol, and the port as others use it."""
+"""Interpreter mode: `robot.interpreter()` on the simulated controller, its protocol, and its port for any client."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def turned(robot: urlink.Robot) -> float:
     return float(robot.realtime.wait(5).q_actual[0])
 
 
-def test_statements_are_executed_one_by_one_and_share_their_names(robot: urlink.Robot) -> None:
+def test_statements_run_in_order_and_share_variables(robot: urlink.Robot) -> None:
     texts: list[str] = []
     with robot.interpreter(on_text=texts.append) as interpreter:
         assert interpreter.phase is Phase.RUNNING
@@ -63,7 +63,8 @@ def test_statements_are_executed_one_by_one_and_share_their_names(robot: urlink.
         interpreter.execute("def twice(x):\n  return 2 * x  # of course\nend")
         interpreter.execute(movej(AWAY), wait=True)
         assert turned(robot) == pytest.approx(AWAY[0], abs=1e-3)
-        assert interpreter.execute('textmsg("a is ", twice(a))') == first + 4  # beside one of its own to wait for
+        # The wait above sent an additional statement, sync().
+        assert interpreter.execute('textmsg("a is ", twice(a))') == first + 4
         with pytest.raises(urlink.StatementDiscarded, match="does not compile: 'nobody") as discarded:
             interpreter.execute("nobody(1)")
         assert discarded.value.statement == "nobody(1)"
@@ -73,7 +74,7 @@ def test_statements_are_executed_one_by_one_and_share_their_names(robot: urlink.
         assert state.last_executed == state.last_interpreted > first
         interpreter.clear()
         interpreter.execute(movej(HOME))
-    # Left in order, all of it was executed and the program has come to its own end.
+    # The block ended normally, so every statement was executed and the program ran to its end.
     assert interpreter.done
     assert interpreter.error is None
     assert turned(robot) == pytest.approx(HOME[0], abs=1e-3)
@@ -84,7 +85,7 @@ def test_statements_are_executed_one_by_one_and_share_their_names(robot: urlink.
 
 
 def leave_half_way(robot: urlink.Robot) -> urlink.Interpreter:
-    """Abort and skip, and then leave the block by an exception while the arm moves."""
+    """Abort and skip, then leave the block by an exception while the arm moves."""
     with contextlib.suppress(KeyboardInterrupt), robot.interpreter() as interpreter:
         interpreter.execute(movej(HOME), wait=True)
         interpreter.execute(movej(AWAY, 0.2))
@@ -101,7 +102,7 @@ def leave_half_way(robot: urlink.Robot) -> urlink.Interpreter:
     return interpreter
 
 
-def test_abort_skip_and_cancel(controller: Controller, robot: urlink.Robot) -> None:
+def test_interpreter_aborts_skips_and_is_cancelled(controller: Controller, robot: urlink.Robot) -> None:
     assert leave_half_way(robot).phase is Phase.CANCELLED
     until(lambda: not controller.is_running_program)
     assert controller.arm.q_actual[0] < 1.0
@@ -135,16 +136,16 @@ def execute_on_and_on(robot: urlink.Robot) -> None:
             failing.execute("sync()")
 
 
-def test_a_statement_after_the_end_is_refused_with_the_reason(robot: urlink.Robot) -> None:
-    """It may be discarded before the message of the error has come."""
+def test_statement_after_runtime_error_raises_script_failed(robot: urlink.Robot) -> None:
+    """The controller might discard the statement before the error message arrives."""
     with pytest.raises(urlink.ScriptFailed, match="int has no elements"):
         execute_on_and_on(robot)
 
 
-def test_a_stop_and_an_error_end_it(controller: Controller, robot: urlink.Robot) -> None:
+def test_interpreter_ends_after_safety_stop_or_script_error(controller: Controller, robot: urlink.Robot) -> None:
     with pytest.raises(urlink.SafetyStop):
         execute_in_a_stop(controller, robot)
-    # The program was paused by the stop: once somebody lets it go on, it ends.
+    # The program was paused by the stop: when a person resumes it, it ends.
     controller.faults.clear()
     controller.call(controller.pendant.play)
     until(lambda: not controller.is_running_program)
@@ -157,7 +158,7 @@ def test_a_stop_and_an_error_end_it(controller: Controller, robot: urlink.Robot)
 
 
 @pytest.mark.slow
-def test_a_statement_that_was_given_up_is_taken_back(
+def test_abandoned_statement_is_undone(
     controller: Controller, robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("urlink.command.interpreter._REPLY", 0.5)
@@ -169,7 +170,7 @@ def test_a_statement_that_was_given_up_is_taken_back(
         assert robot._commanded()._undos.settle(TIMEOUT)
         until(lambda: max(map(abs, controller.arm.setpoint.qd)) == 0.0)
         assert turned(robot) < 1.0
-        # What is handed over after that is carried out.
+        # Later statements are executed.
         interpreter.execute("a = 42")
         interpreter.execute('textmsg("a is ", a)', wait=True)
         until(lambda: interpreter.texts == ("a is 42",))
@@ -177,9 +178,11 @@ def test_a_statement_that_was_given_up_is_taken_back(
 
 @pytest.mark.parametrize("is_over", [False, True])
 @pytest.mark.parametrize("until_done", range(5))
-def test_what_takes_a_statement_back(is_over: bool, until_done: int) -> None:
-    """First it is asked whether the controller answers; the mode ends where its program was given up too. What is
-    superseded meanwhile is undone no further."""
+def test_undo_of_statement_sends_its_commands_while_wanted(is_over: bool, until_done: int) -> None:
+    """The first command checks that the controller answers; the undo stops when it is no longer wanted.
+
+    If the program of the mode was abandoned too, the mode is ended.
+    """
     asked: list[str] = []
     life = Lifecycle("interpreter mode", Desk().callbacks)
     if is_over:
@@ -190,9 +193,7 @@ def test_what_takes_a_statement_back(is_over: bool, until_done: int) -> None:
     assert asked == lines[:until_done]
 
 
-def test_ctrl_c_while_statements_are_waited_for_ends_the_mode(
-    robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_in_wait_executed_cancels_mode(robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(word: str) -> int:
         raise KeyboardInterrupt
 
@@ -203,20 +204,20 @@ def test_ctrl_c_while_statements_are_waited_for_ends_the_mode(
     assert interpreter.phase is Phase.CANCELLED
 
 
-def test_a_program_that_is_not_in_the_mode_yet_is_asked_again_at_once(robot: urlink.Robot) -> None:
+def test_interpreter_starts_within_half_a_second(robot: urlink.Robot) -> None:
     begin = time.monotonic()
     with robot.interpreter():
         assert time.monotonic() - begin < 0.5
 
 
-def test_a_closed_robot_connects_to_no_interpreter(controller: Controller) -> None:
+def test_interpreter_raises_closed_after_robot_is_closed(controller: Controller) -> None:
     with urlink.connect(controller.address) as robot, robot.interpreter():
         pass
     with pytest.raises(Closed, match=r"the robot at 127\.0\.0\.1 was closed"):
         robot.interpreter()
 
 
-def test_many_statements_are_cleared_before_there_are_too_many(controller: Controller, robot: urlink.Robot) -> None:
+def test_execute_clears_statements_automatically(controller: Controller, robot: urlink.Robot) -> None:
     with robot.interpreter() as interpreter:
         interpreter.execute("n = 0")
         for _ in range(CLEAR_AFTER + 20):
@@ -227,7 +228,7 @@ def test_many_statements_are_cleared_before_there_are_too_many(controller: Contr
     assert controller.registers.outputs.integers[0] == CLEAR_AFTER + 20
 
 
-def test_where_there_is_no_interpreter_mode() -> None:
+def test_interpreter_raises_when_mode_is_unavailable() -> None:
     none = r"5\.9 has no interpreter mode; 5\.10 or later is required"
     with urlink.connect("sim://ur5e?firmware=5.9") as old, pytest.raises(LocalError, match=none):
         old.interpreter()
@@ -246,11 +247,11 @@ def test_where_there_is_no_interpreter_mode() -> None:
             robot.interpreter(start_timeout=0.3)
 
 
-# -- the port, as any client uses it ---------------------------------------------------------------------
+# -- the port, used by any client ------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_the_port_answers_each_line() -> None:
+def test_port_replies_to_each_line() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         where = (controller.host, controller.ports["interpreter"])
         with socket.create_connection(where, TIMEOUT) as link, link.makefile("rw", newline="\n") as lines:
@@ -281,11 +282,11 @@ def test_the_port_answers_each_line() -> None:
             assert replies[-1] == "discard"
             assert replies.count("ack") <= MOST
             until(lambda: say("stateunexecuted").startswith("state: 0"))
-            # What was executed is kept, so that what would make room cannot come in either.
+            # Executed statements are kept, so even `clear_interpreter()`, which would make room, is discarded.
             assert say("clear_interpreter()").startswith("discard")
 
 
-def test_a_program_goes_on_when_the_mode_is_over() -> None:
+def test_program_continues_after_end_interpreter() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller, urlink.connect(controller.address) as robot:
         program = robot.script.run('def main():\n  x = 1\n  interpreter_mode()\n  textmsg("x is ", x)\nend')
         where = (controller.host, controller.ports["interpreter"])
@@ -311,7 +312,7 @@ texts = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Zl", "Zp
 
 @pytest.mark.property
 @given(st.sampled_from(["ack", "discard", "state"]), st.integers(0, 10**6), texts, st.integers(0, 80))
-def test_a_reply_is_read_however_it_is_cut(word: str, number: int, text: str, at: int) -> None:
+def test_reply_does_not_depend_on_chunking(word: str, number: int, text: str, at: int) -> None:
     protocol = InterpreterProtocol()
     assert protocol.ask("sync()") == b"sync()\n"
     with pytest.raises(LocalError, match="out of step"):
@@ -321,14 +322,14 @@ def test_a_reply_is_read_however_it_is_cut(word: str, number: int, text: str, at
     found = protocol.feed(data[at:]) if found is None else found
     assert found is not None
     reply = parse_reply(found)
-    # Blanks of other scripts stay before a text, where those of a line are taken away.
+    # Unicode spaces before the text stay, but spaces at the ends of the line are removed.
     assert (reply.word, reply.number, reply.text.strip()) == (word, number, text.strip())
     assert protocol.is_in_step
 
 
 @pytest.mark.property
 @given(st.text(max_size=80))
-def test_any_text_is_a_statement_or_a_bad_value(text: str) -> None:
+def test_statement_line_returns_one_line_or_raises_bad_value(text: str) -> None:
     try:
         line = statement_line(text)
     except BadValue:
@@ -338,7 +339,7 @@ def test_any_text_is_a_statement_or_a_bad_value(text: str) -> None:
     assert len(line.splitlines()) == 1
 
 
-def test_what_is_no_reply_and_no_statement() -> None:
+def test_invalid_replies_and_statements_are_rejected() -> None:
     for line in ("", "ack", "ack: x: y", "maybe: 1: sync()"):
         with pytest.raises(PacketError, match="is not a known reply"):
             parse_reply(line)

@@ -1,4 +1,4 @@
-"""Inputs and outputs: what is sent, and what is read back."""
+"""Inputs and outputs: the sent text, and the values read back."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def robot() -> Iterator[ScriptedController]:
         (lambda io: io.set_flag(3, True), "set_flag(3, True)"),
     ],
 )
-def test_setting_runs_beside_the_program(robot: ScriptedController, act: Callable[[IO], None], statement: str) -> None:
+def test_setter_sends_secondary_program(robot: ScriptedController, act: Callable[[IO], None], statement: str) -> None:
     act(robot.io)
     assert robot.sent == [f"sec urlink_command():\n  {statement}\nend\n"]
 
@@ -68,13 +68,13 @@ def test_setting_runs_beside_the_program(robot: ScriptedController, act: Callabl
         lambda io: io.tool_analog_in(2),
     ],
 )
-def test_what_is_not_there(robot: ScriptedController, act: Callable[[IO], object]) -> None:
+def test_io_rejects_missing_channels_and_invalid_values(robot: ScriptedController, act: Callable[[IO], object]) -> None:
     with pytest.raises(BadValue):
         act(robot.io)
     assert robot.sent == []
 
 
-def test_reading(robot: ScriptedController) -> None:
+def test_getters_read_both_interfaces(robot: ScriptedController) -> None:
     io = robot.io
     board = {
         "digital_input_bits": 1 << 3 | 1 << 8 | 1 << 17,
@@ -106,7 +106,7 @@ def test_reading(robot: ScriptedController) -> None:
     assert cells[1::2] == ["3, 8, 17", "7, 15, 16", "1.5 V", "0.004 A", "0 V", "0.02 A"]
 
 
-def test_cb2() -> None:
+def test_cb2_reads_and_sets_its_outputs() -> None:
     with ScriptedController("1.8") as robot:
         robot.clear(board={"digital_output_bits": 1 << 8})
         robot.fast.put(bytes(packet(RealtimeState, robot.firmware, digital_input_bits=1 << 9)))
@@ -129,7 +129,7 @@ def test_cb2() -> None:
                 act()
 
 
-def test_a_stop_does_not_matter_but_a_robot_that_does_not_run_does(robot: ScriptedController) -> None:
+def test_setter_needs_running_robot_but_ignores_stops(robot: ScriptedController) -> None:
     io = robot.io
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: robot.safety.cause == "protective stop")
@@ -141,13 +141,13 @@ def test_a_stop_does_not_matter_but_a_robot_that_does_not_run_does(robot: Script
     assert len(robot.sent) == 1
 
 
-def test_nothing_to_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_digital_in_times_out_without_state(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FIRST_STATE", 0.05)
     with ScriptedController() as robot, pytest.raises(LinkTimeout):
         robot.io.digital_in(0)
 
 
-def test_a_first_state_is_waited_for_for_two_seconds() -> None:
+def test_getter_waits_two_seconds_for_first_state() -> None:
     waited: list[float] = []
 
     def wait(timeout: float) -> ToolData:
@@ -172,9 +172,7 @@ def test_a_first_state_is_waited_for_for_two_seconds() -> None:
         ("1.8", lambda io, on, timeout: io.wait_tool_digital_in(1, on, timeout), 9),
     ],
 )
-def test_an_input_is_waited_for_at_the_rate_of_the_real_time_interface(
-    firmware: str, wait: Callable[[IO, bool, float], None], bit: int
-) -> None:
+def test_wait_digital_in_uses_realtime_states(firmware: str, wait: Callable[[IO, bool, float], None], bit: int) -> None:
     with ScriptedController(firmware) as robot:
 
         def show(bits: int) -> None:
@@ -193,10 +191,10 @@ def test_an_input_is_waited_for_at_the_rate_of_the_real_time_interface(
 
 
 @pytest.mark.parametrize("bank", ["", "configurable_", "tool_"])
-def test_digital_in_is_as_new_as_the_state_that_ended_a_wait(robot: ScriptedController, bank: str) -> None:
+def test_digital_in_is_current_after_wait(robot: ScriptedController, bank: str) -> None:
     bit = {"": 1, "configurable_": 9, "tool_": 17}[bank]
     wait, read = getattr(robot.io, f"wait_{bank}digital_in"), getattr(robot.io, f"{bank}digital_in")
-    # The primary interface has not reported the input yet, which it does ten times a second.
+    # The primary interface, which sends ten times a second, has not reported the input yet.
     robot.state(board={"digital_input_bits": 0})
     for on in (True, False, True):
         robot.fast.put(bytes(packet(RealtimeState, robot.firmware, digital_input_bits=on << bit)))
@@ -212,6 +210,6 @@ def test_digital_in_is_as_new_as_the_state_that_ended_a_wait(robot: ScriptedCont
         lambda io: io.wait_tool_digital_in(0, True, -1.0),
     ],
 )
-def test_no_such_input_is_waited_for(robot: ScriptedController, wait: Callable[[IO], None]) -> None:
+def test_wait_digital_in_rejects_invalid_arguments(robot: ScriptedController, wait: Callable[[IO], None]) -> None:
     with pytest.raises(BadValue):
         wait(robot.io)

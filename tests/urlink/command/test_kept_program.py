@@ -1,6 +1,6 @@
-"""A program that was given up during a stop is stopped after it: `play` at the pendant does not let it go on.
+"""A program abandoned during a stop is stopped after the stop, so `play` on the pendant does not resume it.
 
-Nor does one go on that was given up after another was sent, where that one does not begin.
+A program that was abandoned after another program was sent is stopped too, if the other program does not begin.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from urlink.simulator import Controller, Still
 pytestmark = pytest.mark.simulated_time
 
 HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
-#: it takes some 15 s to get there
+#: Target of a motion that takes about 15 s.
 TARGET = [1.5, *HOME[1:]]
-#: a program of the pendant's, as long
+#: A program of the pendant that takes equally long.
 ELSEWHERE = f"def p():\n  movej({[*HOME[:5], 1.5]}, a=20, v=0.1)\nend\n"
 
 
@@ -63,7 +63,7 @@ def during(controller: Controller, robot: urlink.Robot, handle: Handle) -> None:
 
 
 def at_once(controller: Controller, robot: urlink.Robot, handle: Handle) -> None:
-    """The stop is sent before that of the robot is known here, and arrives while it holds."""
+    """The stop is sent before the protective stop is received here, and arrives while that stop is active."""
     controller.faults.protective_stop()
     handle.cancel()
     robot.safety.wait_for_stop(5)
@@ -71,7 +71,7 @@ def at_once(controller: Controller, robot: urlink.Robot, handle: Handle) -> None
 
 @pytest.mark.parametrize("give_up", [during, at_once])
 @pytest.mark.parametrize("begin", [move, script])
-def test_it_does_not_go_on(
+def test_program_cancelled_in_stop_does_not_resume(
     controller: Controller,
     robot: urlink.Robot,
     begin: Callable[[urlink.Robot], Handle],
@@ -82,7 +82,7 @@ def test_it_does_not_go_on(
     give_up(controller, robot, handle)
     assert handle.done
     until(lambda: not moves(controller))
-    assert controller.program_name  # paused, and still there
+    assert controller.program_name  # paused, but still loaded
     controller.faults.clear()
     until(lambda: not controller.program_name)
     controller.pendant.play()
@@ -90,8 +90,8 @@ def test_it_does_not_go_on(
     assert not moves(controller)
 
 
-def test_it_does_not_go_on_after_a_script_that_does_not_compile(controller: Controller, robot: urlink.Robot) -> None:
-    """The simulated controller keeps the paused program then; whether a real one does is not known."""
+def test_cancelled_program_does_not_resume_after_compile_error(controller: Controller, robot: urlink.Robot) -> None:
+    """The simulated controller then keeps the paused program; the behaviour of a real controller is unknown."""
     handle = move(robot)
     until(lambda: moves(controller))
     during(controller, robot, handle)
@@ -105,7 +105,7 @@ def test_it_does_not_go_on_after_a_script_that_does_not_compile(controller: Cont
     assert not moves(controller)
 
 
-#: Runs beside another program.
+#: Runs in addition to another program.
 BESIDE = "sec blink():\n  set_flag(1, True)\nend"
 #: Does not compile.
 REFUSED = "def p():\n  no_such_function()\nend\n"
@@ -122,7 +122,7 @@ def close(robot: urlink.Robot, handle: Handle, script: Handle) -> None:
 
 
 @pytest.mark.parametrize("give_up", [cancel, close])
-def test_a_motion_is_not_left_to_a_script_that_does_not_compile(
+def test_motion_is_stopped_when_later_script_does_not_compile(
     controller: Controller, robot: urlink.Robot, give_up: Callable[[urlink.Robot, Handle, Handle], None]
 ) -> None:
     handle = move(robot)
@@ -134,7 +134,7 @@ def test_a_motion_is_not_left_to_a_script_that_does_not_compile(
     assert not moves(controller)
 
 
-def test_a_script_that_nobody_gave_up_may_go_on(controller: Controller, robot: urlink.Robot) -> None:
+def test_script_that_was_not_cancelled_can_resume(controller: Controller, robot: urlink.Robot) -> None:
     script(robot)
     until(lambda: moves(controller))
     controller.faults.protective_stop()
@@ -147,10 +147,8 @@ def test_a_script_that_nobody_gave_up_may_go_on(controller: Controller, robot: u
 
 
 @pytest.mark.parametrize("is_first", [False, True], ids=["programs first", "safety first"])
-def test_a_program_that_the_pendant_began_instead_is_left_alone(
-    controller: Controller, robot: urlink.Robot, is_first: bool
-) -> None:
-    """Whichever listens first to the interface that tells of both."""
+def test_program_started_on_pendant_is_not_stopped(controller: Controller, robot: urlink.Robot, is_first: bool) -> None:
+    """The result does not depend on whether the programs or the safety monitor subscribe first."""
     if is_first:
         robot.safety.wait_enabled(5)
     move(robot)
@@ -166,10 +164,8 @@ def test_a_program_that_the_pendant_began_instead_is_left_alone(
     assert moves(controller)
 
 
-def test_closing_after_a_stop_that_the_controller_goes_on_from_stops_it(
-    controller: Controller, robot: urlink.Robot
-) -> None:
-    """As after a safety mode that is in no list, which stops nothing."""
+def test_close_after_stop_stops_resumed_program(controller: Controller, robot: urlink.Robot) -> None:
+    """The same happens after a safety mode that is in no list, which stops nothing."""
     move(robot)
     until(lambda: moves(controller))
     controller.faults.safeguard_stop(resumes=True)
@@ -182,7 +178,7 @@ def test_closing_after_a_stop_that_the_controller_goes_on_from_stops_it(
 
 
 @pytest.mark.parametrize(("timeout", "longest"), [(2.0, 0.31), (0.0, 0.001)])
-def test_closing_during_a_stop_waits_for_three_states(
+def test_close_during_stop_waits_for_three_states(
     controller: Controller, robot: urlink.Robot, timeout: float, longest: float
 ) -> None:
     move(robot)
@@ -198,24 +194,24 @@ def test_closing_during_a_stop_waits_for_three_states(
 
 
 def states(desk: Programming, count: int, **shown: bool) -> None:
-    """So many, each a tenth of a second after the one before."""
+    """Send `count` states, one every 0.1 s."""
     for _ in range(count):
         desk.state(0.1, **shown)
 
 
 def short_stop(desk: Programming) -> None:
-    """It is over before the primary interface has reported it."""
+    """Simulate a stop that ends before the primary interface reports it."""
     desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
     desk.realtime.tell(fast())
 
 
 def says_so(run: Run) -> None:
-    """As on a CB2, which reports no programs by name."""
+    """Begin as on a CB2, which does not report programs by name."""
     run.says("started")
 
 
 def stopped(desk: Programming, begins: Callable[[Run], None] = Run.begins) -> Run:
-    """A motion that a stop has ended; the stop is over, and the next state may be the second without it."""
+    """Return a motion that was ended by a stop; the stop has ended, and the next state is the second without it."""
     run = desk.motion()
     begins(run)
     desk.state(0.1, runs=True)
@@ -226,15 +222,15 @@ def stopped(desk: Programming, begins: Callable[[Run], None] = Run.begins) -> Ru
     return run
 
 
-def test_it_is_stopped_by_the_second_state_without_a_stop() -> None:
+def test_kept_program_is_stopped_at_second_state_after_stop() -> None:
     desk = Programming()
     stopped(desk)
     desk.state(0.1, paused=True)
     assert desk.stops == 1
 
 
-def test_a_stop_that_is_ignored_is_sent_again_after_a_quarter_of_a_second() -> None:
-    """In local control an e-Series ignores what it is sent."""
+def test_ignored_stop_is_repeated_after_quarter_second() -> None:
+    """An e-Series in local control ignores all texts that it is sent."""
     desk = Programming()
     run = desk.motion()
     run.begins()
@@ -248,8 +244,8 @@ def test_a_stop_that_is_ignored_is_sent_again_after_a_quarter_of_a_second() -> N
     assert desk.stops == 2
 
 
-def test_once_it_is_gone_another_program_is_left_alone() -> None:
-    """As of a person, on a controller that reports no programs by name."""
+def test_other_program_is_not_stopped_after_kept_program_ended() -> None:
+    """For example a program that a person started, on a controller that does not report programs by name."""
     desk = Programming(firmware="1.8")
     desk.motion(asks=False).says("started")
     desk.state(0.1, runs=True)
@@ -259,8 +255,8 @@ def test_once_it_is_gone_another_program_is_left_alone() -> None:
     assert desk.stops == 0
 
 
-def test_a_program_that_was_sent_before_the_stop_and_begins_after_it_is_left_alone() -> None:
-    """It asks for no permission, so a stop does not keep it from beginning."""
+def test_program_sent_before_stop_is_not_stopped_when_it_begins() -> None:
+    """The program asks for no permission, so a stop does not prevent it from beginning."""
     desk = Programming(firmware="1.8", start_place=StartPlace(None, ()))
     desk.motion(asks=False).says("started")
     script = desk.script()
@@ -270,7 +266,7 @@ def test_a_program_that_was_sent_before_the_stop_and_begins_after_it_is_left_alo
     assert not script.done
 
 
-def test_where_the_controller_takes_nothing_the_reader_does_not_wait() -> None:
+def test_reader_does_not_wait_when_controller_reads_nothing() -> None:
     desk = Programming()
     stopped(desk)
     desk.primary.room = 0
@@ -281,7 +277,7 @@ def test_where_the_controller_takes_nothing_the_reader_does_not_wait() -> None:
     assert desk.stops == 1
 
 
-def test_one_that_is_replaced_while_it_is_to_be_stopped_is_not_stopped() -> None:
+def test_kept_program_replaced_before_its_stop_is_not_stopped() -> None:
     """Another thread sends the next motion between the state and the stop."""
     desk = Programming()
     stopped(desk)
@@ -301,7 +297,7 @@ def test_one_that_is_replaced_while_it_is_to_be_stopped_is_not_stopped() -> None
     assert not sent[0].done
 
 
-def test_two_threads_that_begin_to_listen_at_once_listen_once() -> None:
+def test_concurrent_listen_subscribes_once() -> None:
     desk = Programming()
     subscribe, before = desk.primary.subscribe_inline, len(desk.primary.subscribers)
 
@@ -315,8 +311,8 @@ def test_two_threads_that_begin_to_listen_at_once_listen_once() -> None:
     assert len(desk.primary.subscribers) == before + 2
 
 
-def test_a_lost_connection_forgets_it() -> None:
-    """Which program the controller has by the next connection is not known."""
+def test_lost_connection_forgets_kept_program() -> None:
+    """After a reconnection, it is unknown which program the controller runs."""
     desk = Programming()
     stopped(desk)
     desk.event(desk.primary, ConnectionState.LOST)
@@ -326,7 +322,7 @@ def test_a_lost_connection_forgets_it() -> None:
 
 
 @pytest.mark.parametrize(("title", "name"), [(STOPPED, None), (STARTED, "theirs")])
-def test_once_it_has_ended_or_was_replaced_what_runs_is_left_alone(title: str, name: str | None) -> None:
+def test_other_program_is_not_stopped_after_end_or_replacement(title: str, name: str | None) -> None:
     desk = Programming()
     run = stopped(desk)
     desk.key(title, name or run.program)
@@ -335,7 +331,7 @@ def test_once_it_has_ended_or_was_replaced_what_runs_is_left_alone(title: str, n
 
 
 @pytest.mark.parametrize(("title", "is_its_own"), [(STOPPED, False), (STARTED, True)])
-def test_what_is_reported_of_another_program_does_not_forget_it(title: str, is_its_own: bool) -> None:
+def test_report_about_other_program_keeps_kept_program(title: str, is_its_own: bool) -> None:
     desk = Programming()
     run = stopped(desk)
     desk.key(title, run.program if is_its_own else "theirs")
@@ -343,21 +339,21 @@ def test_what_is_reported_of_another_program_does_not_forget_it(title: str, is_i
     assert desk.stops == 1
 
 
-def test_it_is_stopped_where_nobody_has_enabled_motions() -> None:
+def test_kept_program_is_stopped_without_enable() -> None:
     desk = Programming()
     desk.interlock.policy = "always"
     desk.interlock.enable(desk.clock.now)
     stopped(desk)
     with pytest.raises(LinkError, match="enable"):
         desk.motion()
-    assert desk.stops == 0  # what was not sent does not hurry it
+    assert desk.stops == 0  # a refused motion does not bring the stop forward
     desk.state(0.1, paused=True)
     assert desk.stops == 1
 
 
 @pytest.mark.parametrize(("firmware", "stops"), [("5.11", 2), ("1.8", 1)])
-def test_its_stop_is_sent_again_where_its_end_would_be_reported(firmware: str, stops: int) -> None:
-    """A CB2 reports no ends by name, so a program that runs later may be another."""
+def test_stop_is_repeated_only_when_ends_are_reported(firmware: str, stops: int) -> None:
+    """A CB2 does not report ends by name, so a program that runs later may be a different one."""
     desk = Programming(firmware=firmware)
     run = desk.motion(asks=False)
     run.begins() if firmware == "5.11" else run.says("started")
@@ -367,8 +363,8 @@ def test_its_stop_is_sent_again_where_its_end_would_be_reported(firmware: str, s
     assert desk.stops == stops
 
 
-def test_one_that_was_sent_a_stop_just_before_is_sent_it_again() -> None:
-    """It may have stopped before that arrived; a CB2 reports no ends by name."""
+def test_stop_sent_just_before_safety_stop_is_repeated() -> None:
+    """The robot may have stopped before the sent stop arrived; a CB2 does not report ends by name."""
     desk = Programming(firmware="1.8")
     run = desk.motion(asks=False)
     run.says("started")
@@ -380,7 +376,7 @@ def test_one_that_was_sent_a_stop_just_before_is_sent_it_again() -> None:
     assert desk.stops == 2
 
 
-def test_a_script_that_is_cancelled_during_a_stop_is_stopped_after_it() -> None:
+def test_script_cancelled_during_stop_is_stopped_afterwards() -> None:
     desk = Programming(firmware="1.8")
     script = desk.script()
     script.says("started")
@@ -393,8 +389,8 @@ def test_a_script_that_is_cancelled_during_a_stop_is_stopped_after_it() -> None:
     assert desk.stops == 1
 
 
-def test_a_later_program_replaces_it_where_none_is_reported_by_name(caplog: pytest.LogCaptureFixture) -> None:
-    """Nothing tries to stop it any more, with each state."""
+def test_later_program_replaces_kept_program_on_cb2(caplog: pytest.LogCaptureFixture) -> None:
+    """After the replacement, no state tries to stop the program."""
     caplog.set_level("INFO", "urlink")
     desk = Programming(firmware="1.8")
     desk.motion(asks=False).says("started")
@@ -407,10 +403,10 @@ def test_a_later_program_replaces_it_where_none_is_reported_by_name(caplog: pyte
 
 
 @pytest.mark.parametrize(("firmware", "begins"), [("5.11", Run.begins), ("1.8", says_so)])
-def test_one_that_does_not_compile_does_not_replace_it(
+def test_script_with_compile_error_keeps_kept_program(
     firmware: str, begins: Callable[[Run], None], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It is stopped once nothing is about to replace it; until then no state reports an attempt."""
+    """The kept program is stopped when no other program is about to replace it; until then nothing is logged."""
     caplog.set_level("INFO", "urlink")
     desk = Programming(firmware=firmware)
     stopped(desk, begins)
@@ -423,8 +419,8 @@ def test_one_that_does_not_compile_does_not_replace_it(
     assert caplog.messages == []
 
 
-def test_the_next_stop_does_not_forget_it() -> None:
-    """It comes before the second state without the one before."""
+def test_next_stop_does_not_forget_kept_program() -> None:
+    """The next stop comes before the second state without the previous stop."""
     desk = Programming()
     stopped(desk)
     desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
@@ -435,8 +431,8 @@ def test_the_next_stop_does_not_forget_it() -> None:
     assert desk.stops == 1
 
 
-def test_one_that_begins_while_it_is_sent_a_stop_is_sent_it_again() -> None:
-    """The stop was on its way before the program began, so it is no other that has begun."""
+def test_stop_is_repeated_for_program_that_begins_late() -> None:
+    """The stop was sent before the program began, so the program that began is the abandoned one."""
     desk = Programming()
     run = desk.motion()
     run.cancel()
@@ -446,7 +442,7 @@ def test_one_that_begins_while_it_is_sent_a_stop_is_sent_it_again() -> None:
     assert desk.stops == 2
 
 
-def test_a_program_beside_it_does_not_replace_it() -> None:
+def test_secondary_program_does_not_replace_kept_program() -> None:
     desk = Programming()
     stopped(desk)
     beside = desk.script(BESIDE)
@@ -455,8 +451,8 @@ def test_a_program_beside_it_does_not_replace_it() -> None:
     assert desk.stops == 1
 
 
-def test_one_that_ends_since_the_robot_does_not_run_is_not_stopped_later() -> None:
-    """It was not paused: what runs once the robot runs again may be another."""
+def test_program_ended_by_power_off_is_not_stopped_later() -> None:
+    """The program was not paused, so a program that runs after power-on may be a different one."""
     desk = Programming(firmware="1.8")
     run = desk.motion(asks=False)
     run.says("started")
@@ -468,7 +464,7 @@ def test_one_that_ends_since_the_robot_does_not_run_is_not_stopped_later() -> No
     assert desk.stops == 0
 
 
-# -- given up after another was sent -------------------------------------------------------------------------
+# -- abandoned after another program was sent ----------------------------------------------------------------
 
 
 def moving(desk: Programming) -> Run:
@@ -491,7 +487,7 @@ def close_all(desk: Programming, run: Run) -> None:
 
 
 def ends_by_itself(desk: Programming, run: Run) -> None:
-    """Nothing is stopped then, nor later."""
+    """End the program normally; nothing is stopped then or later."""
     run.says("finished")
     run.stops()
     states(desk, 3, runs=True)
@@ -499,7 +495,7 @@ def ends_by_itself(desk: Programming, run: Run) -> None:
 
 
 @pytest.mark.parametrize("end", [refuse, give_up, close_all])
-def test_it_is_stopped_once_where_the_other_ends_before_it_has_begun(
+def test_program_is_stopped_once_when_later_script_ends_early(
     end: Callable[[Programming, Run], None], caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO", "urlink")
@@ -513,7 +509,7 @@ def test_it_is_stopped_once_where_the_other_ends_before_it_has_begun(
     assert caplog.messages == []
 
 
-def test_it_is_stopped_where_the_other_never_begins() -> None:
+def test_program_is_stopped_when_later_script_never_begins() -> None:
     desk = Programming(start_timeout=1.0)
     run, script = moving(desk), desk.script()
     run.cancel()
@@ -523,7 +519,7 @@ def test_it_is_stopped_where_the_other_never_begins() -> None:
     assert (script.done, desk.stops) == (True, 1)
 
 
-def test_where_the_other_begins_nothing_is_stopped() -> None:
+def test_nothing_is_stopped_when_later_script_begins() -> None:
     desk = Programming()
     run, script = moving(desk), desk.script()
     run.cancel()
@@ -532,7 +528,7 @@ def test_where_the_other_begins_nothing_is_stopped() -> None:
     ends_by_itself(desk, script)
 
 
-def test_where_the_other_has_begun_it_is_over() -> None:
+def test_program_has_ended_when_later_script_begins() -> None:
     desk = Programming()
     run, script = moving(desk), desk.script()
     script.begins()
@@ -541,7 +537,7 @@ def test_where_the_other_has_begun_it_is_over() -> None:
     ends_by_itself(desk, script)
 
 
-def test_nobody_stops_what_goes_on_and_was_not_given_up() -> None:
+def test_running_program_that_was_not_cancelled_is_not_stopped() -> None:
     desk = Programming()
     run, script = moving(desk), desk.script()
     refuse(desk, script)
@@ -549,7 +545,7 @@ def test_nobody_stops_what_goes_on_and_was_not_given_up() -> None:
     assert (run.done, desk.stops) == (False, 0)
 
 
-def test_a_program_beside_it_that_is_given_up_stops_nothing() -> None:
+def test_cancelled_secondary_program_stops_nothing() -> None:
     desk = Programming()
     beside, script = desk.script(BESIDE), desk.script()
     beside.cancel()
@@ -558,8 +554,8 @@ def test_a_program_beside_it_that_is_given_up_stops_nothing() -> None:
     assert desk.stops == 0
 
 
-def test_a_program_beside_it_that_ends_does_not_hurry_the_stop() -> None:
-    """As a state does, it may come before the report of which program runs."""
+def test_end_of_secondary_program_does_not_advance_stop() -> None:
+    """Like a state, it may arrive before the report of the running program."""
     desk = Programming()
     beside = desk.script(BESIDE)
     stopped(desk)
@@ -568,7 +564,7 @@ def test_a_program_beside_it_that_ends_does_not_hurry_the_stop() -> None:
     assert desk.stops == 0
 
 
-def test_a_program_beside_it_that_is_given_up_does_not_forget_it() -> None:
+def test_cancelled_secondary_program_keeps_kept_program() -> None:
     desk = Programming()
     beside = desk.script(BESIDE)
     stopped(desk)
@@ -578,8 +574,8 @@ def test_a_program_beside_it_that_is_given_up_does_not_forget_it() -> None:
     assert desk.stops == 1
 
 
-def test_during_a_stop_it_is_stopped_after_it(caplog: pytest.LogCaptureFixture) -> None:
-    """The stop ends what waits for its permission, and takes no program."""
+def test_program_cancelled_before_stop_is_stopped_after_stop(caplog: pytest.LogCaptureFixture) -> None:
+    """The safety stop ends programs that wait for permission; during it, the controller accepts no program."""
     caplog.set_level("INFO", "urlink")
     desk = Programming()
     run, script = moving(desk), desk.script()
@@ -593,11 +589,11 @@ def test_during_a_stop_it_is_stopped_after_it(caplog: pytest.LogCaptureFixture) 
     assert caplog.messages == []
 
 
-def test_it_is_left_to_the_other_also_while_nothing_is_known_of_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is not asked whether it may be stopped."""
+def test_stop_is_left_to_later_script_in_unknown_robot_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The interlock is not asked whether the program may be stopped."""
 
     def unknown(is_stop: bool) -> None:
-        raise NotRunning("nothing is known")
+        raise NotRunning("the state is unknown")
 
     desk = Programming()
     run, script = moving(desk), desk.script()
@@ -608,14 +604,14 @@ def test_it_is_left_to_the_other_also_while_nothing_is_known_of_the_robot(monkey
     assert desk.stops == 1
 
 
-# -- closed ----------------------------------------------------------------------------------------------------
+# -- closing ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("is_stopped", "state", "warns"),
     [(True, {"paused": True}, True), (True, {"runs": True}, False), (False, {"paused": True}, False)],
 )
-def test_closing_tells_of_a_program_that_stays_paused(
+def test_close_warns_about_program_that_stays_paused(
     is_stopped: bool, state: dict[str, bool], warns: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     desk = Programming()
@@ -627,7 +623,7 @@ def test_closing_tells_of_a_program_that_stays_paused(
     assert ("is paused on the controller and might resume later" in caplog.text) is warns
 
 
-def test_closing_before_a_state_has_come(caplog: pytest.LogCaptureFixture) -> None:
+def test_close_before_first_state_does_not_warn(caplog: pytest.LogCaptureFixture) -> None:
     desk = Programming()
     desk.motion().begins()
     desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))

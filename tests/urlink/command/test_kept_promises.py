@@ -1,4 +1,4 @@
-"""Small promises of commands, each of which a forgotten statement would break."""
+"""Details of commands that one missing statement would break."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from urlink.rtde.client import Rtde
 pytestmark = pytest.mark.simulated_time
 
 
-def test_listening_is_over_before_its_subscriptions_end() -> None:
+def test_listening_is_marked_over_before_subscriptions_end() -> None:
     listening = _Listening()
     seen: list[bool] = []
     listening.add(lambda: seen.append(listening.is_over))
@@ -42,7 +42,7 @@ def test_listening_is_over_before_its_subscriptions_end() -> None:
     assert seen == [True]
 
 
-def test_line_may_begin_with_a_tab() -> None:
+def test_send_line_accepts_leading_tab() -> None:
     with urlink.connect("sim://") as robot:
         robot.script.send_line("\tset_digital_out(0, True)")
         until(lambda: robot.controller.signals.digital_outputs & 1)
@@ -56,7 +56,7 @@ def test_next_link_on_a_fixed_port_replaces_the_previous_one() -> None:
     second.close(farewell=False)
 
 
-def test_claim_without_waiting_returns_while_another_waits() -> None:
+def test_claim_without_wait_returns_while_lock_is_held() -> None:
     with urlink.connect("sim://") as robot:
         brief: BriefClaims = robot.rtde._brief
         with brief._lock:
@@ -81,7 +81,7 @@ def test_new_connection_ends_no_program() -> None:
         motion.wait()
 
 
-def test_claims_are_closed_before_they_are_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_claims_are_marked_closed_before_release(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[bool] = []
     monkeypatch.setattr(BriefClaims, "give_back", lambda claims, timeout=1.0: seen.append(claims._is_closed))
     with urlink.connect("sim://") as robot:
@@ -89,7 +89,7 @@ def test_claims_are_closed_before_they_are_given_back(monkeypatch: pytest.Monkey
     assert seen[0] is True
 
 
-def test_claims_can_be_closed_while_they_connect(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_claims_are_registered_before_they_connect(monkeypatch: pytest.MonkeyPatch) -> None:
     with urlink.connect("sim://") as robot:
         brief, seen = robot.rtde._brief, []
         subscribe = Connection.subscribe_inline
@@ -104,19 +104,19 @@ def test_claims_can_be_closed_while_they_connect(monkeypatch: pytest.MonkeyPatch
     assert seen == [True]
 
 
-def test_settings_connect_in_time() -> None:
+def test_settings_connect_with_claim_timeout() -> None:
     with urlink.connect("sim://") as robot:
         claims = robot.rtde._connect_briefly(Requests(("timestamp",), None))
         assert claims._connection._timeout == CLAIM_TIMEOUT
         claims.close(1.0)
 
 
-def test_outputs_are_named_after_rtde() -> None:
+def test_outputs_stream_is_named_after_rtde() -> None:
     with urlink.connect("sim://") as robot, robot.rtde.outputs("actual_q") as stream:
         assert stream.name.endswith("rtde")
 
 
-def test_monitor_is_closed_before_its_hooks_are_dropped() -> None:
+def test_monitor_is_marked_closed_before_subscriptions_end() -> None:
     with urlink.connect("sim://") as robot:
         robot.realtime.wait()
         monitor, seen = robot.safety._monitor, []
@@ -128,7 +128,7 @@ def test_monitor_is_closed_before_its_hooks_are_dropped() -> None:
     assert all(seen)
 
 
-def test_interpreter_is_closed_with_its_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interpreter_is_registered_before_first_request(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
     with urlink.connect("sim://") as robot:
         interpreters = robot._commanded().interpreters
@@ -144,7 +144,7 @@ def test_interpreter_is_closed_with_its_robot(monkeypatch: pytest.MonkeyPatch) -
     assert seen[0] == 1
 
 
-def test_torque_repeats_nothing_while_it_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torque_message_is_muted_while_sending(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[bool] = []
     with urlink.connect("sim://?firmware=10.12") as robot:
         torque = robot.motion.torque()
@@ -160,7 +160,7 @@ def test_torque_repeats_nothing_while_it_is_sent(monkeypatch: pytest.MonkeyPatch
     assert seen == [True]
 
 
-def test_what_opens_after_rtde_was_closed_is_closed() -> None:
+def test_stream_opened_after_rtde_close_is_closed() -> None:
     with urlink.connect("sim://") as robot:
         rtde = robot.rtde
         stream = rtde.outputs("actual_q")
@@ -221,7 +221,7 @@ def test_stream_opened_while_the_robot_closes_is_closed() -> None:
         assert opened.is_over
 
 
-def test_types_are_awaited_for_a_limited_time() -> None:
+def test_rtde_replies_time_out_despite_other_packets() -> None:
     received: list[float] = []
 
     class Chatty:
@@ -256,9 +256,9 @@ def test_reason_of_a_timeout_is_read_under_the_lock(monkeypatch: pytest.MonkeyPa
     assert all(seen)
 
 
-def test_program_that_connects_to_a_closing_link_is_hung_up() -> None:
+def test_closing_link_disconnects_new_program() -> None:
     class Closing(ReverseLink):
-        """Closed by another thread just after it was seen open."""
+        """Link that another thread closes just after `_is_closed` was read as False."""
 
         _was_closed = False
 
@@ -292,7 +292,7 @@ def test_connecting_counts_towards_the_deadline_of_rtde() -> None:
         name = "slow"
 
         def __getattr__(self, name: str) -> object:
-            """The rest of a transport does nothing."""
+            """Return a function without effect for each other method of a transport."""
             return lambda *arguments: None
 
         async def connect(self, timeout: float) -> None:

@@ -1,4 +1,4 @@
-"""What becomes of programs as time passes, on a clock that the test holds."""
+"""Life cycles of programs over time, with a simulated clock."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def desk() -> Programming:
     return Programming()
 
 
-# -- how it is sent --------------------------------------------------------------------------------------
+# -- sending ---------------------------------------------------------------------------------------------
 
 
-def test_names_are_short_and_each_program_has_its_own(desk: Programming) -> None:
+def test_program_names_are_short_and_unique(desk: Programming) -> None:
     names = [desk.motion().program, desk.script("def job():\n  movej(q)\nend").program, desk.motion().program]
     words = [re.fullmatch(r"(.*)_[0-9a-f]{4}_([123])", name) for name in names]
     assert [each and each.groups() for each in words] == [("urlink", "1"), ("job", "2"), ("urlink", "3")]
 
 
 @pytest.mark.parametrize(("firmware", "count"), [("5.11", 1000), ("3.4", 255)])
-def test_each_program_has_a_token_of_its_own(firmware: str, count: int) -> None:
+def test_start_tokens_are_unique(firmware: str, count: int) -> None:
     desk = Programming(firmware=firmware)
     programs = [desk.programs.own([]) for _ in range(count)]
     assert len({each.permission.token for each in programs if each.permission is not None}) == count
@@ -44,7 +44,7 @@ def test_each_program_has_a_token_of_its_own(firmware: str, count: int) -> None:
 @pytest.mark.parametrize(
     ("firmware", "seconds", "cycles"), [("5.11", 2.0, 1000), ("3.4", 2.0, 250), ("5.11", 0.0001, 1)]
 )
-def test_permission_is_waited_for_in_cycles_of_the_controller(firmware: str, seconds: float, cycles: int) -> None:
+def test_start_timeout_is_converted_to_controller_cycles(firmware: str, seconds: float, cycles: int) -> None:
     desk = Programming(firmware=firmware, start_timeout=seconds)
     desk.motion()
     assert f"while urlink_cycles < {cycles} and not (" in desk.sent[0]
@@ -52,7 +52,7 @@ def test_permission_is_waited_for_in_cycles_of_the_controller(firmware: str, sec
     assert "urlink_cycles" not in desk.sent[-1]
 
 
-def test_what_is_sent_under_a_stop_or_after_the_end_is_not_followed(desk: Programming) -> None:
+def test_start_fails_under_stop_and_after_end_of_life(desk: Programming) -> None:
     desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
     life = desk.programs.life("refused")
     with pytest.raises(SafetyStop):
@@ -72,7 +72,7 @@ def test_what_is_sent_under_a_stop_or_after_the_end_is_not_followed(desk: Progra
     assert desk.programs._runs == {}
 
 
-def test_an_interrupt_while_it_is_sent_ends_its_life(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_while_sending_ends_life(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
@@ -83,7 +83,7 @@ def test_an_interrupt_while_it_is_sent_ends_its_life(desk: Programming, monkeypa
     assert str(life.error) == "motion was interrupted"
 
 
-def test_what_only_stops_needs_nobody_to_enable_it(desk: Programming) -> None:
+def test_stop_program_needs_no_enable(desk: Programming) -> None:
     desk.interlock.policy = "always"
     with pytest.raises(SafetyStop, match="not enabled"):
         desk.motion()
@@ -91,7 +91,7 @@ def test_what_only_stops_needs_nobody_to_enable_it(desk: Programming) -> None:
 
 
 class Interrupted(dict[str, Any]):
-    """Calls a signal handler after the first thing was put into it."""
+    """Dictionary that calls a signal handler after its first assignment."""
 
     def __init__(self, handler: Callable[[], object]) -> None:
         super().__init__()
@@ -103,8 +103,8 @@ class Interrupted(dict[str, Any]):
             self._handlers.pop()()
 
 
-def test_a_signal_handler_begins_another_before_it_has_left(desk: Programming) -> None:
-    """What the handler began came later: what it interrupted must not preempt it."""
+def test_motion_of_signal_handler_preempts_interrupted_motion(desk: Programming) -> None:
+    """The handler's motion was started later, so the interrupted motion must not preempt it."""
     others: list[Run] = []
     desk.programs._runs = Interrupted(lambda: others.append(desk.motion()))
     with pytest.raises(Cancelled, match=r"was preempted by motion urlink_"):
@@ -114,7 +114,7 @@ def test_a_signal_handler_begins_another_before_it_has_left(desk: Programming) -
 
 
 @pytest.mark.parametrize("is_beside", [True, False])
-def test_what_runs_beside_preempts_nothing(desk: Programming, is_beside: bool) -> None:
+def test_secondary_program_preempts_nothing(desk: Programming, is_beside: bool) -> None:
     acts: list[Callable[[], Run]] = [lambda: desk.script(SEC), desk.motion]
     handler, interrupted = acts if is_beside else acts[::-1]
     others: list[Run] = []
@@ -123,10 +123,10 @@ def test_what_runs_beside_preempts_nothing(desk: Programming, is_beside: bool) -
     assert len(desk.sent) == 2
 
 
-# -- how it begins ---------------------------------------------------------------------------------------
+# -- beginning -------------------------------------------------------------------------------------------
 
 
-def test_it_begins_once_and_is_let_go_on(desk: Programming) -> None:
+def test_program_begins_once_and_gets_permission(desk: Programming) -> None:
     run = desk.motion()
     desk.key(STARTED, f" {run.program}\n\0")
     assert run.phase is Phase.RUNNING
@@ -140,7 +140,7 @@ def test_it_begins_once_and_is_let_go_on(desk: Programming) -> None:
 
 
 @pytest.mark.parametrize("is_over", [True, False])
-def test_what_was_given_up_at_the_last_moment_is_not_let_go_on(desk: Programming, is_over: bool) -> None:
+def test_program_cancelled_at_last_moment_gets_no_permission(desk: Programming, is_over: bool) -> None:
     run = desk.motion()
     require = desk.monitor.require
 
@@ -156,7 +156,7 @@ def test_what_was_given_up_at_the_last_moment_is_not_let_go_on(desk: Programming
     assert run.phase is (Phase.CANCELLED if is_over else Phase.RUNNING)
 
 
-def test_the_thread_that_hears_does_not_wait_to_let_it_go_on(desk: Programming) -> None:
+def test_reader_does_not_wait_to_send_permission(desk: Programming) -> None:
     run = desk.motion()
     desk.primary.room = 0
     run.begins()
@@ -164,7 +164,7 @@ def test_the_thread_that_hears_does_not_wait_to_let_it_go_on(desk: Programming) 
     assert "did not accept a text" in run.end
 
 
-def test_a_program_that_was_not_let_go_on_says_so(desk: Programming) -> None:
+def test_program_without_permission_fails_with_timeout(desk: Programming) -> None:
     one, two = desk.script(SEC), desk.motion()
     two.begins()
     two.says("was not permitted to go on")
@@ -181,7 +181,9 @@ def test_a_program_that_was_not_let_go_on_says_so(desk: Programming) -> None:
         ({"asks": False, "is_stop": True}, "it moves nothing if it begins later"),
     ],
 )
-def test_what_does_not_begin_in_time(desk: Programming, options: dict[str, bool], what_if: str) -> None:
+def test_program_that_does_not_begin_fails_with_timeout(
+    desk: Programming, options: dict[str, bool], what_if: str
+) -> None:
     run = desk.motion(**options)
     desk.clock.now += 5.0
     desk.state()
@@ -192,7 +194,7 @@ def test_what_does_not_begin_in_time(desk: Programming, options: dict[str, bool]
     assert f"the robot mode is RUNNING, a program runs; {what_if}; an e-Series" in run.end
 
 
-def test_time_counts_from_when_it_left(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_start_timeout_counts_from_sending(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
     desk.primary.room = 0
 
     def make_room() -> None:
@@ -207,7 +209,7 @@ def test_time_counts_from_when_it_left(desk: Programming, monkeypatch: pytest.Mo
     assert "no program runs" in run.end
 
 
-def test_a_secondary_program_has_to_end_in_time(desk: Programming) -> None:
+def test_secondary_program_times_out(desk: Programming) -> None:
     run = desk.script(SEC)
     run.begins()
     desk.state(5.1, runs=True)
@@ -215,12 +217,12 @@ def test_a_secondary_program_has_to_end_in_time(desk: Programming) -> None:
     assert "later" not in run.end
 
 
-# -- how it ends -----------------------------------------------------------------------------------------
+# -- ending ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_its_own_end(desk: Programming, is_told: bool) -> None:
-    """Told by a key message, or by the flag in the state, which may rise late and fall late."""
+def test_finished_program_ends_by_key_message_or_flag(desk: Programming, is_told: bool) -> None:
+    """The end is reported by a key message, or by the flag in the state, which might be set and cleared late."""
     ends: list[str] = []
     run = desk.script(on_finish=lambda: ends.append("here"))
     if is_told:
@@ -233,8 +235,8 @@ def test_its_own_end(desk: Programming, is_told: bool) -> None:
     assert ends == ["here"]
 
 
-def test_a_last_word_is_a_first_one_as_well(desk: Programming) -> None:
-    """Where the first was not heard, as just after the connection was made again."""
+def test_finish_marker_also_marks_beginning(desk: Programming) -> None:
+    """The start marker might be missed, for example just after a reconnection."""
     before, run = desk.script(), desk.script()
     run.says("finished")
     assert run.phase is Phase.RUNNING
@@ -244,7 +246,7 @@ def test_a_last_word_is_a_first_one_as_well(desk: Programming) -> None:
 
 
 @pytest.mark.parametrize("is_paused", [True, False])
-def test_a_program_that_is_paused_goes_on(desk: Programming, is_paused: bool) -> None:
+def test_paused_program_keeps_its_phase(desk: Programming, is_paused: bool) -> None:
     run = desk.script()
     run.begins()
     desk.key("PROGRAM_XXX_PAUSED", run.program)
@@ -253,20 +255,20 @@ def test_a_program_that_is_paused_goes_on(desk: Programming, is_paused: bool) ->
     assert run.phase is Phase.RUNNING
     desk.state(0.1)
     desk.state(0.2)
-    assert run.phase is Phase.RUNNING  # news of what stopped it may be on its way
+    assert run.phase is Phase.RUNNING  # the report of the stop may still arrive
     desk.state(0.2)
     assert run.end == f"ProgramStopped: {run.name} was stopped early by another client or a person"
 
 
 @pytest.mark.parametrize("has_keys", [True, False])
-def test_a_flag_that_is_down_for_half_a_second_has_been_missed(desk: Programming, has_keys: bool) -> None:
-    """Where key messages tell, it only has not risen yet, or for five seconds they were lost."""
+def test_program_ends_when_flag_stays_clear(desk: Programming, has_keys: bool) -> None:
+    """The limit is half a second. With key messages it is five seconds, because they might have been lost."""
     run = desk.script()
     if has_keys:
         desk.key(STARTED, "theirs")
     desk.key("PROGRAM_XXX_PAUSED", "theirs")
     run.says("started")
-    for later in (0.5, 0.25, 0.1):  # half a second is not enough; then news of a stop may still be on its way
+    for later in (0.5, 0.25, 0.1):  # exactly half a second is too short; then the report of a stop may still arrive
         desk.state(later)
         assert run.phase is Phase.RUNNING
     desk.state(0.25)
@@ -276,7 +278,7 @@ def test_a_flag_that_is_down_for_half_a_second_has_been_missed(desk: Programming
     assert run.end == f"ProgramStopped: {run.name} was stopped early by another client or a person"
 
 
-def test_a_stop_that_is_told_after_the_end(desk: Programming) -> None:
+def test_stop_reported_after_end_is_the_cause(desk: Programming) -> None:
     run = desk.script()
     run.begins()
     desk.clock.now = 0.0
@@ -287,10 +289,10 @@ def test_a_stop_that_is_told_after_the_end(desk: Programming) -> None:
     assert "protective stop" in run.end
 
 
-def test_what_ends_under_a_stop_or_without_power_was_stopped_by_it(desk: Programming) -> None:
+def test_end_without_power_raises_not_running(desk: Programming) -> None:
     run = desk.script()
     run.begins()
-    desk.interlock.policy = "always"  # which only asks for a person, and is no cause
+    desk.interlock.policy = "always"  # a missing `enable()` is not the cause of an end
     run.stops()
     assert run.phase is Phase.RUNNING
     desk.state(0.4)
@@ -299,13 +301,13 @@ def test_what_ends_under_a_stop_or_without_power_was_stopped_by_it(desk: Program
     run = desk.script()
     run.begins()
     desk.primary.tell(slow(mode=RobotMode.POWER_OFF))
-    assert run.phase is Phase.RUNNING  # a program of the user's own may be paused only
+    assert run.phase is Phase.RUNNING  # a user's program might only be paused
     run.stops()
     assert isinstance(run.error, NotRunning)
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_an_error_is_the_end_within_a_second(desk: Programming, is_told: bool) -> None:
+def test_script_error_ends_program_within_a_second(desk: Programming, is_told: bool) -> None:
     run = desk.script("a = 1 / 0")
     run.begins()
     desk.exception("division by zero")
@@ -319,17 +321,17 @@ def test_an_error_is_the_end_within_a_second(desk: Programming, is_told: bool) -
     assert isinstance(run.error, ScriptFailed)
 
 
-def test_whom_an_error_is_of(desk: Programming, caplog: pytest.LogCaptureFixture) -> None:
+def test_exception_is_assigned_to_the_right_program(desk: Programming, caplog: pytest.LogCaptureFixture) -> None:
     running = desk.script()
     running.begins()
-    desk.exception("syntax_error_on_line:1:")  # of somebody else's text
+    desk.exception("syntax_error_on_line:1:")  # caused by a text of another client
     assert "the controller reports: 1:1: syntax_error_on_line:1:" in caplog.text
     assert running.phase is Phase.RUNNING
     beside, awaited = desk.script(SEC), desk.script()
     desk.exception("compile_error")
     assert isinstance(awaited.error, CompileError)
     assert (running.phase, beside.phase) == (Phase.RUNNING, Phase.SENT)
-    desk.exception("whatever comes before it begins")
+    desk.exception("any error before the program begins")
     assert isinstance(beside.error, CompileError)
     another = desk.script(SEC)
     another.begins()
@@ -342,7 +344,7 @@ def test_whom_an_error_is_of(desk: Programming, caplog: pytest.LogCaptureFixture
     assert isinstance(running.error, ScriptFailed)
 
 
-def test_a_program_that_begins_ends_those_before_it(desk: Programming) -> None:
+def test_beginning_program_ends_earlier_programs(desk: Programming) -> None:
     finished = desk.script()
     finished.begins()
     finished.says("finished")
@@ -356,16 +358,16 @@ def test_a_program_that_begins_ends_those_before_it(desk: Programming) -> None:
     waits = desk.script()
     desk.key(STARTED, "theirs")
     assert "was replaced by theirs, a program of another client" in last.end
-    assert waits.phase is Phase.SENT  # it was sent after theirs, for all that is known
+    assert waits.phase is Phase.SENT  # it might have been sent after their program
     assert beside.phase is Phase.RUNNING
     waits.begins()
     later = desk.script()
     waits.stops()
     assert waits.end == f"Cancelled: {waits.name} was preempted by {later.name}"
-    assert desk.stops == 0  # what preempts it has stopped it
+    assert desk.stops == 0  # the preempting program has stopped it
 
 
-def test_a_secondary_program_that_is_stopped_was_preempted_by_nobody(desk: Programming) -> None:
+def test_stopped_secondary_program_is_not_preempted(desk: Programming) -> None:
     beside = desk.script(SEC)
     beside.begins()
     desk.script().begins()
@@ -376,7 +378,7 @@ def test_a_secondary_program_that_is_stopped_was_preempted_by_nobody(desk: Progr
 
 
 @pytest.mark.parametrize("has_begun", [True, False])
-def test_a_motion_ends_as_soon_as_the_interlock_closes(desk: Programming, has_begun: bool) -> None:
+def test_motion_ends_when_interlock_closes(desk: Programming, has_begun: bool) -> None:
     for packet in (slow(SafetyMode.PROTECTIVE_STOP), slow(mode=RobotMode.POWER_OFF)):
         motion, stop = desk.motion(), None
         if has_begun:
@@ -395,10 +397,10 @@ def test_a_motion_ends_as_soon_as_the_interlock_closes(desk: Programming, has_be
     assert stop is not None
 
 
-# -- who asks --------------------------------------------------------------------------------------------
+# -- current programs and stops --------------------------------------------------------------------------
 
 
-def test_what_runs_now(desk: Programming) -> None:
+def test_current_and_permitted_programs(desk: Programming) -> None:
     current = [desk.programs.current]
     motion = desk.motion()
     current.append(desk.programs.current)
@@ -409,19 +411,19 @@ def test_what_runs_now(desk: Programming) -> None:
     for source in (SEC, "movej(q)"):
         desk.script(source)
         current.append(desk.programs.current)
-    # The last is a program of the user's own, which came after it.
+    # The last program is the user's own, which was sent after the motions.
     assert current == [None, motion._life, free._life, None]
 
 
-def test_a_program_that_connects_back_may_move_the_arm_once_it_has_begun(desk: Programming) -> None:
-    """A speed that followed it would move the arm also where it is never let in."""
+def test_linked_program_is_permitted_after_it_began(desk: Programming) -> None:
+    """Otherwise a speed that is sent after it would move the arm even if the program never connects."""
     linked = desk.motion(asks=False, is_linked=True)
     assert desk.programs.permitted == []
     linked.begins()
     assert desk.programs.permitted == [linked._life]
 
 
-def test_what_is_over_is_not_current_while_it_is_braked(desk: Programming) -> None:
+def test_ended_motion_is_not_current_while_braking(desk: Programming) -> None:
     run = desk.motion(asks=False)
     seen: list[object] = []
     run._life.brake = lambda: seen.extend([desk.programs.current, desk.programs.permitted])
@@ -429,11 +431,11 @@ def test_what_is_over_is_not_current_while_it_is_braked(desk: Programming) -> No
     assert seen == [None, []]
 
 
-def test_only_the_newest_is_stopped(desk: Programming) -> None:
+def test_only_the_newest_program_is_stopped(desk: Programming) -> None:
     one = desk.motion()
     two = desk.motion()
     one.cancel()
-    assert desk.stops == 0  # the one that was sent after it stops it anyway
+    assert desk.stops == 0  # the program sent after it stops it anyway
     two.cancel()
     assert desk.stops == 1
     desk.programs.stop(two._life)
@@ -441,10 +443,10 @@ def test_only_the_newest_is_stopped(desk: Programming) -> None:
     desk.interlock.policy = "on_startup"
     three = desk.motion(asks=False, is_stop=True)
     three.cancel()
-    assert desk.stops == 2  # nobody has to enable an arm that is to stop
+    assert desk.stops == 2  # stopping the arm needs no `enable()`
 
 
-def test_a_stop_that_is_refused_says_so(desk: Programming) -> None:
+def test_refused_stop_raises_safety_stop(desk: Programming) -> None:
     script = desk.script()
     script.begins()
     desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
@@ -452,8 +454,8 @@ def test_a_stop_that_is_refused_says_so(desk: Programming) -> None:
         desk.programs.stop(script._life)
 
 
-def test_it_is_known_when_the_last_one_ended(desk: Programming) -> None:
-    """A state from before that may show its movement."""
+def test_ended_is_time_of_last_end(desk: Programming) -> None:
+    """A state received before that time might still show the movement."""
     run = desk.motion()
     run.begins()
     desk.clock.now += 5.0
@@ -472,10 +474,10 @@ def test_it_is_known_when_the_last_one_ended(desk: Programming) -> None:
         (lambda desk: desk.script(SEC), ("play",)),
     ],
 )
-def test_what_replaces_the_running_program_supersedes_what_was_given_up(
+def test_replacing_program_drops_pending_undos(
     desk: Programming, begin: Callable[[Programming], Run], pending: tuple[str, ...]
 ) -> None:
-    """It need not be undone any more. Neither a stop nor a program beside replaces it."""
+    """An abandoned command then needs no undo. Neither a stop nor a secondary program replaces it."""
 
     def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         raise ConnectionLost("it is away")
@@ -487,16 +489,14 @@ def test_what_replaces_the_running_program_supersedes_what_was_given_up(
     undos.close()
 
 
-def test_what_is_sent_while_a_stop_waits_for_news_is_not_stopped(
-    desk: Programming, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_motion_sent_while_stop_waits_is_not_stopped(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
     one, others = desk.motion(), list[Any]()
     prepare = desk.channel._prepare
 
     def prepare_beside(moves: bool) -> None:
         prepare(moves)
         monkeypatch.setattr(desk.channel, "_prepare", prepare)
-        others.append(desk.motion())  # of another thread
+        others.append(desk.motion())  # as another thread would do
 
     monkeypatch.setattr(desk.channel, "_prepare", prepare_beside)
     one.cancel()
@@ -509,8 +509,8 @@ def test_what_is_sent_while_a_stop_waits_for_news_is_not_stopped(
 # -- the connection ----------------------------------------------------------------------------------------
 
 
-def test_what_was_sent_before_a_silence_is_discarded(desk: Programming) -> None:
-    """Half a second before it the network may have failed already."""
+def test_silence_discards_recently_sent_text(desk: Programming) -> None:
+    """The network may have failed up to half a second before the silence began."""
     desk.programs._listen()
     for before, aborts in ((1.6, 0), (1.4, 1)):
         desk.motion()
@@ -521,7 +521,7 @@ def test_what_was_sent_before_a_silence_is_discarded(desk: Programming) -> None:
         desk.primary.tell(slow())
 
 
-def test_what_was_sent_over_a_connection_that_is_lost(desk: Programming) -> None:
+def test_lost_connection_ends_programs_sent_before(desk: Programming) -> None:
     script, motion = desk.script(), desk.motion(asks=False)
     for state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
         desk.event(desk.primary, state)
@@ -529,7 +529,7 @@ def test_what_was_sent_over_a_connection_that_is_lost(desk: Programming) -> None
         ConnectionState.LOST, "line", ConnectionLost("pulled"), Stamp(desk.clock.now, desk.clock.now)
     )
     desk.programs.on_event(event)
-    assert script.phase is motion.phase is Phase.SENT  # sent after it was lost, over the next one
+    assert script.phase is motion.phase is Phase.SENT  # sent after the loss, over the next connection
     desk.clock.now += 0.1
     desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now)))
     lost = "the connection was lost while {} was running; {}: pulled"
@@ -544,7 +544,7 @@ def test_what_was_sent_over_a_connection_that_is_lost(desk: Programming) -> None
 
 
 @pytest.mark.parametrize(("state", "is_left"), [(s, s.name in ("IDLE", "CLOSED")) for s in ConnectionState])
-def test_a_connection_that_was_given_up_is_listened_to_anew(
+def test_next_motion_subscribes_again_after_connection_gave_up(
     desk: Programming, state: ConnectionState, is_left: bool
 ) -> None:
     desk.motion()
@@ -554,7 +554,7 @@ def test_a_connection_that_was_given_up_is_listened_to_anew(
     assert len(desk.primary.subscribers) == before + (2 if is_left else 0)
 
 
-def test_what_cannot_be_listened_to_is_not_sent(desk: Programming) -> None:
+def test_nothing_is_sent_when_subscribing_fails(desk: Programming) -> None:
     subscribe, before = desk.primary.subscribe_inline, len(desk.primary.subscribers)
 
     def refuse(kind: type, callback: Callable[[Any], object]) -> Subscriber:
@@ -596,7 +596,7 @@ def test_close_stops_the_program_unless_it_is_detached(desk: Programming, is_mot
 
 
 def test_close_rejects_motions_while_it_cancels_others(desk: Programming) -> None:
-    """Another thread, or a signal handler, may request one just then; it would go on after the robot is closed."""
+    """Another thread or a signal handler might request one just then; it would continue after the robot is closed."""
     run = desk.motion()
     failures: list[Exception] = []
 

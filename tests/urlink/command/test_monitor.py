@@ -1,4 +1,4 @@
-"""What the monitor listens to, what it makes of each report, whom it tells, and what it leaves behind."""
+"""Safety monitor: its subscriptions, its use of each report, its notifications, and its closing."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STALE_AFTER = 1.0
 
 
 class Monitored(Desk):
-    """`closings` is what motions ended with, `stops` what users were told."""
+    """Desk that records the errors that end motions (`closings`) and that users are notified of (`stops`)."""
 
     def __init__(self) -> None:
         super().__init__(stale_after=STALE_AFTER)
@@ -47,7 +47,7 @@ class Monitored(Desk):
 
     @property
     def listeners(self) -> list[int]:
-        """How many there are of each kind: packets and events, and silence, of both lines."""
+        """Number of subscribers (packets and events) and of silence watches, for both lines."""
         return [len(each) for line in (self.primary, self.realtime) for each in (line.subscribers, line.watches)]
 
 
@@ -56,7 +56,7 @@ def desk() -> Monitored:
     return Monitored()
 
 
-def test_each_interface_is_listened_to_once(desk: Monitored) -> None:
+def test_listen_subscribes_once_per_interface(desk: Monitored) -> None:
     desk.monitor.listen()
     assert desk.listeners == [2, 1, 0, 0]
     for _ in range(2):
@@ -73,16 +73,16 @@ def test_each_interface_is_listened_to_once(desk: Monitored) -> None:
     assert (len(desk.closings), len(desk.stops)) == (2, 1)
 
 
-def test_an_interface_that_says_nothing_lets_nothing_through(desk: Monitored) -> None:
+def test_interface_without_report_refuses_motions(desk: Monitored) -> None:
     desk.monitor.listen()
     desk.primary.tell(slow())
     assert desk.monitor.refusal_to_begin() is None
     desk.listen()
     assert "nothing was received on the realtime interface yet" in str(desk.monitor.refusal_to_begin())
-    assert desk.closings == []  # until it has been waited for, what runs goes on
+    assert desk.closings == []  # running motions continue until the wait for the first report has ended
 
 
-def test_a_stop_of_the_arm_needs_nobody_to_enable_it(desk: Monitored) -> None:
+def test_stopping_the_arm_needs_no_enable(desk: Monitored) -> None:
     desk.clear()
     with desk.monitor.decision() as interlock:
         interlock.policy = "always"
@@ -96,9 +96,7 @@ def test_a_stop_of_the_arm_needs_nobody_to_enable_it(desk: Monitored) -> None:
 
 
 @pytest.mark.parametrize(("limit", "seconds"), [(None, 1.0), (0.5, 0.5), (3.0, 1.0)])
-def test_silence_is_told_of_before_the_connection_counts_as_lost(
-    desk: Monitored, limit: float | None, seconds: float
-) -> None:
+def test_silence_is_reported_before_connection_is_lost(desk: Monitored, limit: float | None, seconds: float) -> None:
     desk.primary.silence.limit = limit
     desk.clear()
     desk.primary.be_silent()
@@ -107,7 +105,7 @@ def test_silence_is_told_of_before_the_connection_counts_as_lost(
     assert len(desk.closings) == 1
 
 
-def test_what_was_said_before_one_listens_counts(desk: Monitored) -> None:
+def test_report_received_before_subscribing_counts(desk: Monitored) -> None:
     newest: dict[type, State] = {RobotState: slow(SafetyMode.SAFEGUARD_STOP), RealtimeState: fast()}
     for line in (desk.primary, desk.realtime):
         line.fan_out.newest = newest.__getitem__
@@ -115,7 +113,7 @@ def test_what_was_said_before_one_listens_counts(desk: Monitored) -> None:
     assert "safeguard stop" in str(desk.monitor.refusal_to_begin())
 
 
-def test_a_connection_that_is_down_already_is_a_lost_one(desk: Monitored) -> None:
+def test_connection_that_is_already_down_counts_as_lost(desk: Monitored) -> None:
     desk.realtime.state = ConnectionState.CONNECTING
     desk.monitor.listen()
     desk.primary.tell(slow())
@@ -129,7 +127,7 @@ def test_a_connection_that_is_down_already_is_a_lost_one(desk: Monitored) -> Non
 
 
 @pytest.mark.parametrize("fails_at", [1, 2])
-def test_what_cannot_be_listened_to_leaves_nothing_behind(desk: Monitored, fails_at: int) -> None:
+def test_failed_subscription_leaves_no_subscribers(desk: Monitored, fails_at: int) -> None:
     subscribe, tries = desk.realtime.subscribe_inline, iter(range(1, 100))
 
     def refuse(kind: type, callback: Callable[[Any], object]) -> Subscriber:
@@ -144,13 +142,13 @@ def test_what_cannot_be_listened_to_leaves_nothing_behind(desk: Monitored, fails
     with pytest.raises(ConnectFailed):
         desk.listen()
     assert desk.listeners == [2, 1, 0, 0]
-    assert desk.monitor.refusal_to_begin() is None  # of the primary interface enough is known
+    assert desk.monitor.refusal_to_begin() is None  # the reports of the primary interface are sufficient
     desk.realtime.subscribe_inline = subscribe  # type: ignore[method-assign]
     desk.clear()
 
 
-def test_two_that_listen_at_the_same_time_listen_once(desk: Monitored) -> None:
-    """A signal handler can come while its own thread subscribes."""
+def test_concurrent_listen_subscribes_once(desk: Monitored) -> None:
+    """A signal handler can interrupt its own thread while it subscribes."""
     subscribe = desk.primary.subscribe_inline
 
     def interrupted(kind: type, callback: Callable[[Any], object]) -> Subscriber:
@@ -163,21 +161,21 @@ def test_two_that_listen_at_the_same_time_listen_once(desk: Monitored) -> None:
     assert desk.listeners == [2, 1, 2, 1]
 
 
-def test_what_a_connection_tells(desk: Monitored) -> None:
+def test_lost_connection_refuses_motions_until_next_report(desk: Monitored) -> None:
     desk.clear()
     for state in (ConnectionState.CONNECTING, ConnectionState.CONNECTED):
         desk.event(desk.primary, state)
         assert desk.monitor.refusal_to_begin() is None
     desk.event(desk.primary, ConnectionState.LOST, ConnectionLost("pulled"))
     assert "the robot's state is unknown: pulled" in str(desk.monitor.refusal_to_begin())
-    assert desk.listeners == [2, 1, 2, 1]  # it is made again
+    assert desk.listeners == [2, 1, 2, 1]  # the subscriptions stay, because the connection is made again
     desk.clear()
     desk.event(desk.primary, ConnectionState.LOST)
     assert "the robot's state is unknown: closed" in str(desk.monitor.refusal_to_begin())
 
 
 @pytest.mark.parametrize("state", [ConnectionState.IDLE, ConnectionState.CLOSED])
-def test_a_connection_that_was_given_up_is_listened_to_anew(desk: Monitored, state: ConnectionState) -> None:
+def test_monitor_subscribes_again_after_connection_gave_up(desk: Monitored, state: ConnectionState) -> None:
     desk.clear()
     (told,) = [each.callback for each in desk.primary.subscribers if each.kind is ConnectionEvent]
     desk.event(desk.primary, state)
@@ -186,15 +184,15 @@ def test_a_connection_that_was_given_up_is_listened_to_anew(desk: Monitored, sta
     desk.clear()
     assert desk.listeners == [2, 1, 2, 1]
     told(ConnectionEvent(ConnectionState.LOST, "line", None, Stamp(desk.clock.now, desk.clock.now)))
-    assert desk.monitor.refusal_to_begin() is None  # an event of the connection before
+    assert desk.monitor.refusal_to_begin() is None  # an event of the previous subscription is ignored
 
 
-def test_what_the_primary_interface_says_in_parts(desk: Monitored) -> None:
+def test_partial_reports_of_primary_interface(desk: Monitored) -> None:
     desk.clear()
     desk.primary.tell(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
     assert "violation" in str(desk.monitor.refusal_to_begin())
     desk.primary.tell(RobotState(packet(MasterboardData, FIRMWARE, safety_mode=SafetyMode.NORMAL)))
-    assert "violation" in str(desk.monitor.refusal_to_begin())  # without its mode it reports nothing of the robot
+    assert "violation" in str(desk.monitor.refusal_to_begin())  # a state without robot mode is ignored
     desk.primary.tell(slow())
     assert desk.monitor.refusal_to_begin() is None
     for fields in ({"is_emergency_stopped": True}, {"is_protective_stopped": True}):
@@ -202,8 +200,8 @@ def test_what_the_primary_interface_says_in_parts(desk: Monitored) -> None:
         assert isinstance(desk.monitor.refusal_to_begin(), SafetyStop)
 
 
-def test_a_report_is_as_old_as_its_bytes(desk: Monitored) -> None:
-    """However late it is read: a program that was held up has old states waiting."""
+def test_age_of_report_counts_from_reception_of_its_bytes(desk: Monitored) -> None:
+    """The time of reading does not matter: after a delay, a program finds old states in its buffer."""
     desk.clear()
 
     def stamped(packet: Any, at: float) -> Any:
@@ -218,17 +216,17 @@ def test_a_report_is_as_old_as_its_bytes(desk: Monitored) -> None:
     assert "nothing was read from the realtime interface for 1.1 s" in str(refusal)
 
 
-def test_closing_lets_go_of_everything(desk: Monitored) -> None:
+def test_close_unsubscribes_and_refuses_motions(desk: Monitored) -> None:
     desk.clear()
     desk.monitor.close()
     assert desk.listeners == [0, 0, 0, 0]
     assert "closed here" in str(desk.monitor.refusal_to_begin())
     assert len(desk.closings) == 1
-    assert desk.stops == []  # it is no stop of the robot
+    assert desk.stops == []  # closing is not a stop of the robot
 
 
-def test_closing_keeps_nobody_who_asked_to_be_called(desk: Monitored) -> None:
-    """They are parts that hold the monitor: it would live until the garbage collector runs."""
+def test_close_drops_references_to_hooks(desk: Monitored) -> None:
+    """Hooks belong to parts that refer to the monitor. The cycle would live until the garbage collector runs."""
 
     class Part:
         def on_close(self, error: LinkError) -> None: ...
@@ -252,8 +250,8 @@ def test_closing_keeps_nobody_who_asked_to_be_called(desk: Monitored) -> None:
         lambda monitor: monitor._interlock.enable(monitor.clock()),
     ],
 )
-def test_a_refusal_lives_no_longer_than_who_catches_it(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
-    """Its traceback has the frame that raised it, which must not refer to it."""
+def test_refusal_is_freed_after_being_caught(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
+    """The traceback contains the frame that raised the error, so that frame must not refer to the error."""
     caught: list[weakref.ref[LinkError]] = []
     gc.disable()
     try:
@@ -270,7 +268,7 @@ def test_a_refusal_lives_no_longer_than_who_catches_it(desk: Monitored, ask: Cal
 
 
 @pytest.mark.simulated_time
-def test_who_waits_looks_again_when_time_is_up() -> None:
+def test_wait_for_checks_again_at_timeout() -> None:
     desk = Desk(may_wait=True)
     answers = iter([False, True, False, False])
     assert desk.monitor.wait_for(lambda interlock: next(answers), 0.01)
@@ -278,7 +276,7 @@ def test_who_waits_looks_again_when_time_is_up() -> None:
     assert not desk.monitor._waiting
 
 
-def test_who_waits_is_told_of_all_that_changes() -> None:
+def test_wait_for_wakes_at_every_change() -> None:
     desk = Desk(may_wait=True)
     desk.monitor.wait_for = lambda *_: True  # type: ignore[method-assign]
     desk.clear()
@@ -303,12 +301,12 @@ def test_who_waits_is_told_of_all_that_changes() -> None:
                 change()
             return len(looks) > 1
 
-        # Not woken it would look again only when time is up, and that is too late for the test.
+        # Without a wake-up it would check again only after the timeout, which is too late for the test.
         assert desk.monitor.wait_for(look, 3600.0)
 
 
-def test_how_long_news_is_waited_for() -> None:
-    """Two seconds for a first report. Where something is in the way a quarter, for the next report of every source."""
+def test_timeouts_of_first_and_next_report() -> None:
+    """Two seconds for a first report; if something blocks motion, half a second for every source's next report."""
     desk = Desk(may_wait=True)
     asked: list[tuple[Callable[[Interlock], object], float]] = []
 
@@ -332,7 +330,7 @@ def test_how_long_news_is_waited_for() -> None:
         assert seconds == 0.5
         assert is_settled(desk.interlock)
         desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
-        # It is in the way of motions only, until both have spoken again.
+        # The stop blocks only motions, until both interfaces have reported again.
         assert bool(is_settled(desk.interlock)) is not moves
         desk.clock.now += 0.1
         desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
@@ -343,11 +341,11 @@ def test_how_long_news_is_waited_for() -> None:
     asked.clear()
     desk.monitor._section = Section(lambda: True)
     desk.monitor.await_news(moves=True)
-    assert asked == []  # in the thread that would have to hear it
+    assert asked == []  # the reader thread does not wait, because it would have to receive the report
 
 
-def test_the_thread_that_reads_looks_itself_where_something_is_in_the_way(desk: Monitored) -> None:
-    """At the lines that it reads: what has come meanwhile, before it is refused."""
+def test_reader_thread_reads_pending_data_before_refusing(desk: Monitored) -> None:
+    """The thread reads the data that arrived meanwhile on its own lines, before the motion is refused."""
     desk.clear()
     looks: list[str] = []
     for name, line in (("primary", desk.primary), ("realtime", desk.realtime)):
@@ -365,8 +363,8 @@ def test_the_thread_that_reads_looks_itself_where_something_is_in_the_way(desk: 
 
 
 @pytest.mark.simulated_time
-def test_who_waits_is_told_that_the_robot_was_closed() -> None:
-    """Also where nothing was listened to yet."""
+def test_close_ends_wait_for() -> None:
+    """This holds even if nothing was subscribed yet."""
     desk = Desk(may_wait=True)
     closing = threading.Timer(0.1, desk.monitor.close)
     closing.start()

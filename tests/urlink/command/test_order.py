@@ -1,4 +1,4 @@
-"""No program begins whose call was entered before a stop of the robot."""
+"""A program does not begin if its call was made before a stop of the robot."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ def test_program_gets_no_permission_after_a_stop(desk: Programming, overtake: Ca
     assert not any("write_output_integer_register" in text for text in desk.sent[sent:])
 
 
-def test_stop_itself_is_sent_when_a_later_stop_came(desk: Programming) -> None:
+def test_stop_is_sent_even_after_a_later_stop(desk: Programming) -> None:
     call = PendingCall()
     stop(desk)
     started(desk, call, is_stop=True, asks=False)
     assert len(desk.sent) == 1
 
 
-def test_stop_that_holds_is_named_rather_than_the_order(desk: Programming) -> None:
+def test_active_stop_is_reported_rather_than_overtaking(desk: Programming) -> None:
     call = PendingCall()
     desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
     with pytest.raises(SafetyStop, match="protective stop"):
@@ -93,7 +93,7 @@ def test_setpoint_is_not_sent_after_a_stop(desk: Programming) -> None:
     stop(desk)
     with pytest.raises(Cancelled):
         call.make(lambda: desk.channel.setpoint(lambda: sent.append(1)))
-    desk.channel.setpoint(lambda: sent.append(2))  # of no call: of a program that the stop replaces
+    desk.channel.setpoint(lambda: sent.append(2))  # belongs to no call, but to a program that the stop replaces
     assert sent == [2]
 
 
@@ -111,7 +111,7 @@ def test_cancel_of_one_motion_does_not_affect_another(desk: Programming) -> None
     assert second.phase is Phase.SENT
 
 
-def test_call_is_not_overtaken_by_a_stop_that_held_before(desk: Programming) -> None:
+def test_call_is_not_overtaken_by_an_earlier_stop(desk: Programming) -> None:
     desk.primary.tell(slow(SafetyMode.SAFEGUARD_STOP))
     call = PendingCall()
     desk.primary.tell(slow())

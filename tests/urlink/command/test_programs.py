@@ -1,4 +1,4 @@
-"""What becomes of a program, by what the controller says; the controller is the test."""
+"""Progress of a program as the controller reports it; the test plays the controller."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ def robot() -> Iterator[ScriptedController]:
 
 
 def run(robot: ScriptedController, source: str = "movej(q)") -> Program:
-    robot.clear()  # what is older than a second counts for nothing
+    robot.clear()  # states older than a second permit nothing
     return robot.script.run(source)
 
 
 def uploaded(robot: ScriptedController) -> list[str]:
-    """What was sent, but for permissions to go on."""
+    """Sent texts, except start permissions."""
     return [text for text in robot.sent if "urlink_permission" not in text]
 
 
 def ends(robot: ScriptedController, program: Handle) -> None:
-    """Time passes, state by state, until it is over."""
+    """Send states until the program has ended."""
 
     def is_over() -> bool:
         robot.state(fast=False)
@@ -55,7 +55,9 @@ def ends(robot: ScriptedController, program: Handle) -> None:
     until(is_over)
 
 
-def test_two_threads_begin_their_first_program(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_is_received_once_when_two_threads_subscribe(
+    robot: ScriptedController, monkeypatch: pytest.MonkeyPatch
+) -> None:
     subscribe = robot.programs._primary.subscribe_inline
 
     def beside(*arguments: Any, **options: Any) -> Any:
@@ -68,15 +70,15 @@ def test_two_threads_begin_their_first_program(robot: ScriptedController, monkey
     robot.clear()
     program = robot.script.run("movej(q)", on_text=texts.append)
     robot.begins(program)
-    robot.text("said once")
+    robot.text("sent once")
     until(lambda: texts)
-    assert list(program.texts) == ["said once"]
-    assert texts == ["said once"]
+    assert list(program.texts) == ["sent once"]
+    assert texts == ["sent once"]
     program.cancel()
 
 
-def test_a_stop_that_comes_with_the_beginning_of_the_first_program(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All in one piece, as after a cable was out: what it says of a stop is known before the program is let go on."""
+def test_stop_received_with_start_marker_prevents_permission(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All packets arrive in one piece, as after a cable was unplugged. The stop is processed before the permission."""
     with ScriptedController() as robot:
         robot.state()
         program = robot.script.run("movej(q)")
@@ -92,7 +94,7 @@ def test_a_stop_that_comes_with_the_beginning_of_the_first_program(monkeypatch: 
         assert robot.sent == uploaded(robot)
 
 
-def test_sent_running_finished(robot: ScriptedController) -> None:
+def test_program_is_sent_runs_and_finishes(robot: ScriptedController) -> None:
     program = run(robot, "def job():\n  textmsg(1)\nend")
     assert program.phase is Phase.SENT
     assert program.name.startswith("job_")
@@ -131,8 +133,8 @@ def test_sent_running_finished(robot: ScriptedController) -> None:
     assert len(uploaded(robot)) == 1
 
 
-def test_its_last_word_is_not_its_end(robot: ScriptedController) -> None:
-    """A program that follows at once must not race the old one."""
+def test_finish_marker_is_not_the_end(robot: ScriptedController) -> None:
+    """The next program must not race the previous one."""
     program = run(robot)
     robot.begins(program)
     robot.text(f"{program.name} finished")
@@ -143,7 +145,7 @@ def test_its_last_word_is_not_its_end(robot: ScriptedController) -> None:
     program.wait(5)
 
 
-def test_stopped_from_elsewhere(robot: ScriptedController) -> None:
+def test_stop_by_another_client_raises_program_stopped(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.is_stopped(program)
@@ -153,7 +155,7 @@ def test_stopped_from_elsewhere(robot: ScriptedController) -> None:
     assert program.phase is Phase.FAILED
 
 
-def test_cancelled(robot: ScriptedController) -> None:
+def test_cancel_sends_stop(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.clear()
@@ -166,7 +168,7 @@ def test_cancelled(robot: ScriptedController) -> None:
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_preempted_by_the_next(robot: ScriptedController, is_told: bool) -> None:
+def test_next_program_preempts_previous(robot: ScriptedController, is_told: bool) -> None:
     one = run(robot)
     robot.begins(one)
     two = run(robot)
@@ -178,7 +180,7 @@ def test_preempted_by_the_next(robot: ScriptedController, is_told: bool) -> None
     until(lambda: two.phase is Phase.RUNNING)
 
 
-def test_preempted_by_one_that_was_given_up_meanwhile(robot: ScriptedController) -> None:
+def test_cancelled_program_still_preempts_when_it_begins(robot: ScriptedController) -> None:
     one = run(robot)
     robot.begins(one)
     two = run(robot)
@@ -189,7 +191,7 @@ def test_preempted_by_one_that_was_given_up_meanwhile(robot: ScriptedController)
         one.wait(5)
 
 
-def test_replaced_by_somebody_else(robot: ScriptedController) -> None:
+def test_program_of_another_client_replaces_program(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.key("PROGRAM_XXX_STARTED", "their_program")
@@ -197,7 +199,7 @@ def test_replaced_by_somebody_else(robot: ScriptedController) -> None:
         program.wait(5)
 
 
-def test_somebody_elses_end_is_not_ours(robot: ScriptedController) -> None:
+def test_end_of_other_program_does_not_end_this_program(robot: ScriptedController) -> None:
     program = run(robot)
     robot.key("PROGRAM_XXX_STARTED", "their_program")
     robot.key("PROGRAM_XXX_STOPPED", "their_program")
@@ -216,7 +218,7 @@ def test_somebody_elses_end_is_not_ours(robot: ScriptedController) -> None:
         (99, 1, "compile_error", (4, 1), "compile_error"),
     ],
 )
-def test_does_not_compile(
+def test_compile_error_has_line_and_column_of_source(
     robot: ScriptedController, line: int, column: int, text: str, place: tuple[int, int], words: str
 ) -> None:
     program = run(robot, "def job():\n  a = 1\n  txtmsg(1)\nend")
@@ -227,7 +229,7 @@ def test_does_not_compile(
     assert program.phase is Phase.FAILED
 
 
-def test_fails_while_it_runs(robot: ScriptedController) -> None:
+def test_runtime_error_raises_script_failed(robot: ScriptedController) -> None:
     program = run(robot, "a = 1\nb = a / 0")
     robot.begins(program)
     robot.exception(18, 7, "division by zero")
@@ -238,7 +240,7 @@ def test_fails_while_it_runs(robot: ScriptedController) -> None:
         program.wait(5)
 
 
-def test_a_compile_error_does_not_fail_the_program_that_runs(robot: ScriptedController) -> None:
+def test_compile_error_does_not_fail_running_program(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.exception(2, 1, "syntax_error_on_line:2:end:")
@@ -246,12 +248,12 @@ def test_a_compile_error_does_not_fail_the_program_that_runs(robot: ScriptedCont
     program.wait(5)
 
 
-def test_without_key_messages(robot: ScriptedController) -> None:
-    """As it may be on CB2: the program's own words and the flag in the state have to do."""
+def test_program_ends_by_markers_and_flag_without_key_messages(robot: ScriptedController) -> None:
+    """Only the program's own markers and the flag in the state report its progress, as possibly on CB2."""
     program = run(robot)
     robot.state(runs=False)
     robot.text(f"{program.name} started")
-    robot.state(runs=False)  # older than the beginning, for all we know
+    robot.state(runs=False)  # this state might be older than the beginning
     until(lambda: program.phase is Phase.RUNNING)
     robot.state(runs=True)
     robot.text(f"{program.name} finished")
@@ -267,7 +269,7 @@ def test_without_key_messages(robot: ScriptedController) -> None:
         stopped.wait(5)
 
 
-def test_without_key_messages_and_over_between_two_states(
+def test_program_that_ended_between_two_states_is_detected(
     robot: ScriptedController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program = run(robot)
@@ -283,7 +285,7 @@ def test_without_key_messages_and_over_between_two_states(
         program.wait(5)
 
 
-def test_never_begins() -> None:
+def test_program_that_never_begins_raises_timeout() -> None:
     with ScriptedController(start_timeout=0.05) as robot:
         program = run(robot)
 
@@ -304,7 +306,9 @@ def test_never_begins() -> None:
         ("5.11", (7,), r"write_output_integer_register\(40, \d+\)", False),
     ],
 )
-def test_what_lets_it_go_on(firmware: str, flags: tuple[int, ...], grant: str | None, is_refused: bool) -> None:
+def test_permission_uses_register_or_flag(
+    firmware: str, flags: tuple[int, ...], grant: str | None, is_refused: bool
+) -> None:
     with ScriptedController(firmware, start_place=StartPlace(40, flags)) as robot:
         program = run(robot)
         robot.begins(program)
@@ -318,7 +322,7 @@ def test_what_lets_it_go_on(firmware: str, flags: tuple[int, ...], grant: str | 
             robot.io.set_flag(7, True)
 
 
-def test_a_robot_that_takes_no_permission(robot: ScriptedController) -> None:
+def test_program_fails_when_permission_cannot_be_sent(robot: ScriptedController) -> None:
     program = run(robot)
     robot.slow.make_room(0)
     robot.begins(program)
@@ -326,7 +330,7 @@ def test_a_robot_that_takes_no_permission(robot: ScriptedController) -> None:
         program.wait(5)
 
 
-def test_connection_lost(robot: ScriptedController) -> None:
+def test_lost_connection_fails_program(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.slow.put(ConnectionLost("pulled"))
@@ -340,7 +344,7 @@ def test_connection_lost(robot: ScriptedController) -> None:
 
 
 @pytest.mark.parametrize("is_told_first", [True, False])
-def test_ended_by_a_stop(robot: ScriptedController, is_told_first: bool) -> None:
+def test_emergency_stop_fails_program(robot: ScriptedController, is_told_first: bool) -> None:
     program = run(robot)
     robot.begins(program)
     if is_told_first:
@@ -355,7 +359,7 @@ def test_ended_by_a_stop(robot: ScriptedController, is_told_first: bool) -> None
     program.cancel()
 
 
-def test_a_program_that_has_not_begun_when_a_stop_comes_does_not_begin_after_it(robot: ScriptedController) -> None:
+def test_program_sent_before_stop_does_not_begin_after_stop(robot: ScriptedController) -> None:
     program = run(robot)
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: robot.safety.cause is not None)
@@ -363,13 +367,13 @@ def test_a_program_that_has_not_begun_when_a_stop_comes_does_not_begin_after_it(
     robot.begins(program)
     with pytest.raises(SafetyStop, match="protective stop"):
         program.wait(5)
-    assert len(robot.sent) == 1  # it asks, and is not let go on
+    assert len(robot.sent) == 1  # the program asks, but gets no permission
 
 
-def test_cancelling_under_a_stop_sends_nothing(robot: ScriptedController) -> None:
+def test_cancel_under_stop_sends_nothing(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
-    until(lambda: len(robot.sent) == 2)  # it was let go on
+    until(lambda: len(robot.sent) == 2)  # the program has got its permission
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, runs=True)
     until(lambda: robot.safety.cause is not None)
     program.cancel()
@@ -377,7 +381,7 @@ def test_cancelling_under_a_stop_sends_nothing(robot: ScriptedController) -> Non
     assert program.phase is Phase.CANCELLED
 
 
-def test_refused_by_the_interlock(robot: ScriptedController) -> None:
+def test_interlock_refuses_script_and_line(robot: ScriptedController) -> None:
     robot.state(RobotMode.POWER_OFF)
     until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
     with pytest.raises(NotRunning, match="POWER_OFF"):
@@ -389,10 +393,10 @@ def test_refused_by_the_interlock(robot: ScriptedController) -> None:
 
 
 @pytest.mark.parametrize("is_refused", [True, False])
-def test_a_refusal_while_the_connection_is_lost(
+def test_refused_run_leaves_nothing_when_connection_is_lost(
     robot: ScriptedController, is_refused: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What never left is nobody's loss: the error is that of the refusal, whatever happens at the same moment."""
+    """A program that was never sent is not lost: the error is the refusal, even if the connection fails just then."""
     monkeypatch.setattr("urlink.command.safety_monitor._NEXT_REPORT", 0.0)
     robot.clear()
     if is_refused:
@@ -408,7 +412,7 @@ def test_a_refusal_while_the_connection_is_lost(
     until(lambda: not robot.programs._runs)
 
 
-def test_secondary_runs_beside(robot: ScriptedController) -> None:
+def test_secondary_program_does_not_end_main_program(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     robot.clear()
@@ -432,7 +436,7 @@ def test_secondary_runs_beside(robot: ScriptedController) -> None:
     program.wait(5)
 
 
-def test_each_text_is_told(robot: ScriptedController) -> None:
+def test_on_text_gets_each_line(robot: ScriptedController) -> None:
     heard: list[str] = []
     robot.clear()
     program = robot.script.run("textmsg(1)", on_text=heard.append)
@@ -446,7 +450,7 @@ def test_each_text_is_told(robot: ScriptedController) -> None:
         robot.script.run("textmsg(1)", on_text=3)  # type: ignore[arg-type]
 
 
-def test_the_last_thousand_lines_are_kept(robot: ScriptedController) -> None:
+def test_texts_keep_last_thousand_lines(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     for number in range(1003):
@@ -455,7 +459,7 @@ def test_the_last_thousand_lines_are_kept(robot: ScriptedController) -> None:
     assert program.texts == tuple(map(str, range(3, 1003)))
 
 
-def test_texts_before_it_has_begun_are_another_programs(robot: ScriptedController) -> None:
+def test_texts_before_the_beginning_are_ignored(robot: ScriptedController) -> None:
     heard: list[str] = []
     robot.clear()
     program = robot.script.run("textmsg(1)", on_text=heard.append)
@@ -468,7 +472,7 @@ def test_texts_before_it_has_begun_are_another_programs(robot: ScriptedControlle
     assert heard == ["1"]
 
 
-def test_texts_of_a_secondary_program_cannot_be_told_apart(robot: ScriptedController) -> None:
+def test_secondary_program_has_no_texts(robot: ScriptedController) -> None:
     heard: list[str] = []
     robot.clear()
     program = robot.script.run("sec blink():\n  textmsg(1)\nend", on_text=heard.append)
@@ -479,7 +483,7 @@ def test_texts_of_a_secondary_program_cannot_be_told_apart(robot: ScriptedContro
     assert program.texts == ()
 
 
-def test_a_callback_for_texts_may_wait_for_the_program(robot: ScriptedController) -> None:
+def test_text_callback_can_wait_for_program(robot: ScriptedController) -> None:
     robot.clear()
     ended = threading.Event()
 
@@ -494,7 +498,7 @@ def test_a_callback_for_texts_may_wait_for_the_program(robot: ScriptedController
     assert ended.wait(10)
 
 
-def test_what_the_controller_complains_of_steers_no_terminal(
+def test_logged_controller_error_has_no_escape_sequences(
     robot: ScriptedController, caplog: pytest.LogCaptureFixture
 ) -> None:
     robot.clear()
@@ -506,7 +510,7 @@ def test_what_the_controller_complains_of_steers_no_terminal(
     assert "\x1b" not in caplog.text
 
 
-def test_from_a_file(robot: ScriptedController, tmp_path: Path) -> None:
+def test_run_reads_script_from_file(robot: ScriptedController, tmp_path: Path) -> None:
     robot.clear()
     path = tmp_path / "job.script"
     path.write_text("def job():\n  textmsg(1)\nend\n")
@@ -520,7 +524,7 @@ def test_from_a_file(robot: ScriptedController, tmp_path: Path) -> None:
         robot.script.run(3)  # type: ignore[arg-type]
 
 
-def test_waiting_has_an_end(robot: ScriptedController) -> None:
+def test_wait_raises_timeout(robot: ScriptedController) -> None:
     program = run(robot)
     with pytest.raises(LinkTimeout, match=r"has not ended within 0\.01 s, and continues; its phase is sent"):
         program.wait(0.01)
@@ -532,7 +536,7 @@ def test_waiting_has_an_end(robot: ScriptedController) -> None:
         robot.script.run("movej(q)", wait=-1.0)
 
 
-def test_send_line(robot: ScriptedController) -> None:
+def test_send_line_sends_one_valid_line(robot: ScriptedController) -> None:
     robot.clear()
     robot.script.send_line("set speed 0.5")
     assert robot.sent == ["set speed 0.5\n"]

@@ -1,4 +1,4 @@
-"""`robot.safety` and the command channel over streams: what is heard when, and who is told."""
+"""`robot.safety` and the command channel over streams: which reports are received, and which callbacks are called."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def robot() -> Iterator[ScriptedController]:
         yield robot
 
 
-def test_nothing_connects_before_it_is_used(robot: ScriptedController) -> None:
+def test_interfaces_connect_at_first_use(robot: ScriptedController) -> None:
     assert robot.slow.opened == robot.fast.opened == 0
     robot.state(fast=False)
     assert robot.safety.mode is SafetyMode.NORMAL
@@ -53,12 +53,14 @@ def test_nothing_connects_before_it_is_used(robot: ScriptedController) -> None:
     ],
     ids=["cause", "wait_for_stop", "refusal"],
 )
-def test_the_first_question_listens(robot: ScriptedController, ask: Callable[[ScriptedController], str]) -> None:
+def test_first_query_subscribes_and_gets_state(
+    robot: ScriptedController, ask: Callable[[ScriptedController], str]
+) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
     assert ask(robot) == "protective stop"
 
 
-def test_two_threads_wait_for_the_first_report(robot: ScriptedController) -> None:
+def test_two_threads_can_wait_for_first_report(robot: ScriptedController) -> None:
     failures: list[LinkError] = []
 
     def command() -> None:
@@ -79,7 +81,7 @@ def test_two_threads_wait_for_the_first_report(robot: ScriptedController) -> Non
     assert robot.sent == ["set_tool_voltage(0)\n"] * 2
 
 
-def test_who_asks_while_another_thread_waits_for_the_first_report_waits_too(robot: ScriptedController) -> None:
+def test_second_query_waits_for_first_report_too(robot: ScriptedController) -> None:
     modes: list[SafetyMode | None] = []
     threads = [threading.Thread(target=lambda: modes.append(robot.safety.mode)) for _ in range(2)]
     threads[0].start()
@@ -92,7 +94,7 @@ def test_who_asks_while_another_thread_waits_for_the_first_report_waits_too(robo
     assert modes == [SafetyMode.NORMAL] * 2
 
 
-def test_a_stop_that_is_over_at_once(robot: ScriptedController) -> None:
+def test_wait_for_stop_returns_stop_that_already_ended(robot: ScriptedController) -> None:
     robot.state(fast=False)
     robot.monitor.listen()
     waits = robot.monitor.wait_for
@@ -110,15 +112,15 @@ def test_a_stop_that_is_over_at_once(robot: ScriptedController) -> None:
     assert "protective stop" in str(stop)
 
 
-def test_what_is_asked_before_a_motion_listens_to_both(robot: ScriptedController) -> None:
-    """The real-time interface tells of a stop up to 0.1 s before the primary one."""
+def test_check_before_motion_connects_both_interfaces(robot: ScriptedController) -> None:
+    """The real-time interface reports a stop up to 0.1 s before the primary interface."""
     robot.state()
     robot.channel.check()
     assert (robot.slow.opened, robot.fast.opened) == (1, 1)
 
 
-def test_enabling_waits_for_a_stop_that_is_just_ending() -> None:
-    """Whoever has unlocked the arm by the dashboard need not wait himself."""
+def test_enable_waits_for_a_stop_that_is_just_ending() -> None:
+    """A program that has unlocked the arm over the dashboard need not wait itself."""
     with ScriptedController(policy="always") as robot:
         robot.state(safety=SafetyMode.PROTECTIVE_STOP)
         robot.monitor.listen(closely=True)
@@ -134,7 +136,7 @@ def test_enabling_waits_for_a_stop_that_is_just_ending() -> None:
         assert robot.safety.is_enabled
 
 
-def test_a_connection_that_is_lost_already_is_no_knowledge() -> None:
+def test_connection_lost_earlier_means_not_running() -> None:
     with ScriptedController(backoff=Backoff(first=60.0, most=60.0)) as robot:
         robot.state(fast=False)
         robot.primary.wait(5)
@@ -145,7 +147,7 @@ def test_a_connection_that_is_lost_already_is_no_knowledge() -> None:
         assert "is unknown: not connected" in str(refusal)
 
 
-def test_a_stop_ends_motions_at_once_and_refuses_new_ones(robot: ScriptedController) -> None:
+def test_stop_notifies_and_refuses_motions(robot: ScriptedController) -> None:
     robot.clear()
     heard: list[LinkError] = []
     remove = robot.safety.on_stop(heard.append)
@@ -168,26 +170,26 @@ def test_a_stop_ends_motions_at_once_and_refuses_new_ones(robot: ScriptedControl
     assert len(heard) == 1
 
 
-def test_the_fast_stream_alone_tells_of_a_stop(robot: ScriptedController) -> None:
+def test_realtime_stream_alone_reports_a_stop(robot: ScriptedController) -> None:
     robot.clear()
     heard: list[LinkError] = []
     robot.safety.on_stop(heard.append)
     robot.state(safety=SafetyMode.SAFEGUARD_STOP)
-    # The state on the primary interface comes up to 100 ms later.
+    # The state on the primary interface arrives up to 100 ms later.
     robot.slow.put(ConnectionLost("pulled"))
     until(lambda: heard)
     assert isinstance(heard[0], (SafetyStop, NotRunning))
     assert len(heard) == 1
 
 
-def test_a_message_is_quicker_than_the_state(robot: ScriptedController) -> None:
+def test_safety_message_closes_interlock_before_next_state(robot: ScriptedController) -> None:
     robot.clear()
     robot.safety_message(SafetyMode.VIOLATION)
     until(lambda: robot.safety.cause == "violation")
     assert robot.safety.mode is SafetyMode.VIOLATION
 
 
-def test_one_callback_that_raises_harms_no_other(robot: ScriptedController, caplog: pytest.LogCaptureFixture) -> None:
+def test_callback_that_raises_does_not_stop_others(robot: ScriptedController, caplog: pytest.LogCaptureFixture) -> None:
     robot.clear()
     heard: list[LinkError] = []
 
@@ -201,7 +203,9 @@ def test_one_callback_that_raises_harms_no_other(robot: ScriptedController, capl
     assert "later callbacks are still called" in caplog.text
 
 
-def test_a_callback_that_ends_its_thread_does_not(robot: ScriptedController, caplog: pytest.LogCaptureFixture) -> None:
+def test_callback_that_exits_does_not_end_the_thread(
+    robot: ScriptedController, caplog: pytest.LogCaptureFixture
+) -> None:
     robot.clear()
     heard: list[LinkError] = []
 
@@ -218,7 +222,7 @@ def test_a_callback_that_ends_its_thread_does_not(robot: ScriptedController, cap
     assert caplog.text.count("SystemExit: on purpose") == 2
 
 
-def test_a_callback_may_command_and_wait(robot: ScriptedController) -> None:
+def test_stop_callback_can_command_and_wait(robot: ScriptedController) -> None:
     robot.clear()
     done = threading.Event()
 
@@ -228,7 +232,7 @@ def test_a_callback_may_command_and_wait(robot: ScriptedController) -> None:
         done.set()
 
     robot.safety.on_stop(recover)
-    # On one interface only, or the other might tell of the stop after all was clear, and so of another one.
+    # Only on one interface: the other might report the same stop after the clear state, which would be a second stop.
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
     until(lambda: robot.safety.cause)
     robot.state(fast=False)
@@ -237,7 +241,7 @@ def test_a_callback_may_command_and_wait(robot: ScriptedController) -> None:
 
 
 @pytest.mark.parametrize("is_fast", [False, True])
-def test_a_lost_connection_is_no_knowledge(robot: ScriptedController, is_fast: bool) -> None:
+def test_lost_connection_means_not_running(robot: ScriptedController, is_fast: bool) -> None:
     robot.clear()
     heard: list[LinkError] = []
     robot.safety.on_stop(heard.append)
@@ -251,7 +255,7 @@ def test_a_lost_connection_is_no_knowledge(robot: ScriptedController, is_fast: b
     robot.safety.wait_enabled(5)
 
 
-def test_silence_is_no_knowledge() -> None:
+def test_silence_means_not_running() -> None:
     with ScriptedController(stale_after=0.1) as robot:
         heard: list[LinkError] = []
         robot.safety.on_stop(heard.append)
@@ -266,20 +270,20 @@ def test_silence_is_no_knowledge() -> None:
         robot.safety.wait_enabled(5)
 
 
-def test_what_was_sent_before_a_silence_is_discarded() -> None:
-    """It may still be in the network, and the robot would do it when it is heard again."""
+def test_text_sent_before_silence_is_discarded() -> None:
+    """The text may still be in the network, and the robot would execute it after the silence."""
     with ScriptedController(stale_after=0.1) as robot:
         robot.clear()
         robot.channel.command("set_tool_voltage(0)")
-        until(lambda: robot.slow.opened == 2)  # its connection was aborted, and made anew
+        until(lambda: robot.slow.opened == 2)  # the connection was aborted and made again
         robot.state()
         robot.safety.wait_until_clear(5)
         until(lambda: "nothing arrived" in str(robot.safety.refusal))
-        # Nothing was sent since: there is nothing to discard.
+        # Nothing was sent since then, so there is nothing to discard.
         assert robot.slow.opened == 2
 
 
-def test_a_silence_before_anything_was_sent_leaves_the_connection(caplog: pytest.LogCaptureFixture) -> None:
+def test_silence_without_sent_text_keeps_connection(caplog: pytest.LogCaptureFixture) -> None:
     with ScriptedController(stale_after=0.1) as robot:
         robot.clear()
         until(lambda: "nothing arrived" in str(robot.safety.refusal))
@@ -289,8 +293,8 @@ def test_a_silence_before_anything_was_sent_leaves_the_connection(caplog: pytest
     assert "raised" not in caplog.text
 
 
-def test_an_old_report_is_not_believed_while_this_program_is_held_up() -> None:
-    """A callback that is called inline keeps the reader, which cannot tell whether the robot is silent."""
+def test_stale_report_of_delayed_program_ends_no_motion() -> None:
+    """An inline callback blocks the reader thread, which then cannot detect whether the robot is silent."""
     with ScriptedController(stale_after=1.0) as robot:
         robot.clear()
         heard: list[LinkError] = []
@@ -311,14 +315,16 @@ def test_an_old_report_is_not_believed_while_this_program_is_held_up() -> None:
 
             until(is_refused)
             assert "this program was delayed" in str(robot.safety.refusal)
-            assert heard == []  # so what runs goes on
+            assert heard == []  # so running motions continue
             go_on.set()
         robot.state()
         robot.safety.wait_enabled(5)
         assert heard == []
 
 
-def test_nothing_heard_at_all(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_without_any_report_raises_not_running(
+    robot: ScriptedController, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(monitor, "_FIRST_REPORT", 0.05)
     with pytest.raises(NotRunning, match="yet; nothing was sent"):
         robot.channel.command("set_tool_voltage(0)")
@@ -326,19 +332,19 @@ def test_nothing_heard_at_all(robot: ScriptedController, monkeypatch: pytest.Mon
     assert robot.safety.robot_mode is None
 
 
-def test_nobody_there(robot: ScriptedController) -> None:
+def test_unreachable_realtime_interface_refuses_only_motions(robot: ScriptedController) -> None:
     robot.fast = ScriptedTransport(ConnectFailed("refused"))
     robot.realtime._connection._transport = robot.fast
     robot.state()
     with pytest.raises(ConnectFailed, match="refused"):
         robot.channel.motion("movej(q)")
     robot.state()
-    robot.channel.command("set_tool_voltage(0)")  # for which the primary interface is enough
+    robot.channel.command("set_tool_voltage(0)")  # the primary interface is sufficient for this command
     robot.state()
-    robot.channel.motion("movej(q)")  # by now somebody is
+    robot.channel.motion("movej(q)")  # the interface is reachable now
 
 
-def test_policies_over_the_streams() -> None:
+def test_policy_always_requires_enable_after_each_stop() -> None:
     with ScriptedController(policy="always") as robot:
         robot.clear()
         with pytest.raises(NotEnabled, match="enable"):
@@ -368,8 +374,8 @@ def test_policies_over_the_streams() -> None:
             robot.safety.policy = "no"  # type: ignore[assignment]
 
 
-def test_listening_more_closely_closes_nothing() -> None:
-    """The first motion asks the real-time interface too; until that speaks, what was enabled stays so."""
+def test_first_motion_keeps_robot_enabled() -> None:
+    """The first motion subscribes to the real-time interface. The robot stays enabled until its first report."""
     with ScriptedController(policy="always") as robot:
         robot.state(fast=False)
         robot.safety.enable()
@@ -388,7 +394,7 @@ def test_listening_more_closely_closes_nothing() -> None:
         assert heard == []
 
 
-def test_waiting_says_what_is_in_the_way(robot: ScriptedController) -> None:
+def test_wait_timeout_names_the_cause(robot: ScriptedController) -> None:
     robot.state(RobotMode.IDLE)
     with pytest.raises(LinkTimeout, match="IDLE"):
         robot.safety.wait_until_clear(0.01)
@@ -396,7 +402,7 @@ def test_waiting_says_what_is_in_the_way(robot: ScriptedController) -> None:
 
 
 @pytest.mark.parametrize("timeout", [None, -1.0, float("inf"), "soon"])
-def test_waiting_for_no_number_of_seconds(robot: ScriptedController, timeout: Any) -> None:
+def test_wait_rejects_invalid_timeout(robot: ScriptedController, timeout: Any) -> None:
     for wait in (robot.safety.wait_enabled, robot.safety.wait_until_clear, robot.safety.wait_for_stop):
         with pytest.raises(BadValue, match="timeout"):
             wait(timeout)
@@ -404,7 +410,7 @@ def test_waiting_for_no_number_of_seconds(robot: ScriptedController, timeout: An
         robot.safety.on_stop(timeout)
 
 
-def test_a_stop_that_holds_is_returned_at_once(robot: ScriptedController) -> None:
+def test_wait_for_stop_returns_active_stop_immediately(robot: ScriptedController) -> None:
     robot.clear()
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
     until(lambda: robot.safety.cause is not None)
@@ -413,12 +419,12 @@ def test_a_stop_that_holds_is_returned_at_once(robot: ScriptedController) -> Non
     assert time.monotonic() - began < 1.0
 
 
-def test_whether_a_stop_holds_may_be_asked_without_waiting(robot: ScriptedController) -> None:
+def test_wait_for_stop_with_zero_timeout_returns_none(robot: ScriptedController) -> None:
     robot.clear()
     assert robot.safety.wait_for_stop(0.0) is None
 
 
-def test_cb2() -> None:
+def test_cb2_modes_permit_or_refuse_motion() -> None:
     with ScriptedController("1.8") as robot:
         robot.clear()
         assert robot.safety.mode is None
@@ -434,8 +440,8 @@ def test_cb2() -> None:
     assert robot.sent == ["movej(q)\n"]
 
 
-def test_a_stop_waits_for_what_is_being_sent(robot: ScriptedController) -> None:
-    """Check and send are one: what was admitted is out before the stop is told to anybody."""
+def test_stop_is_reported_after_current_send(robot: ScriptedController) -> None:
+    """Check and send are one step: a permitted set-point has been sent before the stop is reported."""
     robot.clear()
     order: list[str] = []
     robot.safety.on_stop(lambda error: order.append("stop"))
@@ -460,7 +466,7 @@ def test_a_stop_waits_for_what_is_being_sent(robot: ScriptedController) -> None:
 
 
 def test_callbacks_are_called_without_a_lock(robot: ScriptedController) -> None:
-    """Else who holds a lock and asks the interlock, and a callback that wants that lock, would wait for ever."""
+    """Otherwise a thread that holds a lock and asks the interlock could deadlock with a callback that needs it."""
     robot.clear()
     own, stopped = threading.Lock(), threading.Event()
 
@@ -477,7 +483,7 @@ def test_callbacks_are_called_without_a_lock(robot: ScriptedController) -> None:
     assert stopped.wait(10)
 
 
-def test_a_stream_that_gave_up_is_listened_to_anew() -> None:
+def test_script_runs_after_stream_gave_up() -> None:
     with ScriptedController(backoff=Backoff(tries=0)) as robot:
         robot.clear()
         program = robot.script.run("movej(q)")
@@ -492,14 +498,14 @@ def test_a_stream_that_gave_up_is_listened_to_anew() -> None:
         again.wait(5)
 
 
-def test_closed(robot: ScriptedController) -> None:
+def test_motion_raises_closed_after_primary_close(robot: ScriptedController) -> None:
     robot.clear()
     robot.primary.close()
     with pytest.raises(Closed):
         robot.channel.motion("movej(q)")
 
 
-def test_closing_closes_the_interlock(robot: ScriptedController) -> None:
+def test_monitor_close_refuses_motions_without_stop(robot: ScriptedController) -> None:
     robot.clear()
     heard: list[LinkError] = []
     robot.safety.on_stop(heard.append)
@@ -511,7 +517,7 @@ def test_closing_closes_the_interlock(robot: ScriptedController) -> None:
     assert heard == []  # the robot has not stopped
 
 
-def test_closing_ends_waiting(robot: ScriptedController) -> None:
+def test_monitor_close_ends_wait_enabled(robot: ScriptedController) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: robot.safety.cause)
     closing = threading.Timer(0.05, robot.monitor.close)
@@ -521,7 +527,7 @@ def test_closing_ends_waiting(robot: ScriptedController) -> None:
     closing.join(10)
 
 
-def test_what_the_primary_interface_leaves_out_lifts_no_stop(robot: ScriptedController) -> None:
+def test_state_without_safety_part_keeps_stop(robot: ScriptedController) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP, fast=False)
     until(lambda: robot.safety.cause)
     modes = packet(RobotModeData, robot.firmware, robot_mode=RobotMode.RUNNING)
@@ -531,10 +537,10 @@ def test_what_the_primary_interface_leaves_out_lifts_no_stop(robot: ScriptedCont
     assert robot.safety.cause == "protective stop"
 
 
-# -- who asks from where ---------------------------------------------------------------------------------
+# -- inline callbacks ------------------------------------------------------------------------------------
 
 
-def test_waiting_for_oneself_is_refused_at_once(robot: ScriptedController) -> None:
+def test_inline_callback_cannot_wait(robot: ScriptedController) -> None:
     robot.clear()
     raised: list[LinkError] = []
 
@@ -552,7 +558,7 @@ def test_waiting_for_oneself_is_refused_at_once(robot: ScriptedController) -> No
     assert "inline=True" in str(raised[0])
 
 
-def test_an_inline_callback_commands(robot: ScriptedController) -> None:
+def test_inline_callback_can_command(robot: ScriptedController) -> None:
     robot.clear()
 
     def command(state: object) -> None:
@@ -564,8 +570,8 @@ def test_an_inline_callback_commands(robot: ScriptedController) -> None:
         until(lambda: len(robot.sent) == 2)
 
 
-def test_an_inline_callback_that_is_the_first_to_command(robot: ScriptedController) -> None:
-    """It cannot wait for the first report; what the stream has heard already has to do."""
+def test_inline_callback_can_send_first_command(robot: ScriptedController) -> None:
+    """The callback cannot wait for the first report; the state that the stream has already received is sufficient."""
     raised: list[LinkError] = []
 
     def command(state: object) -> None:
@@ -580,11 +586,11 @@ def test_an_inline_callback_that_is_the_first_to_command(robot: ScriptedControll
     assert raised == []
 
 
-# -- texts that do not fit -------------------------------------------------------------------------------
+# -- texts larger than the free buffer -------------------------------------------------------------------
 
 
 def send(robot: ScriptedController, text: str, **options: Any) -> tuple[threading.Thread, list[LinkError]]:
-    """Send in a thread of its own; what that raised."""
+    """Send in a new thread; return the thread and the list of its errors."""
     raised: list[LinkError] = []
 
     def run() -> None:
@@ -598,7 +604,7 @@ def send(robot: ScriptedController, text: str, **options: Any) -> tuple[threadin
     return thread, raised
 
 
-def test_a_text_that_does_not_fit_leaves_in_parts(robot: ScriptedController) -> None:
+def test_large_text_is_sent_in_parts(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     first, raised = send(robot, "movej(q)")
@@ -613,7 +619,7 @@ def test_a_text_that_does_not_fit_leaves_in_parts(robot: ScriptedController) -> 
     assert "".join(robot.sent) == "movej(q)\nstopj(2)\n"
 
 
-def test_the_rest_of_a_text_does_not_follow_a_stop(robot: ScriptedController) -> None:
+def test_rest_of_text_is_not_sent_after_stop(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     sender, raised = send(robot, "movej(q)")
@@ -624,10 +630,10 @@ def test_the_rest_of_a_text_does_not_follow_a_stop(robot: ScriptedController) ->
     sender.join(10)
     assert isinstance(raised[0], SafetyStop)
     assert robot.sent == ["mov"]
-    until(lambda: robot.slow.opened == 2)  # nobody takes what follows for the rest
+    until(lambda: robot.slow.opened == 2)  # the controller cannot take later texts for the rest
 
 
-def test_a_text_that_nobody_takes(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unread_text_times_out(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.command.channel.SEND_TIMEOUT", 0.05)
     robot.clear()
     for room, opened in ((0, 1), (3, 2)):
@@ -638,7 +644,7 @@ def test_a_text_that_nobody_takes(robot: ScriptedController, monkeypatch: pytest
         robot.clear()
 
 
-def test_a_text_does_not_go_on_over_the_next_connection(robot: ScriptedController) -> None:
+def test_text_does_not_continue_on_next_connection(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     sender, raised = send(robot, "movej(q)")
@@ -656,18 +662,18 @@ def test_a_text_does_not_go_on_over_the_next_connection(robot: ScriptedControlle
 
 
 def in_the_section(robot: ScriptedController, handler: Callable[[], object]) -> None:
-    """Call `handler` in this thread while it is in the critical section, as a signal handler may be."""
+    """Call `handler` in this thread inside the critical section, as can happen to a signal handler."""
     robot.channel.setpoint(handler)
 
 
-def test_a_signal_handler_commands_from_within(robot: ScriptedController) -> None:
+def test_signal_handler_can_command_inside_section(robot: ScriptedController) -> None:
     robot.clear()
     in_the_section(robot, lambda: robot.channel.motion("stopj(2)", is_stop=True))
     assert robot.sent == ["stopj(2)\n"]
 
 
-def test_a_signal_handler_waits_from_within(robot: ScriptedController) -> None:
-    """What it waits for is heard by a thread that needs the section."""
+def test_signal_handler_can_wait_inside_section(robot: ScriptedController) -> None:
+    """The awaited stop is received by a thread that needs the section."""
     robot.clear()
 
     def handler() -> None:
@@ -675,12 +681,12 @@ def test_a_signal_handler_waits_from_within(robot: ScriptedController) -> None:
         assert isinstance(robot.safety.wait_for_stop(10), SafetyStop)
 
     in_the_section(robot, handler)
-    # And the section is still that of who was interrupted.
+    # The interrupted code still held the section afterwards, and has released it exactly once.
     with pytest.raises(RuntimeError):
         robot.section.lock.release()
 
 
-def test_a_signal_handler_whose_own_thread_is_in_the_middle_of_a_text(robot: ScriptedController) -> None:
+def test_signal_handler_cannot_send_during_partly_sent_text(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     raised: list[LinkError] = []

@@ -1,6 +1,7 @@
-"""The interlock before the command channel, held against a model over random orders of events.
+"""Interlock of the command channel, compared with a model over random sequences of events.
 
-No thread and no clock: the connections are stand-ins whose subscribers the test calls, so each run is the same.
+There are no threads, and time is simulated. The connections are stand-ins whose subscribers are called by the test.
+Therefore each run is deterministic.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ FIRMWARE = (5, 11)
 SAFE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 
 policies = st.sampled_from(get_args(Policy))
-# Half of them clear, so that something happens in between.
+# About half of the modes are safe, so that motions happen between the stops.
 safety_modes = st.one_of(st.sampled_from(SAFE), st.sampled_from(SafetyMode))
 robot_modes = st.one_of(st.just(RobotMode.RUNNING), st.sampled_from(RobotMode))
 sources = st.sampled_from(["primary", "realtime"])
@@ -70,7 +71,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     @property
     def told(self) -> str | None:
-        """What the robot, or its silence, or the loss of its connection has told."""
+        """Cause that closes the interlock: a stop, silence, a lost connection, or a robot that is not running."""
         if any(said is not None and said[1] not in SAFE for said in self.said.values()):
             return "stop"
         for name, said in self.said.items():
@@ -88,7 +89,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         return self.blocked is None and enabled
 
     def closed(self, error: LinkError) -> None:
-        """What a motion does: it ends, and tries once more."""
+        """Do what a motion does: end, and try again."""
         self.closings.append(error)
         self.motions = 0
         self.try_motion(expected=False)
@@ -106,7 +107,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
             self.motions += 1
 
     def event(self, tell: Callable[[], object], change: Callable[[], object]) -> None:
-        """Something happens to the robot, and to the model."""
+        """Apply an event to the robot and to the model."""
         was_clear, count = self.told is None, len(self.closings)
         change()
         if self.told is not None:
@@ -114,7 +115,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         tell()
         assert len(self.closings) == count + (was_clear and self.told is not None)
 
-    # -- what happens --------------------------------------------------------------------------------
+    # -- events --------------------------------------------------------------------------------------
 
     @rule(mode=robot_modes, safety=safety_modes)
     def primary(self, mode: RobotMode, safety: SafetyMode) -> None:
@@ -125,7 +126,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     @rule(mode=robot_modes)
     def primary_without_its_board(self, mode: RobotMode) -> None:
-        """What it does not say is as it was."""
+        """Send a state without masterboard data; the missing values stay as they were."""
         self.tick()
         said = self.said["primary"]
         state = RobotState(packet(RobotModeData, FIRMWARE, robot_mode=mode))
@@ -139,15 +140,15 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         self.event(lambda: self.lines["realtime"].tell(state), lambda: self.say("realtime", (mode, safety)))
 
     @rule()
-    def all_is_well(self) -> None:
+    def all_is_clear(self) -> None:
         self.primary(RobotMode.RUNNING, SafetyMode.NORMAL)
         self.realtime(RobotMode.RUNNING, SafetyMode.NORMAL)
 
     @rule(source=sources)
     def a_stop_comes_and_goes(self, source: str) -> None:
-        self.all_is_well()
+        self.all_is_clear()
         getattr(self, source)(RobotMode.RUNNING, SafetyMode.PROTECTIVE_STOP)
-        self.all_is_well()
+        self.all_is_clear()
 
     @rule(safety=safety_modes)
     def message(self, safety: SafetyMode) -> None:
@@ -181,7 +182,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     @rule()
     def held_up(self) -> None:
-        """Time passes, and nothing is read: no fault of the robot's."""
+        """Let time pass without reading, as in a delayed program; the robot is not the cause."""
         self.clock.now += 1.5 * STALE_AFTER
         motions = self.motions
         self.try_motion(expected=False)
@@ -196,7 +197,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
             with pytest.raises((SafetyStop, NotRunning)):
                 self.safety.enable()
 
-    # Seldom: what a policy does shows over several events.
+    # Rarely, because the effect of a policy shows only over several events.
     @precondition(lambda self: self.clock.now % 0.07 < 0.01)
     @rule(policy=policies)
     def change_policy(self, policy: Policy) -> None:
@@ -210,7 +211,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     @rule()
     def stop(self) -> None:
-        """What can only bring the arm to rest needs nobody to enable it; a stop refuses it all the same."""
+        """Send a text that can only bring the arm to rest. It needs no `enable()`, but a stop still refuses it."""
         try:
             self.channel.motion("stopj(2.0)", is_stop=True)
         except (SafetyStop, NotRunning):
@@ -245,16 +246,16 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
                 self.channel.command("set_tool_voltage(0)")
 
     @invariant()
-    def no_motion_goes_on_under_a_stop(self) -> None:
+    def no_motion_continues_under_a_stop(self) -> None:
         if hasattr(self, "safety") and self.told is not None:
             assert self.motions == 0
 
     @invariant()
-    def it_says_what_it_does(self) -> None:
+    def is_enabled_equals_the_model(self) -> None:
         if hasattr(self, "safety"):
             assert self.safety.is_enabled == self.is_open
 
-    # -- small change --------------------------------------------------------------------------------
+    # -- helpers -------------------------------------------------------------------------------------
 
     def tick(self) -> None:
         self.clock.now += 0.01

@@ -1,4 +1,4 @@
-"""The critical section of a robot: re-entrant, left by who waits, refused to who delivers."""
+"""Critical section of a robot: it is re-entrant, released while waiting, and refuses waits in the reader thread."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.simulated_time
 
 
 def is_free(section: Section) -> bool:
-    """Another thread would get in at once."""
+    """Whether another thread can enter immediately."""
     found: list[bool] = []
 
     def try_to_enter() -> None:
@@ -27,7 +27,7 @@ def is_free(section: Section) -> bool:
     return found[0]
 
 
-def test_who_waits_lets_others_in_however_deep() -> None:
+def test_waiting_releases_nested_lock() -> None:
     section = Section()
     with section.lock, section.lock:
         with section.waiting():
@@ -36,14 +36,14 @@ def test_who_waits_lets_others_in_however_deep() -> None:
     assert is_free(section)
 
 
-def test_waiting_without_having_entered() -> None:
+def test_waiting_works_without_holding_the_lock() -> None:
     section = Section()
     with section.waiting():
         assert is_free(section)
     assert is_free(section)
 
 
-def test_a_thread_that_has_to_deliver_is_refused() -> None:
+def test_reader_thread_cannot_wait() -> None:
     section = Section(lambda: False, lambda: True)
     assert not section.may_wait
     with section.lock, pytest.raises(LocalError, match="inline=True"), section.waiting():

@@ -1,4 +1,4 @@
-"""Programs on the simulated controller, end to end: sent, run, ended and told of."""
+"""Programs on the simulated controller, end to end: sending, running, ending and reporting."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ def robot() -> Iterator[urlink.Robot]:
 
 
 @pytest.mark.parametrize("address", FIRMWARES)
-def test_runs_to_its_end(address: str) -> None:
+def test_program_runs_to_its_end(address: str) -> None:
     with urlink.connect(address) as robot:
         program = robot.script.run('def job():\n  textmsg("one")\n  sleep(0.05)\n  textmsg("two")\nend', wait=20.0)
         assert program.phase is Phase.DONE
         assert program.texts == ("one", "two")
 
 
-def test_a_return_is_an_end_and_a_halt_is_none(robot: urlink.Robot) -> None:
+def test_return_finishes_program_but_halt_stops_it(robot: urlink.Robot) -> None:
     robot.script.run("def job():\n  return 1\n  halt\nend", wait=20.0)
     program = robot.script.run("def job():\n  halt\nend")
     with pytest.raises(ProgramStopped, match="was stopped early"):
         program.wait(20)
 
 
-def test_the_arm_moves(robot: urlink.Robot) -> None:
+def test_script_moves_the_arm(robot: urlink.Robot) -> None:
     q = robot.realtime.wait(5).q_actual.copy()
     robot.script.run(
         f"def job():\n  q = {q.round(6).tolist()}\n  movej(q)\n  q[5] = q[5] + 0.1\n  movej(q)\nend", wait=30.0
@@ -49,7 +49,7 @@ def test_the_arm_moves(robot: urlink.Robot) -> None:
     until(lambda: np.abs(robot.realtime.wait(5).q_actual - q - [0, 0, 0, 0, 0, 0.1]).max() < 0.01)
 
 
-def test_compile_errors(robot: urlink.Robot) -> None:
+def test_compile_error_has_line_number(robot: urlink.Robot) -> None:
     program = robot.script.run('def job():\n  a = 1\n  txtmsg("one")\nend')
     with pytest.raises(CompileError, match="compile_error_name_not_found:txtmsg") as caught:
         program.wait(20)
@@ -60,7 +60,7 @@ def test_compile_errors(robot: urlink.Robot) -> None:
     assert caught.value.line == 2
 
 
-def test_runtime_errors(robot: urlink.Robot) -> None:
+def test_runtime_error_has_line_number(robot: urlink.Robot) -> None:
     program = robot.script.run("a = [1, 2]\nsync()\nb = a[5]")
     with pytest.raises(ScriptFailed) as caught:
         program.wait(20)
@@ -68,7 +68,7 @@ def test_runtime_errors(robot: urlink.Robot) -> None:
     assert program.phase is Phase.FAILED
 
 
-def test_the_next_stops_the_one_that_runs(robot: urlink.Robot) -> None:
+def test_next_program_preempts_running_program(robot: urlink.Robot) -> None:
     one = robot.script.run(LONG)
     until(lambda: one.phase is Phase.RUNNING)
     two = robot.script.run("sleep(0.02)", wait=20.0)
@@ -77,7 +77,7 @@ def test_the_next_stops_the_one_that_runs(robot: urlink.Robot) -> None:
         one.wait(20)
 
 
-def test_secondary_runs_beside(robot: urlink.Robot) -> None:
+def test_secondary_program_runs_during_main_program(robot: urlink.Robot) -> None:
     long = robot.script.run(LONG)
     until(lambda: long.phase is Phase.RUNNING)
     robot.script.run("sec lamp():\n  set_standard_digital_out(2, True)\nend", wait=20.0)
@@ -93,7 +93,7 @@ def test_secondary_runs_beside(robot: urlink.Robot) -> None:
         long.wait(0)
 
 
-def test_payload_tcp_and_popup(robot: urlink.Robot) -> None:
+def test_payload_tcp_and_popup_reach_controller(robot: urlink.Robot) -> None:
     messages: list[urlink.packets.PopupMessage] = []
     robot.primary.subscribe(messages.append, urlink.packets.PopupMessage)
     robot.set_payload(1.5, (0, 0, 0.1))
@@ -121,7 +121,7 @@ def test_every_setting_is_confirmed(address: str) -> None:
 
 
 @pytest.mark.slow
-def test_local_control_is_told(robot: urlink.Robot) -> None:
+def test_not_confirmed_names_local_control(robot: urlink.Robot) -> None:
     robot.io.set_digital_out(0, True)
     robot.controller.remote_control = False
     acts: list[Callable[[], object]] = [
@@ -133,11 +133,11 @@ def test_local_control_is_told(robot: urlink.Robot) -> None:
     for act in acts:
         with pytest.raises(NotConfirmed, match="the robot is in local control"):
             act()
-    robot.popup("lost, and nothing tells")
+    robot.popup("ignored without an error")
 
 
 @pytest.mark.slow
-def test_an_emergency_stop_ends_the_program(robot: urlink.Robot) -> None:
+def test_emergency_stop_ends_program(robot: urlink.Robot) -> None:
     controller = robot.controller
     program = robot.script.run(LONG)
     until(lambda: program.phase is Phase.RUNNING)
@@ -154,10 +154,10 @@ def test_an_emergency_stop_ends_the_program(robot: urlink.Robot) -> None:
     robot.script.run("sleep(0.02)", wait=20.0)
 
 
-def test_a_cut_connection_is_told_and_a_person_can_go_on(robot: urlink.Robot) -> None:
+def test_commands_work_after_lost_connection(robot: urlink.Robot) -> None:
     controller = robot.controller
-    program = robot.script.run('textmsg("goes on")\n' + LONG)
-    until(lambda: program.texts == ("goes on",))  # it has been let go on
+    program = robot.script.run('textmsg("continues")\n' + LONG)
+    until(lambda: program.texts == ("continues",))  # the program has got its permission
     controller.faults.cut("primary")
     with pytest.raises(urlink.ConnectionLost, match="may still run"):
         program.wait(20)

@@ -1,4 +1,4 @@
-"""Settings over RTDE inputs where they can be had, by script otherwise: which way, and when that is decided."""
+"""Settings use RTDE inputs if these are available, and scripts otherwise; tests of the choice and its time."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from urlink.simulator import Controller
 
 pytestmark = pytest.mark.simulated_time
 
-# -- against a controller that says what the test says -------------------------------------------------
+# -- with a scripted controller ------------------------------------------------------------------------
 
 
 class Inputs:
-    """RTDE inputs that can be had, but for those that are `held`; `error` refuses all of them."""
+    """RTDE inputs that can be claimed, except inputs in `held`; `error` refuses every claim."""
 
     def __init__(self) -> None:
         self.held: set[str] = set()
@@ -72,7 +72,7 @@ def robot(inputs: Inputs, monkeypatch: pytest.MonkeyPatch) -> Iterator[ScriptedC
         yield robot
 
 
-def test_masks_and_values_of_each_setting(robot: ScriptedController, inputs: Inputs) -> None:
+def test_each_setting_writes_its_mask_and_value(robot: ScriptedController, inputs: Inputs) -> None:
     robot.state(board={"analog_output_domain_1": 1})
     acts: list[Callable[[], object]] = [
         lambda: robot.io.set_digital_out(3, True, confirm=0.01),
@@ -84,14 +84,14 @@ def test_masks_and_values_of_each_setting(robot: ScriptedController, inputs: Inp
     for act in acts:
         with pytest.raises(NotConfirmed):
             act()
-        robot.settings._channel._refused.clear()  # after one that was not confirmed text is sent
+        robot.settings._channel._refused.clear()  # after an unconfirmed setting, later ones would be sent as text
     assert inputs.written == [
         {"standard_digital_output_mask": 8, "standard_digital_output": 8},
         {"configurable_digital_output_mask": 128, "configurable_digital_output": 0},
         {"tool_digital_output_mask": 2, "tool_digital_output": 2},
         {
             "standard_analog_output_mask": 2,
-            "standard_analog_output_type": 2,  # what an output drives stays as it is
+            "standard_analog_output_type": 2,  # voltage or current stays as it is
             "standard_analog_output_1": 0.5,
         },
         {"speed_slider_mask": 1, "speed_slider_fraction": 0.25},
@@ -101,20 +101,20 @@ def test_masks_and_values_of_each_setting(robot: ScriptedController, inputs: Inp
     assert len(robot.sent) == 1
 
 
-def test_what_does_not_show_is_discarded_and_the_next_goes_by_script(robot: ScriptedController, inputs: Inputs) -> None:
+def test_unconfirmed_setting_switches_to_script(robot: ScriptedController, inputs: Inputs) -> None:
     for _ in range(2):
         with pytest.raises(NotConfirmed):
             robot.io.set_digital_out(0, True, confirm=0.01)
     assert (len(inputs.written), inputs.aborted, len(robot.sent)) == (1, 1, 1)
 
 
-def test_without_waiting_nothing_is_claimed(robot: ScriptedController, inputs: Inputs) -> None:
+def test_setting_without_confirm_claims_nothing(robot: ScriptedController, inputs: Inputs) -> None:
     robot.io.set_digital_out(0, True, confirm=None)
     assert inputs.asked == [(("standard_digital_output_mask", "standard_digital_output"), False)]
     assert len(robot.sent) == 1
 
 
-def test_no_package_overtakes_a_text(
+def test_package_does_not_overtake_text(
     robot: ScriptedController, inputs: Inputs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(settings, "_SETTLED", 60.0)
@@ -124,9 +124,7 @@ def test_no_package_overtakes_a_text(
 
 
 @pytest.mark.parametrize("error", [ConnectFailed("refused"), urlink.LinkTimeout("no answer")], ids=str)
-def test_where_there_is_no_rtde_it_is_tried_once_for_each_connection(
-    robot: ScriptedController, inputs: Inputs, error: LinkError
-) -> None:
+def test_missing_rtde_is_tried_once_per_connection(robot: ScriptedController, inputs: Inputs, error: LinkError) -> None:
     inputs.error = error
     acts: list[Callable[[], object]] = [
         lambda: robot.io.set_digital_out(0, True, confirm=0.01),
@@ -146,7 +144,7 @@ def test_where_there_is_no_rtde_it_is_tried_once_for_each_connection(
     assert (len(inputs.written), len(robot.sent)) == (1, 3)
 
 
-def test_an_input_in_use_is_refused_by_itself(robot: ScriptedController, inputs: Inputs) -> None:
+def test_input_in_use_is_refused_separately(robot: ScriptedController, inputs: Inputs) -> None:
     inputs.held = {"speed_slider_mask"}
     with pytest.raises(NotConfirmed):
         robot.settings.speed_slider(0.5, 0.01)
@@ -154,14 +152,14 @@ def test_an_input_in_use_is_refused_by_itself(robot: ScriptedController, inputs:
     assert robot.settings._channel._is_refused(("speed_slider_mask", "speed_slider_fraction"))
 
 
-def test_what_could_not_be_written_goes_by_script(robot: ScriptedController, inputs: Inputs) -> None:
+def test_setting_is_sent_by_script_when_write_fails(robot: ScriptedController, inputs: Inputs) -> None:
     inputs.lost = True
     with pytest.raises(NotConfirmed):
         robot.io.set_digital_out(0, True, confirm=0.01)
     assert len(robot.sent) == 1
 
 
-def test_a_robot_that_does_not_run_is_sent_nothing_by_either_way(robot: ScriptedController, inputs: Inputs) -> None:
+def test_setting_sends_nothing_when_robot_is_not_running(robot: ScriptedController, inputs: Inputs) -> None:
     robot.state(RobotMode.POWER_OFF)
     until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
     with pytest.raises(NotRunning):
@@ -169,11 +167,11 @@ def test_a_robot_that_does_not_run_is_sent_nothing_by_either_way(robot: Scripted
     assert (inputs.asked, robot.sent) == ([], [])
 
 
-# -- on a clock that the test holds --------------------------------------------------------------------
+# -- with a simulated clock ----------------------------------------------------------------------------
 
 
 class Desk:
-    """A channel for settings, before one that takes all; `sent` is what went by text."""
+    """Setting channel on a command channel that accepts everything; `sent` lists the settings sent as text."""
 
     def __init__(self) -> None:
         self.clock = Clock()
@@ -193,7 +191,7 @@ class Desk:
         self.settings.send("text", lambda: values)
 
 
-def test_a_package_half_a_second_after_a_text_overtakes_nothing() -> None:
+def test_rtde_is_used_half_a_second_after_text() -> None:
     desk = Desk()
     desk.inputs.held = {"a"}
     desk.send({"a": 1})
@@ -204,8 +202,8 @@ def test_a_package_half_a_second_after_a_text_overtakes_nothing() -> None:
     assert len(desk.sent) == 3
 
 
-def test_what_has_no_inputs_now_goes_by_text_and_the_next_does_not() -> None:
-    """Of an analogue output it is not known what it drives before the robot has said so."""
+def test_setting_without_inputs_is_sent_as_text() -> None:
+    """For example, whether an analogue output is a voltage or a current is unknown before the robot reports it."""
     desk = Desk()
     desk.send(None)
     assert (desk.inputs.asked, desk.sent) == ([], ["text"])
@@ -214,7 +212,7 @@ def test_what_has_no_inputs_now_goes_by_text_and_the_next_does_not() -> None:
     assert (desk.inputs.written, desk.sent) == ([{"a": 1}], ["text"])
 
 
-def test_what_was_refused_is_refused_for_as_long_as_the_connection_holds(caplog: pytest.LogCaptureFixture) -> None:
+def test_refusal_lasts_until_reconnection(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     desk = Desk()
     desk.inputs.held = {"a"}
@@ -234,7 +232,7 @@ def test_what_was_refused_is_refused_for_as_long_as_the_connection_holds(caplog:
     assert desk.inputs.written == [{"b": 1}]
 
 
-# -- against the simulator -----------------------------------------------------------------------------
+# -- with the simulator --------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -244,7 +242,7 @@ def controller() -> Iterator[Controller]:
 
 
 def set_all(robot: urlink.Robot, on: bool) -> None:
-    """Each of them is confirmed, or raises."""
+    """Set each output and the slider; each call is confirmed or raises."""
     robot.io.set_digital_out(3, on)
     robot.io.set_configurable_digital_out(7, on)
     robot.io.set_tool_digital_out(1, on)
@@ -257,13 +255,13 @@ def texts(controller: Controller) -> list[str]:
 
 
 def connect(controller: Controller) -> urlink.Robot:
-    """To one that may be held up by a busy machine."""
+    """Connect with long timeouts, because a busy computer might delay the controller."""
     return urlink.connect(controller.address, stale_after=20.0, silence=30.0)
 
 
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine a claim may take longer than a setting is ready to wait for it."""
+    """Use long claim timeouts, because a claim can take longer on a busy computer than a setting would wait."""
     for place in (claims, client):
         monkeypatch.setattr(place, "CLAIM_TIMEOUT", 20.0)
     monkeypatch.setattr(claims, "HOLD", 60.0)
@@ -271,9 +269,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("patient")
-def test_settings_go_over_rtde_and_nothing_stays_claimed(
-    controller: Controller, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_settings_use_rtde_and_release_claims(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     controller.received.clear()
     with connect(controller) as robot, connect(controller) as other:
         for on in (True, False):
@@ -283,7 +279,7 @@ def test_settings_go_over_rtde_and_nothing_stays_claimed(
                 until(lambda: not other.rtde.who_holds())
         robot.io.set_digital_out(3, True)
         assert other.rtde.who_holds()
-        with robot.rtde.inputs("standard_digital_output") as inputs:  # asked for by the same robot
+        with robot.rtde.inputs("standard_digital_output") as inputs:  # claimed by the same robot object
             inputs.send(standard_digital_output={3: False})
             until(lambda: not robot.io.digital_out(3))
         robot.io.set_digital_out(3, True)
@@ -294,14 +290,14 @@ def test_settings_go_over_rtde_and_nothing_stays_claimed(
 
 
 @pytest.mark.usefixtures("patient")
-def test_what_another_client_holds_goes_by_script(controller: Controller) -> None:
+def test_input_of_another_client_is_set_by_script(controller: Controller) -> None:
     controller.received.clear()
     with connect(controller) as robot, connect(controller) as other:
         with other.rtde.inputs("speed_slider_fraction"):
             set_all(robot, True)
             assert texts(controller) == ["set speed 0.5"]
             robot.set_speed_slider(0.75)
-        robot.set_speed_slider(1.0)  # nobody asks again on the same connection
+        robot.set_speed_slider(1.0)  # the claim is not tried again on the same connection
         assert texts(controller) == [f"set speed {each}" for each in (0.5, 0.75, 1.0)]
         controller.faults.cut("primary")
         until(lambda: robot.primary.stats.reconnects)
@@ -311,7 +307,7 @@ def test_what_another_client_holds_goes_by_script(controller: Controller) -> Non
         assert len(texts(controller)) == 3
 
 
-def test_a_port_that_is_closed_costs_nothing_but_one_try(controller: Controller) -> None:
+def test_settings_use_script_when_rtde_port_is_closed(controller: Controller) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         closed = server.getsockname()[1]
     served = dict(controller.ports) | {"rtde": closed}

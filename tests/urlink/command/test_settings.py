@@ -1,4 +1,4 @@
-"""Settings: what is sent, and whether the robot's own states show it."""
+"""Settings: the sent text, and the confirmation by the robot's own states."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from urlink.session.identity import Identity, KnownIdentity
 
 pytestmark = pytest.mark.simulated_time
 
-#: Acts on a robot with a timeout; what its states show afterwards, and what they may show before.
+#: Setting with a timeout; values that the states show afterwards; values that they may show before.
 Case = tuple[Callable[[ScriptedController, float | None], None], dict[str, Any], dict[str, Any]]
 
 
@@ -84,7 +84,7 @@ SHOWN: dict[str, Case] = {
         {"tcp": [0.1, 0, 0.2, 0, 0, 1.0]},
         {"tcp": [0.1, 0, 0.2, 0, 0, 1.1]},
     ),
-    "tcp the longer way round": (
+    "tcp turned by more than 180 degrees": (
         lambda r, c: r.settings.tcp([0, 0, 0, 0, 0, 4.0], c),
         {"tcp": [0, 0, 0, 0, 0, 4.0 - 6.283185307179586]},
         {"tcp": [0, 0, 0, 0, 0, -4.0]},
@@ -125,7 +125,7 @@ def robot() -> Iterator[ScriptedController]:
 
 
 def show(robot: ScriptedController, what: dict[str, Any]) -> None:
-    """A state on each interface that shows it."""
+    """Send a state on each interface that shows the values of `what`."""
     axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
     offset = {f"tcp_offset_{axis}": value for axis, value in zip(axes, what.get("tcp", [0] * 6), strict=True)}
     packages = [
@@ -141,7 +141,7 @@ def show(robot: ScriptedController, what: dict[str, Any]) -> None:
 
 
 class Setting:
-    """A setting in a thread of its own."""
+    """Setting that is made in a new thread."""
 
     def __init__(
         self, robot: ScriptedController, act: Callable[[ScriptedController, float | None], None], confirm: float | None
@@ -164,7 +164,7 @@ class Setting:
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_waits_until_the_robot_shows_it(robot: ScriptedController, name: str) -> None:
+def test_setting_waits_until_states_show_it(robot: ScriptedController, name: str) -> None:
     act, right, wrong = SHOWN[name]
     setting = Setting(robot, act, 10.0)
     until(lambda: robot.sent)
@@ -182,7 +182,7 @@ def test_waits_until_the_robot_shows_it(robot: ScriptedController, name: str) ->
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_says_what_the_robot_shows_instead(robot: ScriptedController, name: str) -> None:
+def test_not_confirmed_names_shown_value(robot: ScriptedController, name: str) -> None:
     act, _, wrong = SHOWN[name]
     setting = Setting(robot, act, 0.3)
 
@@ -197,7 +197,7 @@ def test_says_what_the_robot_shows_instead(robot: ScriptedController, name: str)
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_does_not_wait_where_that_is_not_asked_for(robot: ScriptedController, name: str) -> None:
+def test_setting_without_confirm_does_not_wait(robot: ScriptedController, name: str) -> None:
     SHOWN[name][0](robot, None)
     assert len(robot.sent) == 1
 
@@ -211,7 +211,7 @@ def test_does_not_wait_where_that_is_not_asked_for(robot: ScriptedController, na
         ("3.4", None, "the controller may have been delayed"),
     ],
 )
-def test_names_the_likely_cause(firmware: str, is_remote: bool | None, why: str) -> None:
+def test_not_confirmed_names_likely_cause(firmware: str, is_remote: bool | None, why: str) -> None:
     with ScriptedController(firmware, is_remote=is_remote) as robot:
         robot.clear()
         with pytest.raises(NotConfirmed, match=why):
@@ -229,14 +229,14 @@ def test_names_the_likely_cause(firmware: str, is_remote: bool | None, why: str)
         ("5.11", lambda r: r.io.set_flag(3, True)),
     ],
 )
-def test_does_not_wait_for_what_no_state_shows(firmware: str, act: Callable[[ScriptedController], None]) -> None:
+def test_setting_without_echo_does_not_wait(firmware: str, act: Callable[[ScriptedController], None]) -> None:
     with ScriptedController(firmware) as robot:
         robot.clear()
         act(robot)
         assert len(robot.sent) == 1
 
 
-def test_where_it_would_wait_for_itself(robot: ScriptedController) -> None:
+def test_setting_in_inline_callback_cannot_wait(robot: ScriptedController) -> None:
     raised: list[LinkError] = []
 
     def switch(state: RobotState) -> None:
@@ -253,7 +253,7 @@ def test_where_it_would_wait_for_itself(robot: ScriptedController) -> None:
     assert len(robot.sent) == 1
 
 
-def test_from_a_callback_with_a_thread_of_its_own(robot: ScriptedController) -> None:
+def test_setting_in_queued_callback_can_wait(robot: ScriptedController) -> None:
     done = threading.Event()
 
     def switch(state: RobotState) -> None:
@@ -268,7 +268,7 @@ def test_from_a_callback_with_a_thread_of_its_own(robot: ScriptedController) -> 
         until(is_done)
 
 
-def test_nothing_is_sent_to_a_robot_that_does_not_run(robot: ScriptedController) -> None:
+def test_setting_is_refused_when_robot_is_not_running(robot: ScriptedController) -> None:
     robot.state(RobotMode.POWER_OFF)
     until(lambda: robot.safety.robot_mode is RobotMode.POWER_OFF)
     with pytest.raises(NotRunning):
@@ -277,7 +277,7 @@ def test_nothing_is_sent_to_a_robot_that_does_not_run(robot: ScriptedController)
 
 
 @pytest.mark.parametrize("confirm", [0, -1, "soon", float("nan"), True])
-def test_no_number_of_seconds(robot: ScriptedController, confirm: Any) -> None:
+def test_setting_rejects_invalid_confirm(robot: ScriptedController, confirm: Any) -> None:
     with pytest.raises(BadValue, match="confirm"):
         robot.settings.tcp([0] * 6, confirm)
     assert robot.sent == []
@@ -293,8 +293,11 @@ def test_no_number_of_seconds(robot: ScriptedController, confirm: Any) -> None:
         ("UR5e", 50.0, False),
     ],
 )
-def test_no_payload_that_the_arm_cannot_carry(model: str, mass: float, is_carried: bool) -> None:
-    """A UR3e carries 3 kg, a UR7e, which says that it is a UR5e, 7.5 kg; a quarter is left for later software."""
+def test_payload_is_limited_to_capacity_of_the_arm(model: str, mass: float, is_carried: bool) -> None:
+    """A UR3e carries 3 kg. A UR7e, which identifies itself as a UR5e, carries 7.5 kg.
+
+    The limit is a quarter higher, for later software.
+    """
     with ScriptedController(model=model) as robot:
         robot.clear()
         if is_carried:
@@ -305,7 +308,7 @@ def test_no_payload_that_the_arm_cannot_carry(model: str, mass: float, is_carrie
         assert len(robot.sent) == is_carried
 
 
-def test_an_arm_that_nobody_knows_carries_what_any_does() -> None:
+def test_payload_of_unknown_arm_has_general_limit() -> None:
     with ScriptedController() as robot:
         robot.clear()
         robot.settings.payload(99.0, None, None, None)
@@ -313,11 +316,11 @@ def test_an_arm_that_nobody_knows_carries_what_any_does() -> None:
             robot.settings.payload(101.0, None, None, None)
 
 
-# -- a robot that shows something as soon as a setting has left ----------------------------------------
+# -- a robot that shows a value immediately after a setting was sent -----------------------------------
 
 
 class Answering:
-    """Settings of a robot that answers each of them with `answers`, before anything is waited for."""
+    """Settings of a robot that replies to each setting with the states `answers`, before the wait begins."""
 
     def __init__(self, firmware: str = "5.11", is_remote: Callable[[], bool | None] = lambda: None) -> None:
         self.firmware = Firmware.parse(firmware)
@@ -373,9 +376,7 @@ def offset(*pose: float) -> CartesianInfo:
         ((0, 0, 0, 0, 0, 0.5), (0, 0, 0, 0, 0, -0.5), False),
     ],
 )
-def test_two_offsets_of_the_tool_that_are_the_same(
-    wanted: tuple[float, ...], shown: tuple[float, ...], is_same: bool
-) -> None:
+def test_tcp_is_confirmed_by_equal_pose(wanted: tuple[float, ...], shown: tuple[float, ...], is_same: bool) -> None:
     robot = Answering()
     assert robot.is_confirmed(lambda settings, confirm: settings.tcp(wanted, confirm), offset(*shown)) == is_same
     assert robot.doubts == (not is_same)
@@ -407,7 +408,7 @@ def analog_out(settings: Settings, fraction: float, confirm: float) -> None:
         (lambda s, c: s.payload(1.0, [0, 0, 1e-5], None, c), RealtimeState((5, 11), payload_mass=1.0), False),
     ],
 )
-def test_how_far_off_may_be_what_is_shown(act: Callable[[Settings, float], None], shown: State, is_right: bool) -> None:
+def test_confirmation_tolerances(act: Callable[[Settings, float], None], shown: State, is_right: bool) -> None:
     assert Answering().is_confirmed(act, shown) == is_right
 
 
@@ -422,7 +423,7 @@ def test_how_far_off_may_be_what_is_shown(act: Callable[[Settings, float], None]
         ("3.0", lambda s, c: s.speed_slider(0.5, c), True),
     ],
 )
-def test_what_shows_from_which_firmware_on(
+def test_first_firmware_that_shows_each_setting(
     firmware: str, act: Callable[[Settings, float], None], is_waited_for: bool
 ) -> None:
     robot = Answering(firmware)
@@ -430,7 +431,7 @@ def test_what_shows_from_which_firmware_on(
     assert len(robot.sent) == 1
 
 
-def test_a_right_value_counts_even_if_another_one_follows() -> None:
+def test_setting_is_confirmed_by_one_matching_state() -> None:
     robot = Answering()
 
     def act(settings: Settings, confirm: float) -> None:
@@ -445,8 +446,8 @@ def test_a_right_value_counts_even_if_another_one_follows() -> None:
         act(robot.settings, 0.001)
 
 
-def test_what_the_packets_leave_out_is_nothing_shown() -> None:
-    """A controller that says 5.11, and sends packets of an older one."""
+def test_missing_fields_show_no_value() -> None:
+    """The controller reports firmware 5.11, but sends packets of an older firmware."""
     robot = Answering()
     robot.answers = [RealtimeState("3.4"), CartesianInfo("1.8")]
     acts: list[Callable[[], None]] = [
@@ -458,7 +459,7 @@ def test_what_the_packets_leave_out_is_nothing_shown() -> None:
             act()
 
 
-def test_the_cause_is_named_even_if_the_dashboard_does_not_answer() -> None:
+def test_likely_cause_is_named_without_dashboard() -> None:
     asked: list[str] = []
 
     def is_remote() -> bool | None:
@@ -475,7 +476,7 @@ def test_the_cause_is_named_even_if_the_dashboard_does_not_answer() -> None:
         assert len(asked) == count
 
 
-def test_the_force_sensor_is_zeroed_where_there_is_one() -> None:
+def test_zero_force_sensor_needs_firmware_3_0() -> None:
     robot = Answering("3.0")
     robot.settings.zero_force_sensor()
     assert "zero_ftsensor()" in robot.sent[0]

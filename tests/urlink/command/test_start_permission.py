@@ -1,4 +1,4 @@
-"""Two clients and one controller: however late texts come, a program goes on by its own permission only."""
+"""Two clients and one controller: however late texts arrive, a program proceeds only with its own permission."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ MOVED = "moves the arm"
 
 
 class Client(Programming):
-    """A client whose texts wait in the network until they are `delivered`, each as often and as late as the test says.
+    """Client whose texts stay in the network until the test delivers them.
 
-    Its handles are told that a program has begun by the controller's messages only.
+    Only messages of the controller notify its handles that a program has begun.
     """
 
     def __init__(self, firmware: str, first_token: int) -> None:
         super().__init__(firmware=firmware)
         self.programs._start_tokens = itertools.count(first_token)
-        #: name of the program -> its handle
+        #: Handle of each program, by the program's name.
         self.begun: dict[str, Run] = {}
-        #: names of programs that were permitted while their handle was not over
+        #: Names of programs that got their permission while their handle had not ended.
         self.permitted: set[str] = set()
 
     def begin(self, stays: bool) -> None:
-        """Send a program; one that does not stay is gone before anybody reads it."""
+        """Send a program. Without `stays`, it is cancelled before its text is read."""
         life = self.programs.life("motion")
         run = self._start(self.programs.own([f'textmsg("{MOVED}")', "sync()"]), life)
         self.begun[run.program] = run
         if not stays:
-            life.cancel("the client is gone", brake=False)
+            life.cancel("the client has disconnected", brake=False)
 
 
 class Clients(RuleBasedStateMachine):
-    """Programs of two clients on one controller, which executes the very texts that they send."""
+    """Programs of two clients on one controller, which executes exactly the sent texts."""
 
     firmware = "5.11"
 
     def __init__(self) -> None:
         super().__init__()
         self.clients = [Client(self.firmware, 0), Client(self.firmware, 100)]
-        #: of each client, the texts that have not been read yet
+        #: For each client, the texts that have not been read yet.
         self.wires: list[list[str]] = [[], []]
         self.registers, self.flags = RegisterBanks(), [False] * 32
         self.cycle = 0
@@ -92,12 +92,12 @@ class Clients(RuleBasedStateMachine):
             client.key(title, name)
 
     def collect(self) -> None:
-        """What the clients have sent is on the wire."""
+        """Move the texts that the clients have sent to their wires."""
         for client, wire in zip(self.clients, self.wires, strict=True):
             wire += client.sent
             client.sent.clear()
 
-    # -- what can happen -------------------------------------------------------------------------------
+    # -- events ----------------------------------------------------------------------------------------
 
     @rule(who=st.integers(0, 1), stays=st.booleans())
     def send(self, who: int, stays: bool) -> None:
@@ -114,7 +114,7 @@ class Clients(RuleBasedStateMachine):
     @precondition(lambda self: any(self.wires))
     @rule(data=st.data(), cycles=st.integers(0, 2))
     def arrive(self, data: Any, cycles: int) -> None:
-        """The next text of one client is read, in the order of its connection, and so many cycles pass."""
+        """Read the next text of one client, in the order of its connection, and let `cycles` cycles pass."""
         wire = data.draw(st.sampled_from([wire for wire in self.wires if wire]), label="from")
         text = wire.pop(0)
         execution = self.execution(text)
@@ -145,7 +145,7 @@ class Clients(RuleBasedStateMachine):
         self.collect()
 
     @invariant()
-    def only_what_was_permitted_has_moved(self) -> None:
+    def only_permitted_programs_have_moved(self) -> None:
         assert set(self.moved) <= {name for client in self.clients for name in client.permitted}
 
 

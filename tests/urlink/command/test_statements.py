@@ -1,4 +1,4 @@
-"""What interpreter mode asks of a controller, statement by statement; the controller and its clock are the test's."""
+"""Requests of interpreter mode to a controller, statement by statement; controller and clock are simulated."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ EXECUTED = "statelastexecuted"
 
 
 class Peer:
-    """In place of a dialogue: acknowledges each statement, and says that the last has been begun."""
+    """Stand-in for a dialogue: acknowledges each statement, and reports that the last one has begun."""
 
     def __init__(self) -> None:
         self.asked: list[str] = []
         self.timeouts: list[float] = []
-        #: what it answers next, instead
+        #: Next replies, instead of the default ones.
         self.answers: deque[str | LinkError] = deque()
         self.last = 0
-        #: how far it lags behind with what it has begun
+        #: Number of acknowledged statements that have not begun.
         self.lag = 0
         self.is_closed = False
 
@@ -70,7 +70,7 @@ class Peer:
 
 
 class Mode(Programming):
-    """Interpreter mode of a robot with which all is well. Time passes only where something sleeps."""
+    """Interpreter mode of a robot without any stop. Time passes only during sleeps."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__()
@@ -81,7 +81,7 @@ class Mode(Programming):
         self.undos = PendingUndos("robot")
 
         def client() -> Dialogue:
-            raise AssertionError("nothing was given up")
+            raise AssertionError("no command was abandoned")
 
         undo = Undo(client, lambda client, is_wanted: None)
         self.interpreter = Interpreter(self.life, dialogue, self.channel, self.undos, undo, 42.0)
@@ -93,7 +93,7 @@ def mode(monkeypatch: pytest.MonkeyPatch) -> Mode:
 
 
 def waits_of(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Seconds for which the end of the program is waited for from now on."""
+    """Return a list that collects the timeouts of all later waits for the end of the program, in seconds."""
     waits: list[float] = []
     monkeypatch.setattr(mode.interpreter, "wait", waits.append)
     return waits
@@ -102,12 +102,12 @@ def waits_of(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> list[float]:
 # -- statements --------------------------------------------------------------------------------------------
 
 
-def test_a_statement_leaves_through_the_interlock(mode: Mode) -> None:
+def test_statement_is_sent_through_the_interlock(mode: Mode) -> None:
     assert [mode.interpreter.execute("a = 1"), mode.interpreter.execute("a = 2")] == [1, 2]
     mode.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
     with pytest.raises(SafetyStop):
         mode.interpreter.execute("a = 3")
-    # What ends a motion does not ask it.
+    # Commands that end a motion do not ask the interlock.
     mode.interpreter.abort()
     mode.interpreter.skip()
     assert mode.peer.asked == ["a = 1", "a = 2", "abort", "skipbuffer"]
@@ -121,7 +121,7 @@ def test_a_statement_leaves_through_the_interlock(mode: Mode) -> None:
         (lambda life: life.cancel("given up"), "interpreter mode was given up"),
     ],
 )
-def test_no_statement_leaves_after_the_end(mode: Mode, end: Callable[[Any], object], error: str) -> None:
+def test_statement_after_the_end_is_not_sent(mode: Mode, end: Callable[[Any], object], error: str) -> None:
     end(mode.life)
     with pytest.raises(Cancelled, match=error):
         mode.interpreter.execute("a = 1")
@@ -132,13 +132,13 @@ def test_no_statement_leaves_after_the_end(mode: Mode, end: Callable[[Any], obje
         assert mode.peer.asked == []
 
 
-def test_what_does_not_compile_is_told_at_once(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_statement_with_compile_error_raises_immediately(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
     waits = waits_of(mode, monkeypatch)
     mode.peer.answers.append("discard: 7: nobody(1)")
     with pytest.raises(StatementDiscarded) as caught:
         mode.interpreter.execute("nobody(1)")
     assert (caught.value.statement, waits) == ("nobody(1)", [])
-    # Without a number no program takes statements: what ended it is told a little later.
+    # Without a number, no program accepts statements; the reason is reported a little later.
     mode.peer.answers += ["discard: 0: a = 1"] * 2
     with pytest.raises(StatementDiscarded):
         mode.interpreter.execute("a = 1")
@@ -152,22 +152,22 @@ def test_what_does_not_compile_is_told_at_once(mode: Mode, monkeypatch: pytest.M
         mode.interpreter.execute("a = 1")
 
 
-def test_after_500_statements_those_before_are_cleared(mode: Mode) -> None:
+def test_statements_are_cleared_after_500(mode: Mode) -> None:
     clears = []
     for _ in range(1001):
         before = len(mode.peer.asked)
         mode.interpreter.execute("n = n + 1")
         if len(mode.peer.asked) > before + 1:
             clears.append(before)
-            # Not before they are over, or they would be lost.
+            # They are cleared only after they have ended; otherwise they would be lost.
             assert mode.peer.asked[before:] == ["sync()", EXECUTED, "clear_interpreter()", "n = n + 1"]
-    assert clears == [500, 1003]  # three more were asked the first time
+    assert clears == [500, 1003]  # the first clearing needed three additional requests
 
 
 # -- waiting -------------------------------------------------------------------------------------------------
 
 
-def test_what_was_handed_over_is_over_once_something_after_it_has_begun(mode: Mode) -> None:
+def test_wait_executed_polls_until_its_barrier_has_begun(mode: Mode) -> None:
     mode.interpreter.execute("movej(q)")
     mode.peer.lag = 1
 
@@ -181,7 +181,7 @@ def test_what_was_handed_over_is_over_once_something_after_it_has_begun(mode: Mo
 
 
 @pytest.mark.parametrize(("seconds", "sleeps"), [(0.0, []), (0.02, [0.02]), (0.05, [0.02, 0.02, 0.01])])
-def test_waiting_for_statements_has_an_end(mode: Mode, seconds: float, sleeps: list[float]) -> None:
+def test_wait_executed_raises_timeout(mode: Mode, seconds: float, sleeps: list[float]) -> None:
     mode.clock.now, mode.peer.lag = 0.0, 1
     state = r"InterpreterState\(last_interpreted=20, last_executed=0, last_cleared=16, unexecuted=15\)"
     with pytest.raises(LinkTimeout, match=rf"did not end within {seconds:g} s: {state}; they continue"):
@@ -197,7 +197,7 @@ def test_waiting_for_statements_has_an_end(mode: Mode, seconds: float, sleeps: l
         (lambda i: i.execute("a = 1", wait=7.0), 7),
     ],
 )
-def test_for_how_long_is_waited(mode: Mode, act: Callable[[Interpreter], object], seconds: int) -> None:
+def test_default_timeouts_of_waiting(mode: Mode, act: Callable[[Interpreter], object], seconds: int) -> None:
     mode.peer.lag = 1
     mode.clock.meanwhile = lambda: setattr(mode.clock, "now", mode.clock.now + 100.0)
     with pytest.raises(LinkTimeout, match=f"within {seconds} s"):
@@ -212,28 +212,28 @@ def test_for_how_long_is_waited(mode: Mode, act: Callable[[Interpreter], object]
         lambda i: i.execute("a = 1", wait=float("inf")),
     ],
 )
-def test_for_ever_is_no_number_of_seconds(mode: Mode, act: Callable[[Interpreter], object]) -> None:
+def test_infinite_timeout_is_rejected(mode: Mode, act: Callable[[Interpreter], object]) -> None:
     with pytest.raises(BadValue):
         act(mode.interpreter)
     assert mode.peer.asked == []
 
 
-def test_clearing_is_a_statement_with_a_number(mode: Mode) -> None:
+def test_clear_returns_statement_number(mode: Mode) -> None:
     assert (mode.interpreter.execute("a = 1"), mode.interpreter.clear()) == (1, 2)
 
 
-def test_how_far_it_is(mode: Mode) -> None:
+def test_state_queries_progress_in_safe_order(mode: Mode) -> None:
     mode.peer.answers += [f"state: {number}: x" for number in (3, 5, 7, 9)]
     assert mode.interpreter.state == InterpreterState(9, 7, 5, 3)
-    # Statements go on between the questions: the later an answer, the further it is.
+    # Statements are executed between the queries, so a later reply shows more progress.
     assert mode.peer.asked == ["stateunexecuted", "statelastcleared", EXECUTED, "statelastinterpreted"]
 
 
-# -- its end -------------------------------------------------------------------------------------------------
+# -- ending --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("timeout", "seconds"), [(None, 42.0), (0.0, 0.0), (3.0, 3.0)])
-def test_the_end_is_a_statement_as_well(
+def test_end_sends_a_statement_and_waits(
     mode: Mode, timeout: float | None, seconds: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waits = waits_of(mode, monkeypatch)
@@ -250,7 +250,7 @@ def leave_by(mode: Mode, error: BaseException | None) -> None:
             raise error
 
 
-def test_a_block_that_is_left(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exception_in_block_brakes_and_closes(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
     waits_of(mode, monkeypatch)
     brakes: list[int] = []
     mode.life.brake = lambda: brakes.append(1)
@@ -259,7 +259,7 @@ def test_a_block_that_is_left(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> No
     assert (mode.peer.asked, brakes, mode.peer.is_closed) == ([], [1], True)
 
 
-def test_a_block_that_comes_to_its_end(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_normal_end_of_block_ends_the_mode(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
     waits = waits_of(mode, monkeypatch)
     leave_by(mode, None)
     assert (mode.peer.asked, waits, mode.peer.is_closed) == (["end_interpreter()"], [42.0], True)
@@ -274,17 +274,17 @@ def test_a_block_that_comes_to_its_end(mode: Mode, monkeypatch: pytest.MonkeyPat
         (RemoteError("failed"), False),
     ],
 )
-def test_a_program_that_may_go_on_one_day_is_told_to_end(mode: Mode, error: LinkError, is_told: bool) -> None:
-    """A stop only pauses it."""
+def test_program_that_may_resume_is_ended(mode: Mode, error: LinkError, is_told: bool) -> None:
+    """A stop only pauses the program."""
     mode.life.fail(error)
     with pytest.raises(type(error)):
         mode.interpreter.end()
     assert mode.peer.asked == (["skipbuffer", "abort", "end_interpreter()"] if is_told else [])
-    assert set(mode.peer.timeouts) <= {0.5}  # nobody waits for them any more
+    assert set(mode.peer.timeouts) <= {0.5}  # no caller waits for these replies
     assert mode.peer.is_closed
 
 
-def test_a_controller_that_hears_no_last_words(mode: Mode, caplog: pytest.LogCaptureFixture) -> None:
+def test_end_logs_when_controller_does_not_reply(mode: Mode, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     mode.life.fail(NotRunning("silent"))
     mode.peer.answers.append(LinkTimeout("no reply"))
@@ -294,11 +294,11 @@ def test_a_controller_that_hears_no_last_words(mode: Mode, caplog: pytest.LogCap
     assert mode.peer.is_closed
 
 
-# -- its beginning ---------------------------------------------------------------------------------------------
+# -- beginning -------------------------------------------------------------------------------------------------
 
 
 class Beginning(Mode):
-    """`peers` are the dialogues that were made."""
+    """Start of interpreter mode; `peers` lists the created dialogues."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(monkeypatch)
@@ -322,7 +322,7 @@ def beginning(monkeypatch: pytest.MonkeyPatch) -> Beginning:
     return Beginning(monkeypatch)
 
 
-def test_it_begins_once_the_controller_takes_a_statement(beginning: Beginning) -> None:
+def test_mode_begins_when_controller_accepts_a_statement(beginning: Beginning) -> None:
     beginning.peer.answers += [f"state: 0: {EXECUTED}", *["discard: 0: sync()"] * 2, "ack: 1: sync()"]
     texts: list[str] = []
     interpreter = beginning.interpreters().begin(10.0, 60.0, texts.append)
@@ -339,7 +339,7 @@ def test_it_begins_once_the_controller_takes_a_statement(beginning: Beginning) -
     assert beginning.stops == 1
 
 
-def test_nothing_is_sent_where_the_service_is_off(beginning: Beginning) -> None:
+def test_nothing_is_sent_when_service_is_off(beginning: Beginning) -> None:
     beginning.peer.answers.append(ConnectFailed("refused"))
     with pytest.raises(ConnectFailed):
         beginning.interpreters().begin(10.0, 60.0, None)
@@ -347,17 +347,17 @@ def test_nothing_is_sent_where_the_service_is_off(beginning: Beginning) -> None:
 
 
 @pytest.mark.parametrize(("seconds", "sleeps"), [(0.02, [0.02]), (0.05, [0.02, 0.02, 0.01])])
-def test_it_has_to_begin_in_time(beginning: Beginning, seconds: float, sleeps: list[float]) -> None:
+def test_mode_that_does_not_begin_times_out(beginning: Beginning, seconds: float, sleeps: list[float]) -> None:
     beginning.clock.now = 0.0
     beginning.peer.answers += [f"state: 0: {EXECUTED}", *["discard: 0: sync()"] * 9]
     with pytest.raises(LinkTimeout, match=f"did not begin within {seconds:g} s"):
         beginning.interpreters().begin(seconds, 60.0, None)
     assert beginning.clock.sleeps == pytest.approx(sleeps)
     assert beginning.peers[0].is_closed
-    assert beginning.stops == 1  # it may be in the mode by now
+    assert beginning.stops == 1  # the program may be in the mode by now
 
 
-def test_a_program_that_is_over_before_it_began(beginning: Beginning, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_that_ended_before_the_mode_began_raises(beginning: Beginning, monkeypatch: pytest.MonkeyPatch) -> None:
     lives, life_of = [], beginning.programs.life
 
     def life(name: str) -> Any:
@@ -380,7 +380,9 @@ def test_a_program_that_is_over_before_it_began(beginning: Beginning, monkeypatc
     "arguments",
     [(0.0, 60.0, None), (float("inf"), 60.0, None), (10.0, float("inf"), None), (10.0, -1, None), (1, 1, 3)],
 )
-def test_what_is_no_beginning(beginning: Beginning, arguments: tuple[Any, Any, Any]) -> None:
+def test_begin_rejects_invalid_arguments_and_old_firmware(
+    beginning: Beginning, arguments: tuple[Any, Any, Any]
+) -> None:
     with pytest.raises(BadValue):
         beginning.interpreters().begin(*arguments)
     with pytest.raises(LocalError, match=r"5\.9 has no interpreter mode; 5\.10 or later is required"):
@@ -390,13 +392,13 @@ def test_what_is_no_beginning(beginning: Beginning, arguments: tuple[Any, Any, A
     assert beginning.peers == []
 
 
-def test_closing_the_robot_disconnects_what_was_not_ended(beginning: Beginning) -> None:
+def test_close_disconnects_open_interpreters(beginning: Beginning) -> None:
     interpreters = beginning.interpreters()
     first = interpreters.begin(10.0, 60.0, None)
     interpreters.begin(10.0, 60.0, None)
     first._close()
     interpreters.begin(10.0, 60.0, None)
     assert [peer.is_closed for peer in beginning.peers] == [True, False, False]
-    assert len(interpreters._open) == 2  # those that were ended are forgotten
+    assert len(interpreters._open) == 2  # ended interpreters are forgotten
     interpreters.close()
     assert all(peer.is_closed for peer in beginning.peers)

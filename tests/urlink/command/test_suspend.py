@@ -1,4 +1,4 @@
-"""A computer that was suspended: what it received before is too old to move an arm by."""
+"""A computer that was suspended: states received before the suspend are too old to permit a motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A raw TCP client for the simulated controller: no code of the client side of the library is in it."""
+"""Raw TCP client for the simulated controller, independent of the client code of the library."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TIMEOUT = 120.0
 
 
 class Link:
-    """One connection to one port of a controller."""
+    """Connection to one port of a controller."""
 
     def __init__(self, controller: Controller, port: str) -> None:
         self.socket = socket.create_connection((controller.host, controller.ports[port]), timeout=TIMEOUT)
@@ -38,19 +38,19 @@ class Link:
         return data
 
     def until(self, wanted: Callable[[bytes], bool]) -> bytes:
-        """The first packet that is wanted."""
+        """Return the first packet that `wanted` accepts."""
         deadline = time.monotonic() + TIMEOUT
         while time.monotonic() < deadline:
             packet = self.packet()
             if wanted(packet):
                 return packet
-        raise AssertionError("the packet did not come")
+        raise AssertionError("no such packet arrived")
 
     def send(self, data: bytes) -> None:
         self.socket.sendall(data)
 
     def is_ended(self) -> bool:
-        """Read on until the connection ends. False if it does not."""
+        """Whether the connection ends before the timeout; data that arrives until then is discarded."""
         deadline = time.monotonic() + TIMEOUT
         try:
             while time.monotonic() < deadline:
@@ -68,7 +68,7 @@ class Link:
 
 @pytest.fixture
 def connect() -> Iterator[Callable[[Controller, str], Link]]:
-    """Opens connections, and closes them after the test."""
+    """Function that opens a connection; all connections are closed after the test."""
     with contextlib.ExitStack() as links:
 
         def connect(controller: Controller, port: str) -> Link:
@@ -81,12 +81,12 @@ def connect() -> Iterator[Callable[[Controller, str], Link]]:
 
 @pytest.fixture
 def eventually() -> Callable[[Callable[[], object]], None]:
-    """Waits until something is true, or fails."""
+    """Function that waits until a condition is true, and fails after `TIMEOUT` seconds."""
 
     def eventually(condition: Callable[[], object]) -> None:
         deadline = time.monotonic() + TIMEOUT
         while not condition():
-            assert time.monotonic() < deadline, "it did not come true"
+            assert time.monotonic() < deadline, "the condition did not become true in time"
             time.sleep(0.002)
 
     return eventually

@@ -1,4 +1,4 @@
-"""An RTDE client made of plain bytes, at a controller that is stepped: no thread, no socket, no code of the client."""
+"""Byte-level RTDE client for a stepped controller, without threads, sockets or client code of the library."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["Peer", "package", "packages", "step"]
 
 
 def package(kind: str, payload: bytes = b"") -> bytes:
-    """A whole package."""
+    """Return a complete package of this type."""
     return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
 
 
 def packages(data: bytes) -> list[tuple[str, bytes]]:
-    """(type, payload) of each package in a stream of whole ones."""
+    """Return the type and payload of each package in a stream of complete packages."""
     found = []
     while data:
         size, kind = struct.unpack_from(">HB", data)
@@ -30,19 +30,19 @@ def packages(data: bytes) -> list[tuple[str, bytes]]:
 
 
 def step(controller: Controller, cycles: int = 1) -> None:
-    """Let cycles pass, as the server does."""
+    """Run control cycles in the same way as the server."""
     for _ in range(cycles):
         controller.step()
         controller.rtde.packets(controller.cycle)
 
 
 class Peer:
-    """One connection.
+    """Connection of one client to the RTDE interface of a controller.
 
     Attributes:
-        is_open: the controller has not closed it.
-        pending: bytes that the peer has not read, for the controller to see.
-        sent: what the controller has sent and was not taken.
+        is_open: Whether the controller has not closed the connection.
+        pending: Number of bytes that the peer has not read, as the controller sees it.
+        sent: Bytes that the controller has sent and that the test has not taken yet.
     """
 
     def __init__(self, controller: Controller, protocol: int = 2) -> None:
@@ -58,7 +58,7 @@ class Peer:
             assert self.ask("V", b"\0\2") == b"\1"
             self.protocol = 2
 
-    # -- as the controller sees it ---------------------------------------------------------------------
+    # -- calls by the controller ---------------------------------------------------------------------
 
     def send(self, packet: bytes) -> None:
         assert self.is_open
@@ -71,10 +71,10 @@ class Peer:
         if self.is_open:
             self.close()
 
-    # -- as its user does ------------------------------------------------------------------------------
+    # -- calls by a test -----------------------------------------------------------------------------
 
     def close(self) -> None:
-        """The connection is over."""
+        """End the connection."""
         self.is_open = False
         self.session.end()
 
@@ -82,20 +82,20 @@ class Peer:
         self.session.feed(package(kind, payload))
 
     def take(self) -> list[tuple[str, bytes]]:
-        """What has come since this was last asked."""
+        """Return and remove the packages that arrived since the last call."""
         found = packages(bytes(self.sent))
         self.sent.clear()
         return found
 
     def ask(self, kind: str, payload: bytes = b"") -> bytes:
-        """Payload of the reply, which is the only package that came."""
+        """Send a request and return the payload of the reply, which must be the only package."""
         self.put(kind, payload)
         (reply,) = self.take()
         assert reply[0] == kind, reply
         return reply[1]
 
     def outputs(self, *names: str, frequency: float = 500.0) -> tuple[int, list[str]]:
-        """Set up outputs: number of the recipe (of protocol 1: 1 if it is good) and types."""
+        """Set up outputs and return the recipe number (protocol 1: 1 if accepted, else 0) and the types."""
         head = struct.pack(">d", frequency) if self.protocol == 2 else b""
         reply = self.ask("O", head + ",".join(names).encode())
         number, text = (reply[0], reply[1:]) if self.protocol == 2 else (int(b"NOT_FOUND" not in reply), reply)
@@ -106,12 +106,12 @@ class Peer:
         return number, types
 
     def inputs(self, *names: str) -> tuple[int, list[str]]:
-        """Set up inputs: number of the recipe, and types."""
+        """Set up inputs and return the recipe number and the types."""
         reply = self.ask("I", ",".join(names).encode())
         return reply[0], reply[1:].decode().split(",")
 
     def write(self, number: int, **values: Any) -> None:
-        """A data package with a value for each name of the recipe, in its order."""
+        """Send a data package with a value for each name of the recipe, in the order of the recipe."""
         recipe = Recipe(list(values), [INPUTS[name].type for name in values], number, INPUTS)
         self.session.feed(recipe.encode(values))
 
@@ -119,7 +119,7 @@ class Peer:
         return self.ask("S") == b"\1"
 
     def data(self) -> list[dict[str, Any]]:
-        """The data packages that have come."""
+        """Return the values of the data packages that arrived since the last call."""
         assert self.recipe is not None
         found = self.take()
         assert {kind for kind, _ in found} <= {"U"}, found
@@ -127,5 +127,5 @@ class Peer:
 
 
 def types_of(names: Sequence[str]) -> list[str]:
-    """As the table has them."""
+    """Return the types of these outputs according to the table."""
     return [OUTPUTS[name].type for name in names]

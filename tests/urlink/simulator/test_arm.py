@@ -24,7 +24,7 @@ ANGLES = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
 
 
 def run(controller: Controller, cycles: int) -> list[RealtimeState]:
-    """That many packets, one a cycle."""
+    """Step the controller and return one decoded real-time packet per cycle."""
     states = []
     for _ in range(cycles):
         controller.step()
@@ -37,7 +37,7 @@ def column(states: list[RealtimeState], name: str) -> np.ndarray[tuple[int, int]
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_tool_vectors_are_the_kinematics_of_the_joints(name: str) -> None:
+def test_tool_vectors_match_the_forward_kinematics(name: str) -> None:
     controller = Controller(name, motion=Demonstration())
     controller.arm.tcp = [0.01, -0.02, 0.15, 0.3, -0.2, 0.1]
     controller.step(500)
@@ -56,7 +56,7 @@ def test_tool_vectors_are_the_kinematics_of_the_joints(name: str) -> None:
 @pytest.mark.parametrize(("name", "firmware"), [("UR5e", "5.11"), ("UR10", "3.14"), ("UR5", "1.8")])
 def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> None:
     controller = Controller(name, firmware, motion=Demonstration())
-    # Past the ramp, and for long enough that every joint turns back once.
+    # The recording starts after the ramp and is long enough for every joint to reverse once.
     states = run(controller, 14 * controller.firmware.rate)
     dt = 1.0 / controller.firmware.rate
     assert np.ptp(column(states, "qd_target"), axis=0).min() > 0.1
@@ -67,7 +67,7 @@ def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> No
 
     assert np.abs(central("q_target") - column(states, "qd_target")[1:-1]).max() < 1e-4
     assert np.abs(central("qd_target") - column(states, "qdd_target")[1:-1]).max() < 0.02
-    # The sensors are noisy; over a tenth of a second the noise on both is a fraction of this.
+    # The sensors are noisy. Averaged over 0.1 s, the noise of both values is well below this limit.
     tenth = controller.firmware.rate // 10
     q, qd = column(states, "q_actual"), column(states, "qd_actual")
     mean = np.array([qd[i : i + tenth].mean(axis=0) for i in range(len(qd) - tenth)])
@@ -77,7 +77,7 @@ def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> No
         tool = central("tool_vector_target")[:, :3]
         assert np.abs(tool - column(states, "tcp_speed_target")[1:-1, :3]).max() < 1e-4
     if controller.firmware >= (3, 5):
-        # Noise on the elbow is that of two joints.
+        # The noise of the elbow is the combined noise of two joints.
         elbow = column(states, "elbow_position")
         mean = np.array(
             [column(states, "elbow_velocity")[i : i + tenth].mean(axis=0) for i in range(0, len(qd) - tenth, tenth)]
@@ -87,7 +87,7 @@ def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> No
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_demonstration_is_gentle(name: str) -> None:
+def test_demonstration_stays_within_gentle_limits(name: str) -> None:
     model = MODELS[name]
     motion = Demonstration()
     steps = [motion.advance(0.008) for _ in range(4000)]
@@ -100,14 +100,14 @@ def test_the_demonstration_is_gentle(name: str) -> None:
     assert (q > model.position_limits[:, 0] + 1.0).all()
     assert (q < model.position_limits[:, 1] - 1.0).all()
     for row in q[::40]:
-        # Never near a singular posture, and never into the floor.
+        # The arm stays away from singular postures and from the floor.
         assert np.linalg.cond(Arm(model).jacobian(row)) < 40.0
         assert Arm(model).frames(row)[1:, 2, 3].min() > 0.05
 
 
 @pytest.mark.parametrize("name", ["UR5", "UR5e", "UR10e", "UR16e"])
 @pytest.mark.parametrize(("sideways", "across"), [(0.25, 0), (-0.25, 0), (0.25, 2), (-0.25, 2)])
-def test_a_large_circle_from_the_home_posture_passes_no_singular_one(name: str, sideways: float, across: int) -> None:
+def test_large_circle_from_home_avoids_singularities(name: str, sideways: float, across: int) -> None:
     arm = Arm(MODELS[name])
     begin, q = arm.forward(HOME), list(HOME)
     for angle in np.linspace(0.0, 2.0 * np.pi, 121):
@@ -118,7 +118,7 @@ def test_a_large_circle_from_the_home_posture_passes_no_singular_one(name: str, 
         assert np.linalg.svd(arm.jacobian(q))[1].min() > 0.05
 
 
-def test_the_demonstration_comes_from_wherever_the_arm_stands() -> None:
+def test_demonstration_starts_from_any_posture() -> None:
     motion = Demonstration()
     start = [1.0, -1.0, 1.0, -2.0, -1.0, 3.0]
     motion.start(start)
@@ -132,7 +132,7 @@ def test_the_demonstration_comes_from_wherever_the_arm_stands() -> None:
 
 @pytest.mark.parametrize(("name", "firmware"), [("UR20", "5.14"), ("UR5", "1.8")])
 @pytest.mark.parametrize("fault", ["protective_stop", "emergency_stop", "power_off"])
-def test_a_stop_is_a_brake_path_and_not_a_freeze(name: str, firmware: str, fault: str) -> None:
+def test_stop_brakes_gradually(name: str, firmware: str, fault: str) -> None:
     controller = Controller(name, firmware, motion=Demonstration())
     controller.step(3 * controller.firmware.rate)
     states = run(controller, 1)
@@ -144,15 +144,15 @@ def test_a_stop_is_a_brake_path_and_not_a_freeze(name: str, firmware: str, fault
     assert np.abs(np.diff(speeds, axis=0)).max() <= 0.3 * controller.model.max_acceleration.max() * dt
     moved = np.diff(column(states, "q_target"), axis=0) / dt
     assert np.abs(moved - (speeds[1:] + speeds[:-1]) / 2.0).max() < 0.03
-    # It stands within a quarter of a second, but not at once.
-    standing = next(i for i, row in enumerate(speeds) if not row.any())
-    assert 0.02 < standing * dt < 0.25
-    after = column(states, "q_target")[standing:]
+    # The arm comes to rest within a quarter of a second, but not immediately.
+    resting = next(i for i, row in enumerate(speeds) if not row.any())
+    assert 0.02 < resting * dt < 0.25
+    after = column(states, "q_target")[resting:]
     assert (after == after[0]).all()
 
 
 @pytest.mark.slow
-def test_after_a_protective_stop_the_motion_goes_on_from_rest() -> None:
+def test_motion_resumes_from_rest_after_protective_stop() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.step(1500)
     controller.faults.protective_stop()
@@ -164,7 +164,7 @@ def test_after_a_protective_stop_the_motion_goes_on_from_rest() -> None:
     assert np.abs(column(states, "qd_target")).max() > 0.2
 
 
-def test_another_motion_can_be_followed() -> None:
+def test_arm_brakes_before_it_follows_another_motion() -> None:
     class Wave:
         is_program = True
 
@@ -187,13 +187,13 @@ def test_another_motion_can_be_followed() -> None:
     assert np.abs(column(before, "qd_target")).max() > 0.1
     controller.follow(Wave())  # type: ignore[arg-type, unused-ignore]
     states = before + run(controller, 1000)
-    # It brakes first: no speed leaps.
+    # The arm brakes first, so no speed jumps.
     assert np.abs(np.diff(column(states, "qd_target"), axis=0)).max() < 0.03
     assert not column(states, "qd_target")[-1, 1:].any()
     assert states[-1].qd_target[0] > 0.05
 
 
-def test_an_arm_without_program_stands_still() -> None:
+def test_arm_without_program_stays_at_rest() -> None:
     controller = Controller("UR5e", "5.11", motion=Still())
     states = run(controller, 50)
     assert not column(states, "qd_actual").any()
@@ -202,24 +202,24 @@ def test_an_arm_without_program_stands_still() -> None:
     assert states[-1].speed_scaling == 0.0
     noise = column(states, "q_actual") - column(states, "q_target")
     assert 0.0 < np.abs(noise).max() < 2e-4
-    # What is constant within a rest is larger than what changes in it would let a mean be.
+    # The constant part of the error exceeds the mean that the changing noise alone would have.
     assert np.abs(noise.mean(axis=0)).max() > 1e-5
-    # The encoders of the first four joints have steps.
+    # The encoders of the first four joints have a finite resolution.
     steps = column(states, "q_actual")[:, :4] / (math.tau / 2**19)
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
-def test_gravity_shows_in_moments_currents_and_accelerometer() -> None:
+def test_gravity_affects_moments_currents_and_accelerometer() -> None:
     controller = Controller("UR5e", "5.11", motion=Still())
     empty = run(controller, 1)[0]
     assert empty.M_target == pytest.approx(Dynamics(controller.model).gravity_torque(empty.q_target))
     assert empty.M_target[1] < -15.0
     assert (np.sign(empty.I_target[1:3]) == np.sign(empty.M_target[1:3])).all()
     assert empty.I_control == pytest.approx(empty.I_target, abs=0.0)
-    # A standing joint is held by stiction too.
+    # Static friction also holds a joint that is at rest.
     coulomb = np.array(motors_of("UR5e").coulomb)
     assert 0.0 < (np.abs(empty.I_actual - empty.I_target) / coulomb).max() < 2.5
-    # The tool points down: what holds it up goes against its z axis.
+    # The tool points down, so the supporting acceleration is along its negative z axis.
     assert empty.tool_accelerometer == pytest.approx([0.0, 0.0, -GRAVITY], abs=0.2)
     controller.arm.payload = 4.0
     loaded = run(controller, 1)[0]
@@ -228,7 +228,7 @@ def test_gravity_shows_in_moments_currents_and_accelerometer() -> None:
     assert loaded.payload_mass == 4.0
 
 
-def test_moments_grow_with_acceleration() -> None:
+def test_moments_and_currents_match_the_dynamics() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     states = run(controller, 1000)
     for state in states[::100]:
@@ -237,7 +237,7 @@ def test_moments_grow_with_acceleration() -> None:
         assert state.I_target == pytest.approx(motors_of("UR5e").current(list(whole), list(state.qd_target)))
 
 
-def test_momentum_is_that_of_a_mass_that_moves() -> None:
+def test_momentum_is_that_of_the_moving_mass() -> None:
     controller = Controller("UR10e", "5.11", motion=Demonstration())
     controller.step(1500)
     (moving,) = run(controller, 1)
@@ -262,7 +262,7 @@ def test_temperatures_rise_slowly() -> None:
     assert warm.max() < 45.0
 
 
-def test_without_power_there_is_no_current() -> None:
+def test_arm_without_power_has_no_current() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.step(100)
     controller.faults.power_off()
@@ -275,7 +275,7 @@ def test_without_power_there_is_no_current() -> None:
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes_whoever_looks() -> None:
+def test_same_seed_gives_same_bytes_however_often_read() -> None:
     def last(seed: int, looks: int) -> tuple[bytes, bytes]:
         controller = Controller("UR10e", "5.11", seed=seed, motion=Demonstration())
         controller.schedule("protective_stop@1", "clear@1.5")
@@ -289,7 +289,7 @@ def test_the_same_seed_gives_the_same_bytes_whoever_looks() -> None:
     assert last(7, 0)[0] != last(8, 0)[0]
 
 
-def test_the_joints_alone_are_those_of_the_sample() -> None:
+def test_joint_properties_match_the_sample() -> None:
     controller = Controller("UR5e", motion=Demonstration())
     arm = controller.arm
     for stop in (controller.faults.clear, controller.faults.protective_stop, controller.faults.power_off):
@@ -301,14 +301,14 @@ def test_the_joints_alone_are_those_of_the_sample() -> None:
             assert speeds == arm.sample.qd_actual == arm.qd_actual
 
 
-def test_a_tcp_is_six_finite_numbers() -> None:
+def test_tcp_rejects_anything_but_six_finite_numbers() -> None:
     arm = Controller("UR5e").arm
     for wrong in itertools.chain([[0.0] * 5], [[0.0] * 5 + [math.nan]]):
         with pytest.raises(BadValue, match="six finite numbers"):
             arm.tcp = wrong
 
 
-def test_signals_are_checked() -> None:
+def test_signals_reject_wrong_numbers_and_values() -> None:
     signals = Controller().signals
     signals.set_digital_input(17, True)
     signals.set_digital_input(0, True)
@@ -324,8 +324,8 @@ def test_signals_are_checked() -> None:
         signals.set_analog_output(0, math.inf)
 
 
-def test_sensors_of_an_arm_that_stands_follow_what_changes() -> None:
-    """What was computed in the cycle before is used again only where it is still right."""
+def test_sensors_recompute_cached_values_after_changes() -> None:
+    """The values cached in the previous cycle must be reused only while their inputs are unchanged."""
     kinematics = Arm("UR5e")
     parts = kinematics, motors_of("UR5e"), SensorParameters(), HOME
     sensors = Sensors(*parts, seed=3)
@@ -351,8 +351,8 @@ def test_sensors_of_an_arm_that_stands_follow_what_changes() -> None:
             assert getattr(used, name) == getattr(new, name), name
 
 
-def test_currents_are_added_in_the_same_way_on_every_python() -> None:
-    """From 3.12 on `sum` of floats carries the rounding errors along; the packets would differ in their last bits."""
+def test_robot_current_is_the_same_on_every_python() -> None:
+    """`sum` of floats compensates rounding errors since Python 3.12, which would change the last bits of packets."""
     state = Controller("UR5e", "5.11")._state
     state.arm.sample.I_actual = [1e8, 1.0, 1.0, 1.0, 1.0, 1.0]
     assert robot_current(state) == number("robot_idle_current") + number("robot_current_of_heat") * 1e16

@@ -1,4 +1,4 @@
-"""A simulated arm that is calibrated: it moves as its DH parameters say, and says what they are."""
+"""Simulated arm with a calibration: its motions match its DH parameters, and it reports these parameters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from urlink.simulator import Controller, Still
 TABLE = calibration(model("UR5e"), 1)
 
 
-def test_its_poses_are_those_of_its_own_geometry() -> None:
+def test_poses_match_the_calibrated_geometry() -> None:
     controller = Controller("UR5e", calibration=TABLE)
     ours, published = Arm.calibrated("UR5e", TABLE), Arm("UR5e")
     controller.step(2000)
@@ -29,7 +29,7 @@ def test_its_poses_are_those_of_its_own_geometry() -> None:
     assert sample.speed_target == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_linear_movement_ends_at_the_pose() -> None:
+def test_movel_of_a_calibrated_arm_ends_at_the_pose() -> None:
     controller = Controller("UR5e", "5.11", motion=Still(), calibration=TABLE)
     arm = Arm.calibrated("UR5e", TABLE)
     goal = arm.forward(controller.arm.setpoint.q) + np.array([0.05, -0.05, 0.05, 0.0, 0.0, 0.0])
@@ -42,7 +42,7 @@ def test_a_linear_movement_ends_at_the_pose() -> None:
 
 @pytest.mark.parametrize(("model", "firmware"), [("UR5", "1.8"), ("UR5", "3.15"), ("UR5e", "5.11")])
 @pytest.mark.simulated_time
-def test_a_client_computes_with_the_same_arm(model: str, firmware: str) -> None:
+def test_client_uses_the_calibrated_kinematics(model: str, firmware: str) -> None:
     table = calibration(MODELS[model], 1)
     with Controller(model, firmware, calibration=table) as controller, urlink.connect(controller.address) as robot:
         mine = robot.kinematics
@@ -53,10 +53,10 @@ def test_a_client_computes_with_the_same_arm(model: str, firmware: str) -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_recording_holds_the_calibration(tmp_path: Path) -> None:
+def test_recording_contains_the_calibration(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     with Controller("UR5e", calibration=TABLE) as controller, urlink.connect(controller.address) as robot:
-        # The stream is there already, so the first state of its connection is not recorded.
+        # The stream is already connected, so the first state of its connection is not in the recording.
         robot.primary.wait(timeout=5.0)
         with robot.record(path, ["primary"]):
             pass
@@ -65,12 +65,12 @@ def test_a_recording_holds_the_calibration(tmp_path: Path) -> None:
         np.testing.assert_array_equal(replayed.kinematics.forward([0.1] * 6), expected)
 
 
-def test_parameters_of_another_arm_are_refused() -> None:
+def test_calibration_of_another_model_is_rejected() -> None:
     with pytest.raises(BadValue, match="DH table of a UR10e"):
         Controller("UR10e", calibration=TABLE)
 
 
-def test_a_program_gets_its_jacobian() -> None:
+def test_get_jacobian_uses_the_calibration() -> None:
     controller = Controller("UR5e", "5.25", motion=Still(), calibration=TABLE)
     entries = "\n".join(f"write_output_float_register({n}, j[{n // 6}, {n % 6}])" for n in range(36))
     q = [0.1, -1.2, 1.4, -0.3, 0.7, 0.2]

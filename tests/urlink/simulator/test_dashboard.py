@@ -1,4 +1,4 @@
-"""The controller's side of the dashboard: what each command does on each firmware, and in which words it is refused."""
+"""Controller side of the dashboard: the effect of each command on each firmware, and its refusals."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def line_of(name: str) -> str:
     return f"{name} {ARGUMENTS[name]}" if name in ARGUMENTS else name
 
 
-def test_the_arguments_are_those_of_the_table() -> None:
+def test_every_command_with_an_argument_has_a_sample() -> None:
     assert ARGUMENTS.keys() == {name for name, command in COMMANDS.items() if command.argument}
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_on_every_firmware(name: str) -> None:
+def test_every_command_replies_as_its_firmware(name: str) -> None:
     for firmware in FIRMWARES:
         host = stepped(firmware)
         dashboard = host.dashboard
@@ -54,7 +54,7 @@ def test_every_command_on_every_firmware(name: str) -> None:
             assert not command.is_refusal(reply), (firmware, reply)
 
 
-def test_cb2_has_its_own_few() -> None:
+def test_cb2_supports_only_a_few_commands() -> None:
     on = {
         firmware: {name for name, command in COMMANDS.items() if command.is_on(stepped(firmware).firmware)}
         for firmware in ("1.6", "1.8")
@@ -66,7 +66,7 @@ def test_cb2_has_its_own_few() -> None:
     assert on["1.8"] - on["1.6"] == {"addToLog", "isProgramSaved", "programState", "PolyscopeVersion"}
 
 
-def test_polyscope_x_has_none() -> None:
+def test_polyscope_x_supports_no_commands() -> None:
     assert not [name for name, command in COMMANDS.items() if command.is_on((10, 11))]
 
 
@@ -74,7 +74,7 @@ def test_polyscope_x_has_none() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_an_e_series_in_local_mode_answers_questions_and_nothing_else(name: str) -> None:
+def test_e_series_in_local_mode_answers_only_queries(name: str) -> None:
     host = stepped("5.11")
     host.remote_control = False
     reply = host.dashboard.reply(line_of(name))
@@ -86,11 +86,11 @@ def test_an_e_series_in_local_mode_answers_questions_and_nothing_else(name: str)
 
 
 @pytest.mark.parametrize("name", ["play", "load", "power on", "brake release", "unlock protective stop"])
-def test_what_moves_the_arm_needs_remote_control(name: str) -> None:
+def test_moving_and_power_commands_need_remote_control(name: str) -> None:
     assert COMMANDS[name].needs_remote_control
 
 
-def test_a_cb3_knows_no_local_mode() -> None:
+def test_cb3_ignores_local_mode() -> None:
     host = stepped("3.14")
     host.remote_control = False
     assert host.dashboard.reply("power off") == "Powering off"
@@ -99,7 +99,7 @@ def test_a_cb3_knows_no_local_mode() -> None:
 # -- power and safety -----------------------------------------------------------------------------------
 
 
-def test_from_power_off_to_running() -> None:
+def test_power_on_and_brake_release_reach_running() -> None:
     host = stepped("5.4")
     dashboard = host.dashboard
     assert dashboard.reply("power off") == "Powering off"
@@ -114,7 +114,7 @@ def test_from_power_off_to_running() -> None:
     assert dashboard.reply("robotmode") == "Robotmode: RUNNING"
 
 
-def test_power_on_twice_changes_nothing() -> None:
+def test_power_on_while_running_has_no_effect() -> None:
     host = stepped("5.4")
     dashboard = host.dashboard
     dashboard.reply("power on")
@@ -135,8 +135,8 @@ def test_power_on_twice_changes_nothing() -> None:
         (["brake release", "power on"], Power.RUNNING),
     ],
 )
-def test_power_commands_are_carried_out_in_their_order(lines: list[str], reached: Power) -> None:
-    """While the arm still brakes for `power off` the next one may come: the vendor's client sends them at once."""
+def test_power_commands_are_executed_in_order(lines: list[str], reached: Power) -> None:
+    """The vendor's client sends the next command while the arm still brakes for `power off`."""
     host = stepped("5.11")
     host.follow(Demonstration())
     wait(host, 2)
@@ -159,7 +159,7 @@ def test_power_commands_are_carried_out_in_their_order(lines: list[str], reached
     )
 
 
-def test_an_emergency_stop_takes_a_power_on_back() -> None:
+def test_emergency_stop_cancels_a_pending_power_on() -> None:
     host = stepped("5.11")
     host.dashboard.reply("power off")
     host.dashboard.reply("brake release")
@@ -170,7 +170,7 @@ def test_an_emergency_stop_takes_a_power_on_back() -> None:
     assert host.modes.power is Power.OFF
 
 
-def test_brake_release_powers_on() -> None:
+def test_brake_release_also_powers_on() -> None:
     host = stepped("3.0")
     host.modes.power_off()
     wait(host, 0.1)
@@ -179,7 +179,7 @@ def test_brake_release_powers_on() -> None:
     assert host.modes.power is Power.RUNNING
 
 
-def test_cb2_says_its_mode_as_a_number() -> None:
+def test_cb2_reports_its_mode_as_a_number() -> None:
     host = stepped("1.8")
     dashboard = host.dashboard
     assert dashboard.reply("robotmode") == "Robotmode: 0"
@@ -187,7 +187,7 @@ def test_cb2_says_its_mode_as_a_number() -> None:
     assert dashboard.reply("robotmode") == "Robotmode: 4"
 
 
-def test_a_protective_stop_is_unlocked_after_five_seconds() -> None:
+def test_protective_stop_unlocks_only_after_five_seconds() -> None:
     host = stepped("5.11")
     dashboard = host.dashboard
     protective_stop(host)
@@ -205,7 +205,7 @@ def test_a_protective_stop_is_unlocked_after_five_seconds() -> None:
     assert host.pendant.popup is None
 
 
-def test_an_emergency_stop_is_not_unlocked() -> None:
+def test_emergency_stop_cannot_be_unlocked() -> None:
     host = stepped("5.11")
     dashboard = host.dashboard
     host.modes.emergency_stop()
@@ -233,11 +233,11 @@ def test_load_play_pause_stop() -> None:
     host = stepped("5.4")
     dashboard = host.dashboard
     assert dashboard.reply("get loaded program") == "No program loaded"
-    assert dashboard.reply("programState") == "STOPPED <unnamed>"  # as a real 5.4 says
-    assert dashboard.reply("running") == "Program running: false"  # likewise
+    assert dashboard.reply("programState") == "STOPPED <unnamed>"  # reply of a real 5.4
+    assert dashboard.reply("running") == "Program running: false"  # reply of a real 5.4
     assert dashboard.reply("play") == "Failed to execute: play"
     assert dashboard.reply("pause") == "Failed to execute: pause"
-    assert dashboard.reply("stop") == "Stopped"  # likewise: other clients need it
+    assert dashboard.reply("stop") == "Stopped"  # reply of a real 5.4; other clients depend on it
     assert dashboard.reply("load nothing.urp") == "File not found: nothing.urp"
     assert dashboard.reply("load /programs/place it.urp") == "Loading program: /programs/place it.urp"
     assert dashboard.reply("get loaded program") == "Loaded program: /programs/place it.urp"
@@ -251,7 +251,7 @@ def test_load_play_pause_stop() -> None:
     assert dashboard.reply("isProgramSaved") == "true place it.urp"
 
 
-def test_power_off_stops_a_program_from_being_played() -> None:
+def test_play_fails_when_powered_off() -> None:
     host = stepped("5.4")
     host.pendant.load("pick.urp")
     host.modes.power_off()
@@ -262,7 +262,7 @@ def test_power_off_stops_a_program_from_being_played() -> None:
 # -- the rest ----------------------------------------------------------------------------------------------
 
 
-def test_popup_and_log() -> None:
+def test_popup_and_log_are_stored() -> None:
     host = stepped("5.4")
     dashboard = host.dashboard
     popups = []
@@ -278,7 +278,7 @@ def test_popup_and_log() -> None:
     assert (len(host.pendant.log), host.pendant.log[-1]) == (1000, "1199")
 
 
-def test_user_role() -> None:
+def test_user_role_is_set_and_reported() -> None:
     dashboard = stepped("3.4").dashboard
     assert dashboard.reply("getUserRole") == "NONE"
     assert dashboard.reply("setUserRole operator") == "Setting user role: operator"
@@ -288,7 +288,7 @@ def test_user_role() -> None:
     assert dashboard.user_role == "none"
 
 
-def test_operational_mode() -> None:
+def test_operational_mode_is_set_and_cleared() -> None:
     dashboard = stepped("5.6").dashboard
     assert dashboard.reply("get operational mode") == "NONE"
     assert dashboard.reply("set operational mode automatic") == "Operational mode AUTOMATIC is set"
@@ -299,7 +299,7 @@ def test_operational_mode() -> None:
     assert dashboard.operational_mode == "none"
 
 
-def test_who_it_is() -> None:
+def test_model_serial_number_and_version_are_reported() -> None:
     dashboard = stepped("5.11").dashboard
     assert dashboard.reply("get robot model") == "UR5"
     assert dashboard.reply("get serial number") == "20215500001"
@@ -307,36 +307,36 @@ def test_who_it_is() -> None:
     assert str(dashboard.reply("PolyscopeVersion")).startswith("URSoftware 5.11.0.0 (")
 
 
-def test_reports() -> None:
+def test_flight_reports_are_numbered() -> None:
     dashboard = stepped("5.11").dashboard
     assert dashboard.reply("generate flight report system") == "Flight Report generated with id: 1"
-    # As the vendor's own client sends it.
+    # The vendor's client sends the command without an argument.
     assert dashboard.reply("generate flight report") == "Flight Report generated with id: 2"
     assert dashboard.reply("generate flight report me") == "could not understand: 'generate flight report me'"
 
 
-def test_upper_and_lower_case_are_alike() -> None:
+def test_commands_ignore_case_and_surrounding_blanks() -> None:
     dashboard = stepped("5.11").dashboard
     assert dashboard.reply("ROBOTMODE") == dashboard.reply(" robotmode\r") == "Robotmode: RUNNING"
 
 
-def test_load_installation_is_not_load() -> None:
+def test_load_installation_does_not_load_a_program() -> None:
     host = stepped("5.11")
     dashboard = host.dashboard
     assert dashboard.reply("load installation a.installation") == "Loading installation: a.installation"
     assert (host.pendant.loaded, dashboard.installation) == (None, "a.installation")
-    # Firmware without it takes it for the name of a program, or does not know it; nobody knows which.
+    # Older firmware might take this text as a program name instead, or might not know it (not verified).
     assert stepped("3.0").dashboard.reply("load installation a") == "could not understand: 'load installation a'"
 
 
 @pytest.mark.parametrize("line", ["", "dance", "powerup", "play it", "stopp", "popupx", "loadpick.urp"])
-def test_what_is_no_command(line: str) -> None:
+def test_unknown_command_is_not_understood(line: str) -> None:
     assert stepped("5.11").dashboard.reply(line) == f"could not understand: '{line}'"
 
 
 @pytest.mark.property
 @given(st.text() | st.builds("{} {}".format, st.sampled_from(sorted(COMMANDS)), st.text()), st.sampled_from(FIRMWARES))
-def test_any_line_is_answered_with_one_line_or_ends_the_connection(line: str, firmware: str) -> None:
+def test_any_line_gets_one_reply_line_or_ends_the_connection(line: str, firmware: str) -> None:
     host = stepped(firmware)
     host.pendant.files[line.partition(" ")[2].strip()] = "sync()"
     reply = host.dashboard.reply(line)

@@ -31,7 +31,7 @@ Eventually = Callable[[Callable[[], object]], None]
 
 
 def sub_packages(state: bytes) -> list[tuple[int, int]]:
-    """Type and size of each."""
+    """Return the type and size of each sub-package."""
     found = []
     offset = 5
     while offset < len(state):
@@ -67,7 +67,7 @@ def time_of(packet: bytes) -> float:
         ("unknown_package=42@1", ScheduledFault("unknown_package", (42,), 1.0)),
     ],
 )
-def test_faults_are_read_from_text(text: str, fault: ScheduledFault) -> None:
+def test_fault_is_parsed_from_text(text: str, fault: ScheduledFault) -> None:
     assert parse_fault(text) == fault
 
 
@@ -93,7 +93,7 @@ def test_faults_are_read_from_text(text: str, fault: ScheduledFault) -> None:
         ("unknown_package=256@1", "invalid argument '256'; expected the type"),
     ],
 )
-def test_what_cannot_be_read_says_why(text: str, complaint: str) -> None:
+def test_invalid_fault_text_raises_the_reason(text: str, complaint: str) -> None:
     with pytest.raises(BadValue, match=complaint):
         parse_fault(text)
 
@@ -104,19 +104,19 @@ def test_any_text_is_a_fault_or_a_clear_error(text: str) -> None:
     try:
         fault = parse_fault(text)
     except BadValue as error:
-        told = str(error)
+        complaint = str(error)
     else:
-        told = ""
+        complaint = ""
         assert fault.name in FAULTS
-    assert told == "" or told.startswith(repr(text))
+    assert complaint == "" or complaint.startswith(repr(text))
 
 
-def test_every_fault_on_the_list_is_a_method() -> None:
+def test_every_listed_fault_is_a_method() -> None:
     for name in FAULTS:
         assert callable(getattr(Controller().faults, name))
 
 
-def test_a_schedule_is_kept_in_order_and_to_the_cycle() -> None:
+def test_schedule_runs_in_order_and_at_the_exact_cycle() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.schedule("clear@0.2", "protective_stop@0.1")
     modes = []
@@ -127,7 +127,7 @@ def test_a_schedule_is_kept_in_order_and_to_the_cycle() -> None:
     assert modes == [SafetyMode.NORMAL, stop, stop, SafetyMode.NORMAL]
 
 
-def test_a_scheduled_fault_that_cannot_happen_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+def test_impossible_scheduled_fault_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.schedule(ScheduledFault("cut", ("modbus",), 0.01), "protective_stop@0.02")
     controller.step(10)
@@ -138,8 +138,8 @@ def test_a_scheduled_fault_that_cannot_happen_is_logged(caplog: pytest.LogCaptur
 
 
 @pytest.mark.simulated_time
-def test_scheduled_faults_are_on_time_for_slow_ports_too(connect: Connect) -> None:
-    # The clock wakes ten times a second for these ports, and for what is scheduled between.
+def test_scheduled_faults_are_on_time_on_slow_ports(connect: Connect) -> None:
+    # The clock wakes up ten times per second for these ports, and additionally for scheduled faults.
     with Controller("UR5e", "5.11", motion=Demonstration()) as controller:
         link = connect(controller, "primary")
         controller.schedule("protective_stop@0.55", "clear@0.75", "protective_stop@0.95")
@@ -150,10 +150,10 @@ def test_scheduled_faults_are_on_time_for_slow_ports_too(connect: Connect) -> No
             assert int.from_bytes(change[5:13], "big") == due
             link.until(lambda package: package[4] == 16)
             before_state.append(time.monotonic() - came)
-    assert min(before_state) > 0.02  # the next state is 50 ms away
+    assert min(before_state) > 0.02  # the next state follows 50 ms later
 
 
-def test_a_reboot_into_firmware_of_another_generation_is_refused_when_scheduled() -> None:
+def test_reboot_rejects_firmware_of_another_generation() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     with pytest.raises(BadValue, match=r"does not run firmware 3\.14"):
         controller.schedule("reboot=3.14@1")
@@ -177,7 +177,7 @@ def test_a_reboot_into_firmware_of_another_generation_is_refused_when_scheduled(
         lambda faults: faults.unknown_sub_package(-1),
     ],
 )
-def test_wrong_arguments_are_refused(wrong: Callable[[Any], None]) -> None:
+def test_faults_reject_wrong_arguments(wrong: Callable[[Any], None]) -> None:
     with pytest.raises(BadValue):
         wrong(Controller().faults)
 
@@ -185,7 +185,7 @@ def test_wrong_arguments_are_refused(wrong: Callable[[Any], None]) -> None:
 # -- bytes ---------------------------------------------------------------------------------------
 
 
-def test_a_tail_is_what_a_newer_release_would_append() -> None:
+def test_tail_extends_packets_and_their_sizes() -> None:
     controller = Controller("UR5e", NEWEST, motion=Demonstration())
     packet, state = controller.realtime_packet(), controller.state_package()
     grown = with_tail(packet, b"12345678")
@@ -197,14 +197,14 @@ def test_a_tail_is_what_a_newer_release_would_append() -> None:
     assert grown.endswith(b"abc")
 
 
-def test_an_unknown_sub_package_comes_last() -> None:
+def test_unknown_sub_package_comes_last() -> None:
     state = Controller("UR5e", "5.11").state_package()
     grown = with_sub_package(state, 77, b"new")
     assert sub_packages(grown) == [*sub_packages(state), (77, 8)]
     assert grown.endswith(b"new")
 
 
-def test_garbage_inside_does_not_say_so() -> None:
+def test_garbage_inside_does_not_change_the_stated_size() -> None:
     assert with_garbage_inside(b"\0\0\0\x08abcd", b"??") == b"\0\0\0\x08??abcd"
 
 
@@ -214,7 +214,7 @@ def test_garbage_inside_does_not_say_so() -> None:
     st.lists(st.integers(1, 40), max_size=4),
     st.integers(1, 5),
 )
-def test_segments_lose_and_change_nothing(packets: list[bytes], sizes: list[int], count: int) -> None:
+def test_segments_preserve_all_bytes_in_order(packets: list[bytes], sizes: list[int], count: int) -> None:
     segmenter = Segmenter(sizes, count)
     segments = [segment for packet in packets for segment in segmenter.put(packet)]
     if sizes:
@@ -225,7 +225,7 @@ def test_segments_lose_and_change_nothing(packets: list[bytes], sizes: list[int]
     assert segmenter.rest() == b""
 
 
-# -- on the wire ---------------------------------------------------------------------------------
+# -- over TCP ------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -247,18 +247,18 @@ def test_garbage_comes_once_and_before_a_packet(controller: Controller, connect:
 
 
 @pytest.mark.real_time
-def test_garbage_inside_shifts_what_follows(controller: Controller, connect: Connect) -> None:
+def test_garbage_inside_shifts_the_next_packet(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "realtime")
     link.packet()
     controller.faults.garbage(b"garbage!", "realtime", inside=True)
     assert b"garbage!" in link.until(lambda packet: b"garbage!" in packet)
-    # The packet said nothing of its growth: its last eight bytes come where the next one should begin.
+    # The stated size does not include the garbage, so the last eight bytes arrive where the next packet should begin.
     link.exactly(8)
     assert [len(link.packet()) for _ in range(5)] == [1220] * 5
 
 
 @pytest.mark.real_time
-def test_random_garbage_is_that_of_the_seed(connect: Connect) -> None:
+def test_random_garbage_depends_only_on_the_seed(connect: Connect) -> None:
     sent = []
     for _ in range(2):
         with Controller("UR5e", "5.11", seed=5, motion=Demonstration()) as controller:
@@ -275,14 +275,14 @@ def test_random_garbage_is_that_of_the_seed(connect: Connect) -> None:
 
 
 @pytest.mark.real_time
-def test_appended_bytes_are_told_in_every_size(controller: Controller, connect: Connect) -> None:
+def test_appended_bytes_are_included_in_every_size(controller: Controller, connect: Connect) -> None:
     realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
     controller.faults.append(b"appended", None)
     packet = realtime.until(lambda packet: len(packet) == 1228)
     assert packet.endswith(b"appended")
     state = primary.until(lambda package: package[4] == 16 and package.endswith(b"appended"))
     assert len(sub_packages(state)) in (11, 13)
-    # Who connects now gets a version message as ever and a grown first state.
+    # A new client gets an unchanged version message and an extended first state.
     late = connect(controller, "secondary")
     assert VersionMessage.LAYOUTS.decode(late.packet()).build_date == "01-01-2024, 00:00:00"
     first = late.until(lambda package: package[4] == 16)
@@ -292,7 +292,7 @@ def test_appended_bytes_are_told_in_every_size(controller: Controller, connect: 
 
 
 @pytest.mark.real_time
-def test_unknown_packages_and_sub_packages(controller: Controller, connect: Connect) -> None:
+def test_unknown_packages_and_sub_packages_are_sent(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "primary")
     link.until(lambda package: package[4] == 16)
     controller.faults.unknown_package(42, b"what is this?")
@@ -306,11 +306,11 @@ def test_unknown_packages_and_sub_packages(controller: Controller, connect: Conn
 
 
 @pytest.mark.real_time
-def test_split_packets_arrive_in_parts_and_whole_in_the_end(controller: Controller, connect: Connect) -> None:
+def test_split_packets_arrive_in_parts_and_complete(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "realtime")
     controller.faults.split((700, 100), "realtime")
-    # What is short of a segment is held back: of a packet of 1220 bytes, 800 come and 420 wait for the next cycle. So
-    # between cycles the stream has never stopped at the border of a packet, save once in 20 packets.
+    # Bytes that do not fill a segment are held back. Of a packet of 1220 bytes, 800 arrive and 420 wait for the next
+    # cycle, so between cycles the stream ends at a packet border only once in 20 packets.
     sizes = []
     received = 0
     for _ in range(30):
@@ -328,16 +328,16 @@ def test_merged_packets_arrive_together(controller: Controller, connect: Connect
     controller.faults.merge(4, "realtime")
     link = connect(controller, "realtime")
     segments = [len(link.segment()) for _ in range(5)]
-    # A slow reader may find more than one segment, but never a part of one.
+    # A slow reader might receive several segments at once, but never a part of a segment.
     assert all(size % (4 * 1220) == 0 for size in segments)
 
 
 @pytest.mark.real_time
-def test_a_stall_is_silent_and_stays_connected(controller: Controller, connect: Connect) -> None:
+def test_stall_sends_nothing_but_stays_connected(controller: Controller, connect: Connect) -> None:
     link, other = connect(controller, "realtime"), connect(controller, "realtime_readonly")
     times = [time_of(link.packet())]
     controller.faults.stall(0.4, "realtime")
-    # Whatever was on its way is read off first; then nothing comes until the time is over.
+    # Packets already sent arrive first; then none arrives until the stall has ended.
     late = connect(controller, "realtime")
     times += [time_of(link.packet()) for _ in range(60)]
     gap = max(after - before for before, after in itertools.pairwise(times))
@@ -356,7 +356,7 @@ def test_heal_ends_a_stall(controller: Controller, connect: Connect) -> None:
 
 
 @pytest.mark.real_time
-def test_cut_connections_can_be_made_again(controller: Controller, connect: Connect) -> None:
+def test_client_can_reconnect_after_a_cut(controller: Controller, connect: Connect) -> None:
     link, other = connect(controller, "realtime"), connect(controller, "primary")
     link.packet()
     other.packet()
@@ -370,7 +370,7 @@ def test_cut_connections_can_be_made_again(controller: Controller, connect: Conn
 
 
 @pytest.mark.real_time
-def test_a_reboot_refuses_and_comes_back_with_other_firmware(
+def test_reboot_refuses_clients_and_changes_the_firmware(
     controller: Controller, connect: Connect, eventually: Eventually
 ) -> None:
     link = connect(controller, "realtime")
@@ -382,7 +382,7 @@ def test_a_reboot_refuses_and_comes_back_with_other_firmware(
         with pytest.raises(ConnectionRefusedError):
             connect(controller, port)
     eventually(lambda: controller.is_up)
-    # Interpreter mode came with 5.10.
+    # Interpreter mode exists since 5.10.
     assert controller.ports == {name: port for name, port in ports.items() if name != "interpreter"}
     packet = connect(controller, "realtime").packet()
     assert len(packet) == 1116
@@ -392,15 +392,15 @@ def test_a_reboot_refuses_and_comes_back_with_other_firmware(
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_who_waits_for_the_end_of_a_reboot_can_connect(controller: Controller, connect: Connect) -> None:
+def test_client_can_connect_right_after_a_reboot(controller: Controller, connect: Connect) -> None:
     for _ in range(30):
         controller.faults.reboot(downtime=0.002)
-        while not controller.is_up:  # without a pause, in which the ports might be opened
+        while not controller.is_up:  # no pause: it would give the controller time to open its ports
             pass
         connect(controller, "realtime_readonly").socket.close()
 
 
-def test_an_arm_under_way_stands_while_its_controller_reboots() -> None:
+def test_moving_arm_stops_while_its_controller_reboots() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.step(200)
     q = controller.arm.setpoint.q
@@ -412,7 +412,7 @@ def test_an_arm_under_way_stands_while_its_controller_reboots() -> None:
     assert controller.arm.setpoint.q == q
 
 
-def test_a_reboot_leaves_the_arm_where_it_stood() -> None:
+def test_reboot_keeps_posture_tcp_and_payload() -> None:
     controller = Controller("UR10", "3.14", motion=Demonstration())
     controller.step(500)
     controller.arm.tcp = [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]
@@ -435,7 +435,7 @@ def test_a_reboot_leaves_the_arm_where_it_stood() -> None:
 
 
 @pytest.mark.real_time
-def test_faults_of_the_arm_show_on_the_wire(controller: Controller, connect: Connect) -> None:
+def test_stops_appear_in_the_packets(controller: Controller, connect: Connect) -> None:
     realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
     primary.until(lambda package: package[4] == 16)
     controller.faults.protective_stop()
@@ -450,9 +450,9 @@ def test_faults_of_the_arm_show_on_the_wire(controller: Controller, connect: Con
 
 
 @pytest.mark.real_time
-def test_messages_are_for_the_primary_interface_alone(controller: Controller, connect: Connect) -> None:
+def test_messages_go_only_to_the_primary_interface(controller: Controller, connect: Connect) -> None:
     primary, secondary = connect(controller, "primary"), connect(controller, "secondary")
-    # A head has two messages; the stop makes two more.
+    # A greeting has two messages; the stop causes two more.
     controller.faults.protective_stop()
     primary.until(lambda package: package[4] == 20 and package[14] == 5)
     states = 0
@@ -465,7 +465,7 @@ def test_messages_are_for_the_primary_interface_alone(controller: Controller, co
     assert set(kinds[2:]) == {(16, 0)}
 
 
-def test_garbage_for_a_port_without_a_client_does_not_pile_up() -> None:
+def test_garbage_for_a_port_without_clients_is_bounded() -> None:
     link = LinkFaults(lambda: 0)
     for number in range(100):
         link.insert(["realtime"], bytes([number]))

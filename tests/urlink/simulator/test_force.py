@@ -1,4 +1,4 @@
-"""What the simulated arm feels, and how it yields: contacts, force mode, freedrive and torque, on a stepped clock."""
+"""Forces on the simulated arm and its reactions: contacts, force mode, freedrive and torque, on a stepped clock."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DOWN = "p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,{force},0,0,0]"
 
 
 class Bench:
-    """A controller that stands in its home posture, the tool pointing down."""
+    """Controller whose arm is at rest in its home posture, with the tool pointing down."""
 
     def __init__(self, firmware: str = "3.15") -> None:
         self.controller = Controller(None, firmware, motion=Still())
@@ -66,14 +66,14 @@ class Bench:
 # -- contacts and the sensor -----------------------------------------------------------------------------
 
 
-def test_a_plane_pushes_along_its_normal_and_rubs() -> None:
+def test_plane_pushes_along_its_normal_with_friction() -> None:
     plane = Plane((0, 0, 1), (0, 3, 4), stiffness=1000.0, damping=10.0, friction=0.5)
     assert plane.force((5, 0, 1.01), (0, 0, -1)) == (0.0, 0.0, 0.0)
     inside = np.array((0.0, 0.0, 1.0)) - 0.02 * np.array((0.0, 0.6, 0.8))
     assert plane.force(inside.tolist(), (0, 0, 0)) == pytest.approx((0.0, 12.0, 16.0))
     sliding = plane.force(inside.tolist(), (1.0, 0.0, 0.0))
     assert sliding == pytest.approx((-10.0, 12.0, 16.0), abs=1e-6)
-    # It never pulls: the tool leaves it faster than it could follow.
+    # The plane never pulls, even if the tool leaves it faster than the contact could follow.
     assert plane.force(inside.tolist(), (0.0, 6.0, 8.0)) == (0.0, 0.0, 0.0)
 
 
@@ -84,7 +84,7 @@ def test_a_plane_pushes_along_its_normal_and_rubs() -> None:
     velocity=st.tuples(*[st.floats(-1, 1)] * 3),
     friction=st.floats(0, 1),
 )
-def test_a_contact_never_gives_energy_but_by_its_spring(
+def test_contact_gives_energy_only_by_its_spring(
     normal: tuple[float, ...], position: tuple[float, ...], velocity: tuple[float, ...], friction: float
 ) -> None:
     plane = Plane((0, 0, 0), normal, 1000.0, 10.0, friction)
@@ -109,12 +109,12 @@ def test_a_contact_never_gives_energy_but_by_its_spring(
         lambda: Bench().world.carry(-1.0),
     ],
 )
-def test_what_makes_no_sense_is_refused(wrong: object) -> None:
+def test_world_rejects_invalid_values(wrong: object) -> None:
     with pytest.raises(BadValue):
         wrong()  # type: ignore[operator]
 
 
-def test_what_is_placed_is_felt_and_can_be_taken_away() -> None:
+def test_contacts_are_felt_until_they_are_removed() -> None:
     bench = Bench()
     spring = bench.world.add(Spring([a + b for a, b in zip(bench.start[:3], (0.1, 0, 0), strict=True)], 200.0))
     plane = bench.table(-0.001, stiffness=5000.0)
@@ -122,11 +122,11 @@ def test_what_is_placed_is_felt_and_can_be_taken_away() -> None:
     bench.controller.push([0, 7.0, 0, 0, 0, 0.5])
     bench.go(0.1)
     assert bench.force == pytest.approx([20.0, 7.0, 5.0, 0, 0, 0.5], abs=1e-6)
-    # A controller that holds its arm does not let it go.
+    # A controller that holds its arm does not let the force move it.
     assert bench.moved == [0.0] * 6
     sample = bench.controller.arm.sample
     assert sample.force == pytest.approx(list(bench.force), abs=0.5)
-    # The motors hold against it.
+    # The motors compensate for the force.
     across = bench.controller.arm.kinematics.jacobian(bench.controller.arm.setpoint.q).T @ np.array(bench.force)
     more = (np.array(sample.I_target) - np.array(sample.I_control)) * bench.controller.arm.motors.torque_constants
     assert more == pytest.approx(across, abs=1e-6)
@@ -138,7 +138,7 @@ def test_what_is_placed_is_felt_and_can_be_taken_away() -> None:
     assert bench.force == [0.0] * 6
 
 
-def test_a_load_that_nobody_told_of_weighs_until_the_sensor_is_zeroed() -> None:
+def test_undeclared_load_is_felt_until_the_sensor_is_zeroed() -> None:
     bench = Bench()
     bench.world.carry(1.0, (0.0, 0.0, 0.1))
     bench.run("set_payload(0.5, [0, 0, 0.1])\nzero = False", 0.1)
@@ -151,7 +151,7 @@ def test_a_load_that_nobody_told_of_weighs_until_the_sensor_is_zeroed() -> None:
     assert bench.force[2] == pytest.approx(3.0)
 
 
-def test_too_much_force_stops_the_arm_and_it_can_get_away() -> None:
+def test_excessive_force_stops_the_arm_and_it_can_retreat() -> None:
     bench = Bench()
     bench.table(0.01)
     x, y, z, *rest = bench.start
@@ -168,7 +168,7 @@ def test_too_much_force_stops_the_arm_and_it_can_get_away() -> None:
 
 
 @pytest.mark.parametrize(("firmware", "stiffness"), [("3.15", 2e3), ("3.15", 100e3), ("5.11", 20e3)])
-def test_a_peg_that_is_pressed_on_a_plane_settles_and_stays(firmware: str, stiffness: float) -> None:
+def test_peg_pressed_on_a_plane_settles(firmware: str, stiffness: float) -> None:
     bench = Bench(firmware)
     bench.table(0.005, stiffness=stiffness)
     bench.press(10.0, seconds=2.0 if stiffness < 1e4 else 1.0)
@@ -184,14 +184,14 @@ def test_a_peg_that_is_pressed_on_a_plane_settles_and_stays(firmware: str, stiff
     assert max(abs(each - 10.0) for each in readings) < 0.5
 
 
-def test_the_arm_goes_on_along_the_axes_that_do_not_yield() -> None:
+def test_force_mode_keeps_moving_along_the_other_axes() -> None:
     bench = Bench()
     bench.table(0.001, friction=0.3)
     x, y, z = bench.start[:3]
     rest = ",".join(map(str, bench.start[3:]))
     move = f"movel(p[{x},{y + 0.1},{z},{rest}], v=0.1)"
     bench.run(f"force_mode({DOWN.format(force=-20.0)}, 2, [0.1,0.1,0.1,0.5,0.5,0.5])\nsleep(1)\n{move}\nsleep(60)", 1.7)
-    # It slides, pressed as before.
+    # The arm slides while the pressing force stays the same.
     assert bench.force[2] == pytest.approx(20.0, abs=0.5)
     assert bench.force[1] == pytest.approx(-6.0, abs=0.3)
     bench.go(0.8)
@@ -201,7 +201,7 @@ def test_the_arm_goes_on_along_the_axes_that_do_not_yield() -> None:
 
 
 @pytest.mark.slow
-def test_speed_damping_and_gain_count_in_free_space() -> None:
+def test_force_mode_honours_speed_damping_and_gain() -> None:
     limited = Bench()
     limited.press(50.0, "[1,1,0.03,1,1,1]", 0.3)
     assert limited.controller.arm.sample.speed_target[2] == pytest.approx(-0.03, abs=1e-4)
@@ -219,7 +219,7 @@ def test_speed_damping_and_gain_count_in_free_space() -> None:
     assert speed("force_mode_set_damping(0)") == pytest.approx(0.5 * -5.0 / 30.0, rel=0.02)
 
 
-def test_the_limits_stop_the_arm() -> None:
+def test_force_mode_limits_stop_the_arm() -> None:
     aside = Bench()
     aside.controller.push([60.0, 0, 0, 0, 0, 0])
     aside.press(0.0, "[0.002,0.1,0.1,0.5,0.5,0.5]", 1.0)
@@ -234,11 +234,11 @@ def test_the_limits_stop_the_arm() -> None:
     pushed.controller.push([0, 0, -60.0, 0, 0, 0])
     pushed.go(1.0)
     assert pushed.is_stopped()
-    # Nothing but its own force: it is held at the limit.
+    # Only the force of the arm itself acts, so the arm is held at the limit.
     assert pushed.controller.program_name == "p"
 
 
-def test_the_mode_ends_with_its_program_and_with_a_stop() -> None:
+def test_force_mode_ends_with_its_program() -> None:
     bench = Bench()
     bench.table()
     bench.press(10.0, seconds=0.5)
@@ -256,14 +256,14 @@ def test_the_mode_ends_with_its_program_and_with_a_stop() -> None:
     assert bench.pose == at
 
 
-def test_force_frames_turn_with_the_tool_or_its_way() -> None:
-    # Kind 1: y towards the origin of the frame, which is to the left of the tool.
+def test_force_frame_turns_with_the_tool_or_its_path() -> None:
+    # Kind 1: y points towards the origin of the frame, which is to the left of the tool.
     bench = Bench()
     x, y, z = bench.start[:3]
     bench.run(f"force_mode(p[{x},{y + 1},{z},0,0,0], [0,1,0,0,0,0], [0,10,0,0,0,0], 1, [1,1,1,1,1,1])\nsleep(9)", 0.5)
     assert bench.moved[1] > 0.01
     assert bench.moved[::2][0] == pytest.approx(0.0, abs=1e-6)
-    # Kind 3: x along the movement, which is towards y.
+    # Kind 3: x is along the motion, which is towards y.
     bench = Bench()
     bench.controller.push([0, -30.0, 0, 0, 0, 0])
     bench.run(
@@ -283,7 +283,7 @@ def test_force_frames_turn_with_the_tool_or_its_way() -> None:
         "freedrive_mode([1,1,1,1,1,0.5])",
     ],
 )
-def test_what_force_mode_cannot_take_ends_the_program(call: str) -> None:
+def test_invalid_force_mode_call_ends_the_program(call: str) -> None:
     bench = Bench()
     bench.run(f"{call}\nsleep(60)", 0.1)
     assert bench.controller.program_name is None
@@ -293,7 +293,7 @@ def test_what_force_mode_cannot_take_ends_the_program(call: str) -> None:
 # -- contact detection -----------------------------------------------------------------------------------
 
 
-def test_a_contact_is_found_and_the_arm_goes_back_to_where_it_began() -> None:
+def test_contact_is_found_and_the_arm_returns_to_it() -> None:
     bench = Bench("5.4")
     bench.table(0.02)
     bench.run(
@@ -321,7 +321,7 @@ def test_a_contact_is_found_and_the_arm_goes_back_to_where_it_began() -> None:
 @pytest.mark.parametrize(
     ("firmware", "mode"), [("3.15", "freedrive_mode()"), ("3.15", "teach_mode()"), ("5.25", "freedrive_mode()")]
 )
-def test_pushed_in_freedrive_the_arm_follows(firmware: str, mode: str) -> None:
+def test_arm_follows_a_push_in_freedrive(firmware: str, mode: str) -> None:
     bench = Bench(firmware)
     bench.run(f"{mode}\nsleep(60)", 0.5)
     assert bench.moved == [0.0] * 6
@@ -341,7 +341,7 @@ def test_pushed_in_freedrive_the_arm_follows(firmware: str, mode: str) -> None:
     assert not bench.is_stopped()
 
 
-def test_freedrive_along_chosen_axes_only() -> None:
+def test_freedrive_moves_only_along_the_chosen_axes() -> None:
     bench = Bench("5.10")
     bench.run("freedrive_mode(freeAxes=[1,0,0,0,0,0], feature=p[0,0,0,0,0,0])\nsleep(60)", 0.1)
     bench.controller.push([15.0, 15.0, 0, 0, 0, 0])
@@ -351,14 +351,14 @@ def test_freedrive_along_chosen_axes_only() -> None:
     assert not bench.is_stopped()
 
 
-def test_pushing_too_hard_or_too_fast_stops_freedrive() -> None:
+def test_freedrive_stops_when_pushed_too_hard_or_too_fast() -> None:
     for wrench in ([0, 160.0, 0, 0, 0, 0], [0, 0, 140.0, 0, 0, 0]):
         bench = Bench()
         bench.run("freedrive_mode()\nsleep(60)", 0.1)
         bench.controller.push(wrench)
         bench.go(1.0)
         assert bench.is_stopped()
-        # It ends freedrive too.
+        # The stop also ends freedrive.
         bench.controller.push([0.0] * 6)
         bench.go(1.0)
         assert not any(bench.controller.arm.setpoint.qd)
@@ -367,7 +367,7 @@ def test_pushing_too_hard_or_too_fast_stops_freedrive() -> None:
 # -- torque ----------------------------------------------------------------------------------------------
 
 
-def test_direct_torque_moves_the_arm_as_its_dynamics_say() -> None:
+def test_direct_torque_accelerates_the_arm_by_its_dynamics() -> None:
     bench = Bench("5.25")
     q = bench.controller.arm.setpoint.q
     torque = [1.0, -2.0, 1.5, 0.3, 0.2, 0.1]
@@ -378,7 +378,7 @@ def test_direct_torque_moves_the_arm_as_its_dynamics_say() -> None:
         if any(bench.controller.arm.setpoint.qdd):
             break
     assert bench.controller.arm.setpoint.qdd == pytest.approx(expected.tolist(), rel=1e-4)
-    # Nobody gives torques any more: it brakes.
+    # The next program sends no torques, so the arm brakes.
     bench.controller.take("def q():\n  sleep(60)\nend")
     bench.go(1.0)
     assert not any(bench.controller.arm.setpoint.qd)
@@ -405,20 +405,20 @@ def test_direct_torque_of_zero_lets_the_arm_be_pushed() -> None:
         ("while True:\n  direct_torque([0,0,0,0,0,0])\nend", "TORQUE"),
     ],
 )
-def test_the_robot_state_says_what_is_regulated(body: str, mode: str) -> None:
+def test_robot_state_reports_the_control_mode(body: str, mode: str) -> None:
     bench = Bench("5.25")
     bench.run(body, 0.02)
     (state,) = urlink.decode(bench.controller.state_package(), "primary", "5.25")
     assert isinstance(state, urlink.packets.RobotState)
     assert state.robot_mode_data is not None
     assert state.robot_mode_data.control_mode is ControlMode[mode]
-    # Not once the program is over.
+    # The mode returns to POSITION when the program has ended.
     bench.controller.take("def q():\n  sync()\nend")
     bench.go(0.05)
     assert bench.controller._state.control_mode is ControlMode.POSITION
 
 
-def test_optimised_moves_arrive() -> None:
+def test_optimised_moves_reach_their_goals() -> None:
     bench = Bench("5.25")
     x, y, z = bench.start[:3]
     rest = ",".join(map(str, bench.start[3:]))
@@ -429,8 +429,8 @@ def test_optimised_moves_arrive() -> None:
 
 
 @pytest.mark.slow
-def test_rotations_are_what_the_sensor_turns_by() -> None:
-    """The offset of a sensor that was zeroed turns with the tool: half a turn makes a weight count twice."""
+def test_offset_of_a_zeroed_sensor_turns_with_the_tool() -> None:
+    """The offset turns with the tool, so half a turn makes a weight count twice."""
     bench = Bench()
     bench.world.carry(1.0)
     bench.go(0.0)

@@ -1,5 +1,8 @@
-"""A program that controls the arm by torques, as those of the vendor's examples for 5.23 and later do: an impedance in
-the joints about a path of the tool, with matrices, the dynamics of the arm and values of RTDE."""
+"""Programs that control the arm by torques, as the vendor's examples for 5.23 and later do.
+
+The first program is a joint impedance along a path of the tool. It uses matrices, the dynamics of the arm and RTDE
+values.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ import pytest
 import urlink
 from urlink.simulator import Controller, Still
 
-# In less time the torques of the base would be beyond the clamps.
+# In a shorter time, the torques of the base would exceed the clamps.
 SECONDS, RADIUS = 6.0, 0.25
 
 CIRCLE = """
@@ -69,12 +72,12 @@ def circle():
   textmsg("slowest cycle, ms: ", figures.slowest)
 end
 """
-# The circle begins sideways, at the side of its centre: horizontal, or upright.
+# The circle begins sideways, at the side of its centre, and is either horizontal or upright.
 HORIZONTAL, UPRIGHT = (1, 0), (1, 2)
 
 
 def program(axes: tuple[int, int]) -> str:
-    """The program, for a circle that begins along the second of these axes of the base."""
+    """Return the program for a circle that begins along the second of these axes of the base frame."""
 
     def vector(name: str, first: str, second: str, length: int) -> str:
         parts = ["0"] * length
@@ -89,7 +92,7 @@ def program(axes: tuple[int, int]) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axes", [HORIZONTAL, UPRIGHT])
-def test_an_impedance_follows_a_large_circle_from_the_home_posture(axes: tuple[int, int]) -> None:
+def test_impedance_follows_a_large_circle_from_home(axes: tuple[int, int]) -> None:
     controller = Controller("UR5e", "5.25", motion=Still(), seed=1, files={"circle.urp": program(axes)})
     controller.step(10)
     begin = np.array(controller.arm.sample.pose_target)
@@ -99,9 +102,9 @@ def test_an_impedance_follows_a_large_circle_from_the_home_posture(axes: tuple[i
     for _ in range(round((SECONDS + 0.5) * 500)):
         controller.step()
         path.append(controller.arm.sample.pose_actual[:3])
-    said = urlink.decode(b"".join(controller.take_messages()), "primary", "5.25")
-    texts = [message.text for message in said if isinstance(message, urlink.packets.TextMessage)]
-    assert texts == ["slowest cycle, ms: 0.859"], said
+    messages = urlink.decode(b"".join(controller.take_messages()), "primary", "5.25")
+    texts = [message.text for message in messages if isinstance(message, urlink.packets.TextMessage)]
+    assert texts == ["slowest cycle, ms: 0.859"], messages
     assert controller.modes.safety_mode.name == "NORMAL"
     way = np.array(path) - begin[:3]
     assert np.ptp(way[:, axes[0]]) == pytest.approx(2 * RADIUS, abs=0.004)
@@ -131,7 +134,7 @@ end
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["5.11", "5.25"])
-def test_an_admittance_yields_to_the_force_at_the_tool(firmware: str) -> None:
+def test_admittance_yields_to_the_force_at_the_tool(firmware: str) -> None:
     controller = Controller("UR5e", firmware, motion=Still(), seed=1)
     controller.step(10)
     begin = np.array(controller.arm.sample.pose_target[:3])
@@ -141,7 +144,7 @@ def test_an_admittance_yields_to_the_force_at_the_tool(firmware: str) -> None:
     controller.step(800)
     assert controller.program_name is None
     assert controller.modes.safety_mode.name == "NORMAL"
-    # 20 N against 100 Ns/m are 0.2 m/s, of which the first 0.08 s are lost to the mass.
+    # 20 N against 100 Ns/m result in 0.2 m/s, of which the first 0.08 s are lost to the mass.
     moved = np.array(controller.arm.sample.pose_target[:3]) - begin
     assert moved[1] == pytest.approx(0.2 * (0.96 - 0.08), abs=0.02)
     assert np.abs(moved[[0, 2]]).max() < 0.01
@@ -167,7 +170,7 @@ end
 
 
 @pytest.mark.slow
-def test_a_sine_of_wrist_3_by_torque_ends_without_a_stop() -> None:
+def test_torque_sine_of_wrist_3_ends_without_a_stop() -> None:
     controller = Controller("UR5e", "5.25.1", motion=Still(), seed=1)
     controller.step(10)
     begin = controller.arm.setpoint.q

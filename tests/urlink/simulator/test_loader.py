@@ -1,4 +1,4 @@
-"""Programs out of lines, however the lines come."""
+"""Assembly of programs from the lines of a client."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ def fed(lines: list[str], assembler: LineAssembler | None = None) -> list[str]:
     return [text for text in map(assembler.feed, lines) if text is not None]
 
 
-def test_a_line_is_a_program() -> None:
+def test_single_line_is_a_program() -> None:
     assert fed(["stopj(2)", "movej([0,0,0,0,0,0])"]) == ["stopj(2)", "movej([0,0,0,0,0,0])"]
 
 
 @pytest.mark.parametrize("kind", ["def", "sec"])
-def test_a_program_goes_from_its_first_line_to_its_end(kind: str) -> None:
+def test_program_ends_at_its_end_line(kind: str) -> None:
     program = [f"{kind} f():", "  if True:", "    sync()", "  end", "", "  # end", "end"]
     assert fed([*program, "stopj(2)"]) == ["\n".join(program) + "\n", "stopj(2)"]
 
 
 @pytest.mark.parametrize("line", ["", "   ", "\t", "# stop", "   # stop"])
-def test_a_line_with_nothing_in_it_is_none(line: str) -> None:
+def test_blank_and_comment_lines_are_no_programs(line: str) -> None:
     assert fed([line]) == []
 
 
 @pytest.mark.parametrize("line", ["end", "end # of f", "end   ", "end#", "end\t# of f"])
-def test_what_ends_a_program(line: str) -> None:
+def test_end_line_completes_a_program(line: str) -> None:
     assert fed(["def f():", line]) == [f"def f():\n{line}\n"]
 
 
 @pytest.mark.parametrize("line", [" end", "ending()", "end = 1", "end()", "# end", "ende", "define = 1"])
-def test_what_does_not(line: str) -> None:
+def test_similar_lines_do_not_end_a_program(line: str) -> None:
     assert fed(["def f():", line]) == []
 
 
 @pytest.mark.parametrize("line", ["define = 1", "sector = 2", " def f():", "default()"])
-def test_what_begins_none(line: str) -> None:
+def test_similar_lines_do_not_start_a_program(line: str) -> None:
     assert fed([line, "sync()"]) == [line, "sync()"]
 
 
-def test_a_program_that_is_too_long_is_thrown_away_to_its_end() -> None:
+def test_too_long_program_is_discarded_up_to_its_end() -> None:
     assembler = LineAssembler()
     line = "  " + "x" * 65_533
     long = ["def f():", *[line] * 20, "end"]
@@ -55,7 +55,7 @@ def test_a_program_that_is_too_long_is_thrown_away_to_its_end() -> None:
     assert assembler.refused == sum(len(text) + 1 for text in long)
 
 
-def test_the_longest_is_taken() -> None:
+def test_longest_program_is_accepted() -> None:
     lines = ["def f():", "x" * (LONGEST_PROGRAM - 14), "end"]
     assert sum(len(text) + 1 for text in lines) == LONGEST_PROGRAM
     assert len(fed(lines)[0]) == LONGEST_PROGRAM

@@ -17,7 +17,7 @@ from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration
 
 CASES = [
-    # name, firmware, robot modes of: running, protective stop, emergency stop, power off
+    # Model, firmware, then the robot modes while running, in a protective stop, in an emergency stop, and powered off.
     pytest.param(
         "UR5",
         "1.8",
@@ -33,7 +33,7 @@ CASES = [
         "UR10", "3.14", [RobotMode.RUNNING, RobotMode.RUNNING, RobotMode.POWER_OFF, RobotMode.POWER_OFF], id="CB3"
     ),
     pytest.param(
-        "UR16e", "5.11", [RobotMode.RUNNING, RobotMode.RUNNING, RobotMode.POWER_OFF, RobotMode.POWER_OFF], id="e"
+        "UR16e", "5.11", [RobotMode.RUNNING, RobotMode.RUNNING, RobotMode.POWER_OFF, RobotMode.POWER_OFF], id="e-Series"
     ),
 ]
 
@@ -69,7 +69,7 @@ def second(controller: Controller) -> None:
 
 
 @pytest.mark.parametrize(("name", "firmware", "modes"), CASES)
-def test_flags_and_modes_of_every_event(name: str, firmware: str, modes: list[int]) -> None:
+def test_flags_and_modes_follow_every_event(name: str, firmware: str, modes: list[int]) -> None:
     controller = Controller(name, firmware, motion=Demonstration())
     running, protective, emergency, off = modes
     second(controller)
@@ -111,7 +111,7 @@ def test_flags_and_modes_of_every_event(name: str, firmware: str, modes: list[in
     assert not any(realtime(controller).qd_target)
 
 
-def test_powering_on_goes_step_by_step() -> None:
+def test_power_on_passes_through_all_modes() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.faults.power_off()
     second(controller)
@@ -134,7 +134,7 @@ def test_powering_on_goes_step_by_step() -> None:
     ]
 
 
-def test_the_arm_is_powered_until_it_stands() -> None:
+def test_arm_keeps_power_until_it_is_at_rest() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     second(controller)
     second(controller)
@@ -153,7 +153,7 @@ def test_the_arm_is_powered_until_it_stands() -> None:
     assert now.program_state == ProgramState.STOPPED
 
 
-def test_program_states_of_a_protective_stop() -> None:
+def test_protective_stop_pauses_the_program() -> None:
     controller = Controller("UR3", "3.14", motion=Demonstration())
     second(controller)
     second(controller)
@@ -165,7 +165,7 @@ def test_program_states_of_a_protective_stop() -> None:
     second(controller)
     assert realtime(controller).program_state == ProgramState.PAUSED
     assert realtime(controller).safety_mode == SafetyMode.PROTECTIVE_STOP
-    # Real bytes without a program: 0.0 on 3.10 and later, 1.0 on 3.3.
+    # Captured packets without a program contain 0.0 on 3.10 and later, and 1.0 on 3.3.
     assert realtime(controller).speed_scaling == 0.0
     older = Controller("UR3", "3.3")
     older.faults.protective_stop()
@@ -173,7 +173,7 @@ def test_program_states_of_a_protective_stop() -> None:
     assert realtime(older).speed_scaling == 1.0
 
 
-def test_a_protective_stop_does_not_hide_an_emergency_stop() -> None:
+def test_emergency_stop_overrides_a_protective_stop() -> None:
     controller = Controller("UR5e", motion=Demonstration())
     controller.faults.emergency_stop()
     controller.faults.protective_stop()
@@ -181,7 +181,7 @@ def test_a_protective_stop_does_not_hide_an_emergency_stop() -> None:
     assert realtime(controller).safety_mode == SafetyMode.ROBOT_EMERGENCY_STOP
 
 
-def test_a_robot_without_power_has_no_protective_stop() -> None:
+def test_arm_without_power_ignores_a_protective_stop() -> None:
     controller = Controller("UR5e", motion=Demonstration())
     controller.faults.power_off()
     second(controller)
@@ -190,7 +190,7 @@ def test_a_robot_without_power_has_no_protective_stop() -> None:
     assert realtime(controller).safety_mode == SafetyMode.NORMAL
 
 
-def test_the_masterboard_of_cb2_has_states_of_its_own() -> None:
+def test_cb2_masterboard_reports_its_states() -> None:
     controller = Controller("UR10", "1.8", motion=Demonstration())
     board = masterboard(controller)
     assert (board.master_safety_state, board.master_on_off_state) == (MasterSafetyState.OK, MasterOnOffState.ON)

@@ -1,4 +1,4 @@
-"""What programs reach beyond the arm: servers of XML-RPC, Modbus signals, and the tool's line and outputs."""
+"""Access of programs to the outside: XML-RPC servers, Modbus signals, and the tool's serial line and outputs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def controller() -> Iterator[Controller]:
 
 @pytest.fixture
 def run(controller: Controller) -> Iterator[Run]:
-    """Runs a program to its end; what it has said."""
+    """Function that runs a program to its end and returns its text messages."""
     with urlink.connect(controller.address, stale_after=20.0, silence=30.0) as robot:
 
         def run(text: str) -> tuple[str, ...]:
@@ -61,7 +61,7 @@ def server() -> Iterator[SimpleXMLRPCServer]:
     thread.join()
 
 
-def test_methods_of_a_server_are_called(run: Run, server: SimpleXMLRPCServer) -> None:
+def test_xmlrpc_methods_are_called(run: Run, server: SimpleXMLRPCServer) -> None:
     url = f"http://127.0.0.1:{server.server_address[1]}/RPC2"
     texts = run(
         f"""rpc = rpc_factory("xmlrpc", "{url}")
@@ -86,9 +86,7 @@ rpc.closeXMLRPCClientConnection()
 @pytest.mark.parametrize(
     ("kept", "found"), [("struct(h={})", "s.h"), ("struct(t=struct(h={}))", "s.t.h"), ("make_list(1, {})", "s[0]")]
 )
-def test_a_handle_that_is_kept_in_something_has_its_methods(
-    run: Run, server: SimpleXMLRPCServer, kept: str, found: str
-) -> None:
+def test_stored_xmlrpc_handle_keeps_its_methods(run: Run, server: SimpleXMLRPCServer, kept: str, found: str) -> None:
     handle = f'rpc_factory("xmlrpc", "http://127.0.0.1:{server.server_address[1]}/RPC2")'
     assert run(f"s = {kept.format(handle)}\ntextmsg({found}.add(1, 2))\n") == ("3",)
 
@@ -101,7 +99,7 @@ def test_a_handle_that_is_kept_in_something_has_its_methods(
         ("h.odd()", "a value of XML-RPC that URScript does not have"),
     ],
 )
-def test_what_a_server_answers_otherwise(run: Run, server: SimpleXMLRPCServer, call: str, error: str) -> None:
+def test_invalid_xmlrpc_answer_ends_the_program(run: Run, server: SimpleXMLRPCServer, call: str, error: str) -> None:
     url = f"http://127.0.0.1:{server.server_address[1]}/RPC2"
     with pytest.raises(urlink.ScriptFailed, match=error):
         run(f'h = rpc_factory("xmlrpc", "{url}")\nx = {call}\n')
@@ -128,7 +126,7 @@ def test_names_of_remote_methods_contain_dots(run: Run, server: SimpleXMLRPCServ
             'h = rpc_factory("xmlrpc", "http://127.0.0.1:1/RPC2")\nh.method()',
             r"method: http://127\.0\.0\.1:1/.* cannot",
         ),
-        # Beyond this computer only where a socket may go too.
+        # Hosts other than this computer are reachable only if a socket may connect to them, too.
         ('h = rpc_factory("xmlrpc", "http://192.0.2.1/RPC2")\nh.method()', "cannot be connected to"),
         ('h = rpc_factory("soap", "http://127.0.0.1/")', "type is 'xmlrpc', not 'soap'"),
         ('h = rpc_factory("xmlrpc", "127.0.0.1:40404")', "is no address such as"),
@@ -138,7 +136,7 @@ def test_names_of_remote_methods_contain_dots(run: Run, server: SimpleXMLRPCServ
         ('eip_reader_factory("x", 1)', "eip_reader_factory: EtherNet/IP is not modelled"),
     ],
 )
-def test_what_ends_a_program(run: Run, program: str, error: str) -> None:
+def test_invalid_outside_call_ends_the_program(run: Run, program: str, error: str) -> None:
     with pytest.raises(urlink.ScriptFailed, match=error):
         run(program)
 
@@ -185,7 +183,7 @@ modbus_send_custom_command("192.168.0.5", 255, 6, [1, 2])
             run(program)
 
 
-def test_modbus_registers_that_are_read_and_written_are_lists(controller: Controller, run: Run) -> None:
+def test_modbus_rw_registers_are_lists(controller: Controller, run: Run) -> None:
     add = 'modbus_add_rw_signal("192.168.0.5", 255, 100, 3, 200, 2, "axes")\n'
     controller.modbus["axes"] = [1, 2, 3]
     read = "textmsg(modbus_get_signal_status('axes'))"
@@ -243,13 +241,13 @@ textmsg(modbus_get_signal_status("modules"))
         controller.modbus["inputs"] = [1, 2, 0]
 
 
-def test_modbus_value_that_was_set_before_fits_its_kind(controller: Controller, run: Run) -> None:
+def test_modbus_value_set_earlier_is_converted_to_its_kind(controller: Controller, run: Run) -> None:
     controller.modbus["late"] = [7, 0]
     run('modbus_add_signal("192.168.0.5", 255, 0, 0, "late", True, 2)')
     assert controller.modbus["late"] == (1, 0)
 
 
-def test_modbus_add_signal_takes_a_count_since_5_14() -> None:
+def test_modbus_add_signal_accepts_a_count_since_5_14() -> None:
     line = 'modbus_add_signal("192.168.0.5", 255, 0, 0, "inputs", True, 2)'
     for firmware, is_taken in (("5.13", False), ("5.14", True), ("10.7", True)):
         controller = Controller(firmware=firmware)
@@ -258,7 +256,7 @@ def test_modbus_add_signal_takes_a_count_since_5_14() -> None:
         assert ("inputs" in controller.modbus) is is_taken
 
 
-def test_the_tool_is_set_up_by_a_program(controller: Controller, run: Run) -> None:
+def test_program_configures_the_tool(controller: Controller, run: Run) -> None:
     run(
         "set_tool_communication(True, 115200, 2, 1, 1.5, 3.5)\nset_tool_voltage(24)\nset_tool_output_mode(0)\n"
         "set_tool_digital_output_mode(0, 2)\nset_tool_digital_output_mode(1, 3)\nset_tool_digital_out(1, True)\n"
@@ -273,7 +271,7 @@ def test_the_tool_is_set_up_by_a_program(controller: Controller, run: Run) -> No
         run("m = inv([[1, 1], [1, 1]])")
 
 
-# -- answers that mean harm ------------------------------------------------------------------------------
+# -- malicious answers -----------------------------------------------------------------------------------
 
 
 def answer(value: str) -> bytes:
@@ -326,12 +324,12 @@ xml_values = st.recursive(
 
 @pytest.mark.property
 @given(st.one_of(xml_values.map(answer), st.integers(1, 5000).map(nested), st.binary(max_size=100)))
-def test_any_answer_is_a_value_or_a_fault(body: bytes) -> None:
+def test_any_xmlrpc_answer_is_a_value_or_a_fault(body: bytes) -> None:
     with contextlib.suppress(Fault):
         parse_answer(body, "h.go", lambda work: None)
 
 
-def test_an_answer_too_deep_ends_the_program_and_nothing_else(controller: Controller, run: Run) -> None:
+def test_too_deep_xmlrpc_answer_ends_only_the_program(controller: Controller, run: Run) -> None:
     class Deep(OneAfterAnother):
         def _talk(self, connection: socket.socket) -> None:
             connection.recv(65536)
@@ -343,5 +341,5 @@ def test_an_answer_too_deep_ends_the_program_and_nothing_else(controller: Contro
             run(f'h = rpc_factory("xmlrpc", "http://127.0.0.1:{server.port}/")\nx = h.go()\n')
     finally:
         server.close()
-    assert run('textmsg("goes on")\n') == ("goes on",)
+    assert run('textmsg("next")\n') == ("next",)
     assert controller.is_up

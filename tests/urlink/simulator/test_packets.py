@@ -52,7 +52,7 @@ COMBINATIONS = [
 
 
 def parts(state: bytes) -> dict[int, bytes]:
-    """Type of each sub-package -> its bytes, in the order in which they come."""
+    """Return the bytes of each sub-package by its type, in the order of the package."""
     assert int.from_bytes(state[:4], "big") == len(state)
     assert state[4] == 16
     found = {}
@@ -75,7 +75,7 @@ def decoded(part: bytes, firmware: Firmware) -> SubPackage:
 
 
 @pytest.mark.parametrize(("release", "name"), COMBINATIONS)
-def test_packets_of_every_firmware_and_model_have_the_sizes_of_the_table(release: Release, name: str) -> None:
+def test_packets_have_the_sizes_of_their_firmware(release: Release, name: str) -> None:
     controller = Controller(name, release.since, motion=Demonstration())
     controller.step(40)
 
@@ -96,13 +96,13 @@ def test_packets_of_every_firmware_and_model_have_the_sizes_of_the_table(release
     subs = [decoded(part, release.since) for part in parts(first).values()]
     assert all(sub.tail == b"" for sub in subs)
     found = infer(RobotState(*subs).sizes)
-    # Rows of the same state sizes are told apart by the real-time packet alone.
+    # Releases with the same state sizes differ only in their real-time packet.
     assert found is not None
     assert release_of(found).state_size == release.state_size
 
 
 @pytest.mark.parametrize(("release", "name"), COMBINATIONS)
-def test_forms_give_the_bytes_of_the_slow_encoder(release: Release, name: str) -> None:
+def test_forms_give_the_same_bytes_as_the_slow_encoder(release: Release, name: str) -> None:
     controller = Controller(name, release.since, motion=Demonstration())
     controller.signals.set_digital_output(3, True)
     controller.signals.set_digital_input(16, True)
@@ -116,12 +116,12 @@ def test_forms_give_the_bytes_of_the_slow_encoder(release: Release, name: str) -
         assert part == cls.LAYOUTS.of(release.since).encode(known), cls.__name__
 
 
-def test_a_form_refuses_a_layout_with_text() -> None:
+def test_form_rejects_a_layout_with_text() -> None:
     with pytest.raises(AssertionError, match="VersionMessage has no fixed size"):
         Form(VersionMessage.LAYOUTS.of("5.11"))
 
 
-def test_real_time_packet_and_robot_state_of_a_cycle_agree() -> None:
+def test_realtime_packet_and_robot_state_agree() -> None:
     controller = Controller("UR10e", "5.11", motion=Demonstration())
     controller.arm.tcp = [0.0, 0.01, 0.1, 0.1, 0.2, 0.3]
     controller.signals.digital_inputs = 0x10102
@@ -167,7 +167,7 @@ def test_real_time_packet_and_robot_state_of_a_cycle_agree() -> None:
     assert force.robot_dexterity == pytest.approx(determinant**2)
 
 
-def test_the_first_state_tells_geometry_and_limits() -> None:
+def test_first_state_contains_geometry_and_limits() -> None:
     controller = Controller("UR20", "5.25", motion=Demonstration())
     subs = [decoded(part, NEWEST) for part in parts(controller.state_package(first=True)).values()]
     (chain,) = (sub for sub in subs if isinstance(sub, KinematicsInfo))
@@ -184,8 +184,8 @@ def heads(controller: Controller, port: str) -> list[tuple[int, int]]:
     return [(len(package), package[4]) for package in controller.greeting(port)]
 
 
-def test_a_connection_begins_as_captured() -> None:
-    # The sizes of the real bytes of 3.3 and 3.10, of a simulated 5.4, and of the secondary port of 5.12.
+def test_greeting_matches_the_captured_connections() -> None:
+    # The sizes come from real captures of 3.3 and 3.10, from a simulated 5.4, and from the secondary port of 5.12.
     assert heads(Controller("UR5", "3.3.1.60"), "secondary") == [(56, 20), (24, 20), (1306, 16)]
     assert heads(Controller("UR10", "3.10"), "primary") == [(55, 20), (24, 20), (181, 24), (1352, 16)]
     assert heads(Controller("UR5e", "5.8"), "primary") == [(55, 20), (24, 20), (181, 24), (1386, 16)]
@@ -195,7 +195,7 @@ def test_a_connection_begins_as_captured() -> None:
     assert heads(Controller("UR5e", "5.12"), "realtime") == []
 
 
-def test_the_version_message_names_the_firmware() -> None:
+def test_version_message_contains_the_firmware() -> None:
     newer = VersionMessage.LAYOUTS.decode(Controller("UR3e", "5.11.2.1042").greeting("primary")[0])
     assert newer.timestamp == NO_TIMESTAMP
     assert (newer.project_name, newer.major, newer.minor, newer.bugfix, newer.build) == ("URControl", 5, 11, 2, 1042)
@@ -203,7 +203,7 @@ def test_the_version_message_names_the_firmware() -> None:
     assert (older.major, older.minor, older.svn_revision) == (3, 2, 19293)
 
 
-def test_message_12_and_the_tolerances_are_those_captured() -> None:
+def test_message_12_and_tolerances_match_the_capture() -> None:
     packages = Controller("UR5e", "5.8").greeting("primary")
     assert packages[1].hex() == "0000001814fffffffffffffffffe0c000000000000000001"
     assert UnnamedMessage12.LAYOUTS.decode(packages[1]).third == 1
@@ -211,7 +211,7 @@ def test_message_12_and_the_tolerances_are_those_captured() -> None:
     assert tolerances[:4].tolist() == [0.15, 25.0, 0.0, 2.0]
 
 
-def test_the_primary_interface_tells_of_a_stop() -> None:
+def test_primary_interface_reports_a_stop() -> None:
     controller = Controller("UR5e", "5.11", motion=Demonstration())
     controller.faults.protective_stop()
     controller.step()
@@ -238,12 +238,12 @@ def test_cb2_has_no_safety_mode_message() -> None:
     ("name", "firmware"),
     [("UR5e", "3.14"), ("UR5e", "1.8"), ("UR20", "3.5"), ("UR5", "5.0"), ("UR10", "5.11"), ("UR3", "1.8")],
 )
-def test_firmware_that_a_model_does_not_run_is_refused(name: str, firmware: str) -> None:
+def test_controller_rejects_firmware_of_other_models(name: str, firmware: str) -> None:
     with pytest.raises(BadValue, match=f"{name} does not run firmware {firmware}"):
         Controller(name, firmware)
 
 
-def test_what_goes_without_saying() -> None:
+def test_controller_defaults_for_model_and_firmware() -> None:
     assert Controller("UR5e").firmware == NEWEST
     assert Controller("UR3").firmware == (3, 14, 0, 0)
     assert Controller().model.name == "UR5e"
@@ -260,12 +260,12 @@ def test_wrong_arguments_are_local_errors() -> None:
         Controller(ports={"modbus": 0})
 
 
-# -- every field is named ------------------------------------------------------------------------
+# -- completeness of the fields ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("release", "name"), COMBINATIONS)
-def test_every_packet_of_the_simulator_names_each_field_of_its_layout(release: Release, name: str) -> None:
-    """So none is zero only because nobody thought of it."""
+def test_every_packet_has_a_value_for_each_field(release: Release, name: str) -> None:
+    """The check ensures that no field is zero only because the simulator forgot it."""
     state = Controller(name, release.since)._state
     RealtimeState.LAYOUTS.of(release.since).check_complete(_fields(state))
     for part in parts(Controller(name, release.since).state_package(first=True)).values():
@@ -274,9 +274,9 @@ def test_every_packet_of_the_simulator_names_each_field_of_its_layout(release: R
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_every_message_of_the_simulator_names_each_field_of_its_layout(release: Release) -> None:
+def test_every_message_has_a_value_for_each_field(release: Release) -> None:
     state = Controller("UR5e" if release.since.is_e_series else "UR5", release.since)._state
-    # Each raises `BadValue` where a field is not named.
+    # Each call raises `BadValue` if a field has no value.
     messages.greeting(state, "primary")
     for stop in (state.modes.protective_stop, state.modes.emergency_stop):
         stop()
@@ -289,7 +289,7 @@ def test_every_message_of_the_simulator_names_each_field_of_its_layout(release: 
     messages.popup_message(state, "text", "title", False, False, False)
 
 
-def test_a_form_refuses_a_first_packet_without_a_value_for_each_field() -> None:
+def test_form_rejects_a_first_packet_with_missing_fields() -> None:
     form = Form(RealtimeState.LAYOUTS.of("1.5"))
     with pytest.raises(BadValue, match=r"RealtimeState: no value for time, q_target, .*, unused"):
         form.pack({"qd_target": [0.0] * 6})

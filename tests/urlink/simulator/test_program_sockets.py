@@ -1,4 +1,4 @@
-"""The sockets of programs, against real listeners."""
+"""Sockets of programs, tested against real listeners."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from urlink.simulator.programs.program_world import MOST, MOST_WAITING, ProgramS
 
 
 def refuse_all(address: str, port: int) -> Target | None:
-    """Only this computer is reached."""
+    """Return a target only for addresses of this computer."""
     return Target(address, port) if address.startswith("127.") else None
 
 
@@ -54,7 +54,7 @@ def descriptors() -> int:
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.1.2.3"])
 @pytest.mark.simulated_time
-def test_this_computer_is_always_reached(host: str) -> None:
+def test_loopback_host_is_always_reachable(host: str) -> None:
     sockets = ProgramSockets(refuse_all)
     with socket.create_server(("0.0.0.0", 0)) as listener:
         sockets.open("s", host, port(listener))
@@ -63,7 +63,7 @@ def test_this_computer_is_always_reached(host: str) -> None:
 
 
 @pytest.mark.simulated_time
-def test_nobody_listens(sockets: ProgramSockets, listener: socket.socket) -> None:
+def test_socket_fails_when_no_server_listens(sockets: ProgramSockets, listener: socket.socket) -> None:
     number = port(listener)
     listener.close()
     sockets.open("s", "127.0.0.1", number)
@@ -76,7 +76,7 @@ def test_nobody_listens(sockets: ProgramSockets, listener: socket.socket) -> Non
     "host", ["192.0.2.1", "10.0.0.1", "example.com", "", "0.0.0.0", "2130706433", "::1%nowhere", "fe80::1%9", "1.2.3"]
 )
 @pytest.mark.simulated_time
-def test_other_hosts_are_not_tried(host: str, sockets: ProgramSockets, listener: socket.socket) -> None:
+def test_other_hosts_are_refused_without_a_socket(host: str, sockets: ProgramSockets, listener: socket.socket) -> None:
     before = descriptors()
     sockets.open("s", host, port(listener))
     assert sockets.state("s") in ("failed", "closed")
@@ -84,13 +84,13 @@ def test_other_hosts_are_not_tried(host: str, sockets: ProgramSockets, listener:
 
 
 @pytest.mark.parametrize("number", [0, -1, 65536])
-def test_ports_that_are_none(number: int, sockets: ProgramSockets) -> None:
+def test_invalid_port_is_refused(number: int, sockets: ProgramSockets) -> None:
     sockets.open("s", "127.0.0.1", number)
     assert sockets.state("s") == "closed"
 
 
 @pytest.mark.simulated_time
-def test_others_where_they_are_allowed() -> None:
+def test_other_hosts_are_tried_when_the_route_allows_them() -> None:
     asked: list[str] = []
 
     def route(address: str, port: int) -> Target:
@@ -98,7 +98,7 @@ def test_others_where_they_are_allowed() -> None:
         return Target(address, port)
 
     sockets = ProgramSockets(route)
-    # Reserved for documentation: nobody is there, and the connection is only begun.
+    # The address is reserved for documentation: no host has it, and the attempt to connect only starts.
     sockets.open("s", "192.0.2.1", 9)
     assert asked == ["192.0.2.1"]
     assert sockets.state("s") in ("connecting", "failed")
@@ -106,7 +106,7 @@ def test_others_where_they_are_allowed() -> None:
 
 
 @pytest.mark.real_time
-def test_a_name_can_be_used_again(sockets: ProgramSockets, listener: socket.socket) -> None:
+def test_reopening_a_name_closes_its_previous_socket(sockets: ProgramSockets, listener: socket.socket) -> None:
     before = descriptors()
     with opened(sockets, listener) as first, opened(sockets, listener) as second:
         assert first.recv(10) == b""
@@ -119,7 +119,7 @@ def test_a_name_can_be_used_again(sockets: ProgramSockets, listener: socket.sock
 
 
 @pytest.mark.simulated_time
-def test_not_more_than_so_many(sockets: ProgramSockets, listener: socket.socket) -> None:
+def test_number_of_sockets_is_limited(sockets: ProgramSockets, listener: socket.socket) -> None:
     peers = [opened(sockets, listener, f"s{n}") for n in range(MOST)]
     sockets.open("more", "127.0.0.1", port(listener))
     assert sockets.state("more") == "closed"
@@ -130,7 +130,7 @@ def test_not_more_than_so_many(sockets: ProgramSockets, listener: socket.socket)
 
 
 @pytest.mark.real_time
-def test_a_program_that_never_reads_makes_its_peer_wait(sockets: ProgramSockets, listener: socket.socket) -> None:
+def test_peer_has_to_wait_when_the_program_never_reads(sockets: ProgramSockets, listener: socket.socket) -> None:
     with opened(sockets, listener) as peer:
         peer.setblocking(False)
 
@@ -147,7 +147,7 @@ def test_a_program_that_never_reads_makes_its_peer_wait(sockets: ProgramSockets,
 
 
 @pytest.mark.real_time
-def test_nothing_stays_open(listener: socket.socket) -> None:
+def test_close_all_leaves_no_descriptors_open(listener: socket.socket) -> None:
     before = descriptors()
     sockets = ProgramSockets(refuse_all)
     with opened(sockets, listener, "a"), opened(sockets, listener, "b"):
@@ -173,7 +173,7 @@ def test_reachable_addresses_are_allowed() -> None:
 
 
 @pytest.mark.simulated_time
-def test_who_is_connected_to_the_controller_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_addresses_of_connected_clients_are_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     with Controller("UR5e", "5.11") as controller:
         assert controller._server is not None
         assert controller._route("192.0.2.8", 9) is None
@@ -181,13 +181,13 @@ def test_who_is_connected_to_the_controller_is_allowed(monkeypatch: pytest.Monke
         assert controller._route("192.0.2.8", 9) == Target("192.0.2.8", 9)
 
 
-def test_reachable_addresses_are_numeric() -> None:
+def test_reachable_addresses_must_be_numeric() -> None:
     with pytest.raises(BadValue, match="numeric"):
         Controller("UR5e", reachable=["example.com"])
 
 
 @pytest.mark.real_time
-def test_controllers_on_two_loopback_addresses_are_streamed_to() -> None:
+def test_servo_and_follow_work_on_two_loopback_addresses() -> None:
     hosts = ("127.0.0.2", "127.0.0.3")
     with contextlib.ExitStack() as stack:
         for host in hosts:

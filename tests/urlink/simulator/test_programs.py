@@ -1,4 +1,4 @@
-"""What runs on a controller, cycle by cycle: no thread, no socket, no clock but the controller's."""
+"""Programs on a controller, cycle by cycle, without threads or sockets and with the controller's own clock only."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CB3 = "3.14"
 
 
 class Watched:
-    """A controller that is stepped, and what it has said."""
+    """A stepped controller and the messages that it has sent."""
 
     def __init__(self, firmware: str = "5.11", **more: Any) -> None:
         more.setdefault("motion", Still())
@@ -59,7 +59,7 @@ class Watched:
 
     @property
     def story(self) -> list[str]:
-        """What was said, in short."""
+        """The messages so far, in a short form."""
         return [text for text in map(self._short, self.said) if text]
 
     def _short(self, message: Any) -> str:
@@ -76,7 +76,7 @@ class Watched:
 
     @property
     def steadiest(self) -> float:
-        """rad/s²: how much the speed of the base has changed at most."""
+        """Largest change of the speed of the base joint so far, in rad/s²."""
         rate = self.controller.firmware.rate
         return max((abs(b - a) * rate for a, b in itertools.pairwise(self.speeds)), default=0.0)
 
@@ -92,10 +92,10 @@ def watched() -> Watched:
     return Watched()
 
 
-# -- begin and end -------------------------------------------------------------------------------------
+# -- start and end -------------------------------------------------------------------------------------
 
 
-def test_a_program_starts_moves_and_stops(watched: Watched) -> None:
+def test_program_starts_moves_and_stops(watched: Watched) -> None:
     watched.take(TURN).step(0.5)
     assert watched.moves()
     assert watched.controller.modes.program_state is ProgramState.PLAYING
@@ -108,7 +108,7 @@ def test_a_program_starts_moves_and_stops(watched: Watched) -> None:
 
 
 @pytest.mark.parametrize("firmware", ["1.6", "1.8", "3.0", "3.4", "3.14", "5.0", "5.4", "5.11", "5.12"])
-def test_what_it_says_can_be_read_on_every_firmware(firmware: str) -> None:
+def test_messages_can_be_decoded_on_every_firmware(firmware: str) -> None:
     watched = Watched(firmware)
     watched.take(
         'def f():\n  textmsg("hello ", 3)\n  popup("look", "here", True, False)\n  x = 1/0\nend\n',
@@ -122,22 +122,22 @@ def test_what_it_says_can_be_read_on_every_firmware(firmware: str) -> None:
     assert (popup.title, popup.text, popup.is_warning, popup.is_error) == ("here", "look", True, False)
 
 
-def test_compile_errors_are_those_of_a_real_controller(watched: Watched) -> None:
-    # Real bytes of 5.4 have these two.
+def test_compile_errors_match_a_real_controller(watched: Watched) -> None:
+    # Captures of a real 5.4 contain these two values.
     watched.take('def f():\n  txtmsg("x")\nend\n').step(0.01)
     assert watched.story == ["2:3 compile_error_name_not_found:txtmsg:"]
     assert watched.said[0].timestamp == 0xFFFFFFFFFFFFFFFF
     assert watched.controller.program_name is None
 
 
-def test_a_program_that_does_not_compile_leaves_the_other_alone(watched: Watched) -> None:
+def test_program_that_fails_to_compile_stops_no_other(watched: Watched) -> None:
     watched.take(SPIN).step(0.5)
     watched.take("def f():\n  nonsense()\nend\n").step(0.5)
     assert watched.controller.program_name == "spin"
     assert watched.controller.arm.setpoint.qd[0] == pytest.approx(0.5)
 
 
-def test_a_run_time_error_stops_it_and_brakes(watched: Watched) -> None:
+def test_runtime_error_stops_the_program_and_brakes(watched: Watched) -> None:
     program = (
         "def f():\n  thread t():\n    sleep(1)\n    x = 1/0\n  end\n  run t()\n  speedj([0.5,0,0,0,0,0], 1, 60)\nend\n"
     )
@@ -152,13 +152,13 @@ def test_a_run_time_error_stops_it_and_brakes(watched: Watched) -> None:
     assert watched.steadiest < 20
 
 
-def test_a_joint_target_out_of_range_is_a_run_time_error(watched: Watched) -> None:
+def test_joint_target_out_of_range_is_a_runtime_error(watched: Watched) -> None:
     watched.take("def f():\n  movej([-123, 0, 0, 0, 0, 0])\nend\n").step(0.1)
     assert watched.story[1:] == ["2:3 base: the target of -123.0000 rad is out of range", "stopped f"]
     assert watched.controller.modes.safety_mode is SafetyMode.NORMAL
 
 
-def test_a_pose_out_of_reach_is_a_protective_stop_that_can_be_unlocked(watched: Watched) -> None:
+def test_pose_out_of_reach_causes_a_protective_stop(watched: Watched) -> None:
     watched.take("def f():\n  movel(p[-10.2, 0.26, 0.56, 0.68, -1.08, -2.08], a=1.5, v=1.5)\nend\n").step(3)
     assert watched.story[1].startswith("C153 Protective stop: ")
     assert watched.controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
@@ -170,8 +170,8 @@ def test_a_pose_out_of_reach_is_a_protective_stop_that_can_be_unlocked(watched: 
     assert watched.dashboard("safetymode") == "Safetymode: NORMAL"
 
 
-def test_a_node_of_a_direction_moves_until_its_condition(watched: Watched) -> None:
-    """As PolyScope writes it: a move to a pose 1000 m away, in a thread that is killed when the condition holds."""
+def test_direction_node_moves_until_its_condition(watched: Watched) -> None:
+    """PolyScope writes the node as a move to a pose 1000 m away, in a thread that it kills on the condition."""
     text = """def direction():
   start = get_target_tcp_pose()
   thread go():
@@ -196,13 +196,13 @@ end
 
 
 @pytest.mark.slow
-def test_messages_of_many_steps_are_kept_until_they_are_taken() -> None:
+def test_messages_of_many_steps_are_kept_until_taken() -> None:
     controller = Controller("UR5e", "5.11", motion=Still())
     controller.take("def f():\n  i = 0\n  while i < 12000:\n    textmsg(i)\n    sync()\n    i = i + 1\n  end\nend\n")
 
     def texts() -> list[str]:
-        said = urlink.decode(b"".join(controller.take_messages()), "primary", "5.11")
-        return [message.text for message in said if isinstance(message, urlink.packets.TextMessage)]
+        messages = urlink.decode(b"".join(controller.take_messages()), "primary", "5.11")
+        return [message.text for message in messages if isinstance(message, urlink.packets.TextMessage)]
 
     controller.step(3)
     controller.step(2)
@@ -215,7 +215,7 @@ def test_messages_of_many_steps_are_kept_until_they_are_taken() -> None:
     assert texts() == ["11005"]
 
 
-def test_the_end_while_moving_brakes(watched: Watched) -> None:
+def test_program_that_ends_while_moving_brakes(watched: Watched) -> None:
     watched.take("def f():\n  speedj([0.8,0,0,0,0,0], 2, 0.6)\nend\n").step(0.7)
     assert watched.story == ["started f", "stopped f"]
     assert watched.moves()
@@ -224,7 +224,7 @@ def test_the_end_while_moving_brakes(watched: Watched) -> None:
     assert watched.steadiest < 12
 
 
-def test_a_new_program_takes_over_at_speed(watched: Watched) -> None:
+def test_new_program_takes_over_at_speed(watched: Watched) -> None:
     watched.take(SPIN).step(1)
     watched.take(TURN).step(0.01)
     assert watched.story == ["started spin", "stopped spin", "started turn"]
@@ -235,7 +235,7 @@ def test_a_new_program_takes_over_at_speed(watched: Watched) -> None:
     assert watched.steadiest < 12
 
 
-def test_a_new_program_takes_over_from_the_demonstration() -> None:
+def test_new_program_takes_over_from_the_demonstration() -> None:
     watched = Watched(motion=Demonstration())
     watched.step(3)
     assert watched.moves()
@@ -245,7 +245,7 @@ def test_a_new_program_takes_over_from_the_demonstration() -> None:
     assert watched.controller.modes.program_state is ProgramState.STOPPED
 
 
-def test_a_new_program_takes_over_from_a_braking_arm(watched: Watched) -> None:
+def test_new_program_takes_over_from_a_braking_arm(watched: Watched) -> None:
     watched.take(SPIN).step(1)
     watched.controller.pendant.pause()
     watched.step(0.05)
@@ -256,24 +256,24 @@ def test_a_new_program_takes_over_from_a_braking_arm(watched: Watched) -> None:
     assert watched.controller.arm.setpoint.q[0] == pytest.approx(0.5, abs=1e-9)
 
 
-def test_a_line_is_a_program_too(watched: Watched) -> None:
+def test_single_line_runs_as_a_program(watched: Watched) -> None:
     watched.take("movej([0.1, -1.57, 1.57, -1.57, -1.57, 0])").step(3)
     assert watched.controller.arm.setpoint.q[0] == pytest.approx(0.1, abs=1e-9)
     assert watched.story == ["started unnamed", "stopped unnamed"]
 
 
-def test_a_comment_stops_nothing(watched: Watched) -> None:
+def test_comment_does_not_stop_the_program(watched: Watched) -> None:
     watched.take(WAIT, "# hello\n\n  # again\n").step(0.1)
     assert watched.controller.program_name == "wait"
 
 
-def test_several_programs_in_one_text(watched: Watched) -> None:
+def test_several_programs_in_one_text_run_in_order(watched: Watched) -> None:
     watched.take("def a():\n  sleep(1)\nend\r\nsec s():\r\n  set_digital_out(1, True)\r\nend\r\n" + WAIT).step(0.1)
     assert watched.story == ["started a", "stopped a", "started wait"]
     assert watched.controller.signals.digital_outputs == 2
 
 
-def test_a_tool_that_is_set_counts_for_the_movement_after_it(watched: Watched) -> None:
+def test_set_tcp_applies_to_the_next_move(watched: Watched) -> None:
     watched.take(
         "def f():\n  set_tcp(p[0, 0, 0.2, 0, 0, 0])\n"
         "  movel(pose_trans(get_target_tcp_pose(), p[0, 0, 0.1, 0, 0, 0]), a=1, v=0.2)\nend\n"
@@ -289,7 +289,7 @@ def test_a_tool_that_is_set_counts_for_the_movement_after_it(watched: Watched) -
 # -- secondary programs --------------------------------------------------------------------------------
 
 
-def test_a_secondary_program_runs_beside_a_movement(watched: Watched) -> None:
+def test_secondary_program_runs_during_a_motion(watched: Watched) -> None:
     watched.take(SPIN).step(1)
     watched.take("sec s():\n  set_digital_out(3, True)\nend\n").step(0.1)
     assert watched.controller.signals.digital_outputs == 8
@@ -297,7 +297,7 @@ def test_a_secondary_program_runs_beside_a_movement(watched: Watched) -> None:
     assert watched.story == ["started spin"]
 
 
-def test_a_secondary_program_runs_while_the_other_waits(watched: Watched) -> None:
+def test_secondary_program_runs_while_the_program_is_paused(watched: Watched) -> None:
     watched.take(WAIT).step(0.1)
     watched.controller.pendant.pause()
     watched.take("sec s():\n  set_digital_out(3, True)\nend\n").step(0.01)
@@ -305,7 +305,7 @@ def test_a_secondary_program_runs_while_the_other_waits(watched: Watched) -> Non
     assert watched.controller._state.is_paused
 
 
-def test_a_secondary_program_knows_whether_the_arm_moves(watched: Watched) -> None:
+def test_is_steady_in_a_secondary_program(watched: Watched) -> None:
     ask = "sec s():\n  textmsg(is_steady())\nend\n"
     watched.take(ask).step(0.01)
     watched.take(SPIN).step(1)
@@ -315,18 +315,18 @@ def test_a_secondary_program_knows_whether_the_arm_moves(watched: Watched) -> No
     assert watched.story == ["'True'", "started spin", "'False'", "stopped spin", "'True'"]
 
 
-def test_a_secondary_program_can_fail(watched: Watched) -> None:
+def test_secondary_program_error_is_reported(watched: Watched) -> None:
     watched.take("sec s():\n  x = 1/0\nend\n").step(0.01)
     assert [line[:2] for line in watched.story] == ["2:"]
 
 
-def test_a_secondary_program_may_not_move(watched: Watched) -> None:
+def test_secondary_program_must_not_move(watched: Watched) -> None:
     watched.take("sec s():\n  movej([0,0,0,0,0,0])\nend\n").step(0.01)
     assert [line[:2] for line in watched.story] == ["2:"]
     assert not watched.moves()
 
 
-def test_many_secondary_programs_take_their_turn(watched: Watched) -> None:
+def test_many_secondary_programs_run_one_after_another(watched: Watched) -> None:
     count = 3 * MOST_SECONDARY
     for n in range(count):
         watched.take(f"sec s{n}():\n  textmsg({n})\nend\n")
@@ -336,14 +336,14 @@ def test_many_secondary_programs_take_their_turn(watched: Watched) -> None:
     assert not watched.controller.is_running_program
 
 
-def test_secondary_programs_that_never_end_do_not_pile_up(watched: Watched) -> None:
+def test_number_of_blocked_secondary_programs_is_bounded(watched: Watched) -> None:
     blocked = 'sec s():\n  popup("x", blocking=True)\n  # ' + "x" * 100_000 + "\nend\n"
     for _ in range(60):
         watched.take(blocked).step(0.002)
     assert watched.controller.counters.refused_programs > 0
     assert watched.dashboard("close popup") == "closing popup"
     watched.step(0.2)
-    # Those that had their turn later have shown it again.
+    # Secondary programs that ran later have opened the popup again.
     watched.dashboard("close popup")
     watched.step(0.2)
     assert not watched.controller.is_running_program
@@ -352,7 +352,7 @@ def test_secondary_programs_that_never_end_do_not_pile_up(watched: Watched) -> N
 # -- stops ---------------------------------------------------------------------------------------------
 
 
-def test_a_protective_stop_pauses_and_play_goes_on(watched: Watched) -> None:
+def test_protective_stop_pauses_and_play_resumes(watched: Watched) -> None:
     watched.take(TURN).step(0.5)
     watched.controller.faults.protective_stop()
     watched.step(2)
@@ -361,7 +361,7 @@ def test_a_protective_stop_pauses_and_play_goes_on(watched: Watched) -> None:
     assert watched.dashboard("programState") == "PAUSED <unnamed>"
     assert watched.dashboard("play") == "Failed to execute: play"
     watched.controller.faults.clear()
-    # Nothing goes on by itself.
+    # The program does not resume automatically.
     watched.step(3)
     assert not watched.moves()
     assert watched.controller.program_name == "turn"
@@ -371,7 +371,7 @@ def test_a_protective_stop_pauses_and_play_goes_on(watched: Watched) -> None:
     assert watched.story == ["started turn", "C153 Protective stop: position deviates from path", "stopped turn"]
 
 
-def test_a_new_program_may_begin_after_a_protective_stop(watched: Watched) -> None:
+def test_new_program_starts_after_a_protective_stop(watched: Watched) -> None:
     watched.take(SPIN).step(1)
     watched.controller.faults.protective_stop()
     watched.step(1)
@@ -382,7 +382,7 @@ def test_a_new_program_may_begin_after_a_protective_stop(watched: Watched) -> No
     assert watched.story[-3:] == ["stopped spin", "started turn", "stopped turn"]
 
 
-def test_a_protective_stop_cannot_be_unlocked_at_once(watched: Watched) -> None:
+def test_protective_stop_cannot_be_unlocked_immediately(watched: Watched) -> None:
     watched.controller.faults.protective_stop()
     for _ in range(2):
         assert str(watched.dashboard("unlock protective stop")).startswith("Cannot unlock")
@@ -395,7 +395,7 @@ def test_a_protective_stop_cannot_be_unlocked_at_once(watched: Watched) -> None:
 
 
 @pytest.mark.parametrize("end", ["emergency_stop", "power_off"])
-def test_what_ends_a_program(watched: Watched, end: str) -> None:
+def test_emergency_stop_and_power_off_end_the_program(watched: Watched, end: str) -> None:
     watched.take(SPIN).step(1)
     getattr(watched.controller.faults, end)()
     watched.step(2)
@@ -424,7 +424,7 @@ def test_another_source_of_set_points_ends_the_program(watched: Watched) -> None
 
 @pytest.mark.parametrize("end", ["emergency_stop", "power_off"])
 @pytest.mark.parametrize("hold", ["pause", "protective_stop"])
-def test_what_ends_a_program_that_waits(watched: Watched, hold: str, end: str) -> None:
+def test_emergency_stop_and_power_off_end_a_paused_program(watched: Watched, hold: str, end: str) -> None:
     watched.take(SPIN).step(1)
     if hold == "pause":
         assert watched.controller.pendant.pause()
@@ -438,7 +438,7 @@ def test_what_ends_a_program_that_waits(watched: Watched, hold: str, end: str) -
     assert watched.controller.modes.program_state is ProgramState.STOPPED
 
 
-def test_a_demonstration_that_was_paused_begins_anew_after_an_emergency_stop() -> None:
+def test_paused_demonstration_restarts_after_emergency_stop() -> None:
     watched = Watched(motion=Demonstration())
     watched.step(2)
     assert watched.dashboard("pause") == "Pausing program"
@@ -453,7 +453,7 @@ def test_a_demonstration_that_was_paused_begins_anew_after_an_emergency_stop() -
     assert watched.controller.modes.program_state is ProgramState.PLAYING
 
 
-def test_a_reboot_ends_everything() -> None:
+def test_reboot_ends_programs_and_resets_settings() -> None:
     watched = Watched(files={"a.urp": WAIT})
     controller = watched.controller
     controller.pendant.load("a.urp")
@@ -468,7 +468,7 @@ def test_a_reboot_ends_everything() -> None:
     watched.step(0.4)
     watched.take(WAIT)
     watched.step(1)
-    # The connections are gone that could be told of its end.
+    # The connections that could report the end of the program no longer exist.
     assert watched.story == ["started f", "PopupMessage", "PopupMessage"]
     assert controller.program_name is None
     assert not controller.is_running_program
@@ -479,14 +479,14 @@ def test_a_reboot_ends_everything() -> None:
         any(controller.flags),
     ]
     assert after == [None, None, 1.0, False]
-    # It is in the installation.
+    # The TCP belongs to the installation, so it survives the reboot.
     assert controller.arm.tcp[2] == 0.1
     watched.take(TURN).step(6)
     assert watched.story[-2:] == ["started turn", "stopped turn"]
 
 
-def test_a_new_program_takes_over_at_the_speed_of_the_arm(watched: Watched) -> None:
-    """Without braking in between, as drivers rely on that send one speedj after the other."""
+def test_same_program_takes_over_without_braking(watched: Watched) -> None:
+    """Drivers that send one speedj after the other rely on this."""
     spin = "def spin():\n  while True:\n    speedj([0.5, 0, 0, 0, 0, 0], 1, 0.1)\n  end\nend\n"
     watched.take(spin).step(1.0)
     watched.speeds.clear()
@@ -502,7 +502,7 @@ def test_closing_a_controller_ends_its_program() -> None:
         is_running = [controller.is_running_program]
     is_running.append(controller.is_running_program)
     assert is_running == [True, False]
-    # What was said then is nobody's who connects later.
+    # Messages sent during the close must not reach a client that connects later.
     assert controller.take_messages() == []
 
 
@@ -517,7 +517,7 @@ def test_closing_a_controller_ends_its_program() -> None:
         "speedj([9, 0, 0, 0, 0, 0], 40, 5)",
     ],
 )
-def test_sending_limits_are_protective_stops_with_a_reason(watched: Watched, line: str) -> None:
+def test_exceeded_limit_causes_a_protective_stop_with_reason(watched: Watched, line: str) -> None:
     watched.take(f"def f():\n  {line}\n  sleep(1)\nend\n").step(3)
     assert watched.controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
     report = next(line for line in watched.story if line.startswith("C153"))
@@ -527,14 +527,14 @@ def test_sending_limits_are_protective_stops_with_a_reason(watched: Watched, lin
     assert not watched.moves()
     watched.controller.faults.clear()
     watched.step(0.1)
-    # The reason was that of one stop.
+    # The reason applied to the first stop only.
     watched.controller.faults.protective_stop()
     watched.step(0.1)
     assert watched.story[-1] == "C153 Protective stop: position deviates from path"
 
 
 @pytest.mark.parametrize("kind", ["def", "sec"])
-def test_a_program_may_ask_for_a_protective_stop(watched: Watched, kind: str) -> None:
+def test_program_can_request_a_protective_stop(watched: Watched, kind: str) -> None:
     watched.take(f"{kind} f():\n  protective_stop()\nend\n").step(0.1)
     assert watched.controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
     (report,) = [message for message in watched.said if type(message).__name__ == "RobotCommMessage"]
@@ -542,7 +542,7 @@ def test_a_program_may_ask_for_a_protective_stop(watched: Watched, kind: str) ->
     assert report.text == "Protective stop: protective_stop() was called by the program"
     watched.controller.faults.clear()
     watched.step(0.1)
-    # The cause was that of one stop.
+    # The cause applied to the first stop only.
     watched.controller.faults.protective_stop()
     watched.step(0.1)
     assert watched.story[-1] == "C153 Protective stop: position deviates from path"
@@ -550,7 +550,7 @@ def test_a_program_may_ask_for_a_protective_stop(watched: Watched, kind: str) ->
 
 @pytest.mark.parametrize("ending", ["", "  textmsg(7)\n"])
 def test_protective_stop_as_last_statement_ends_the_program(watched: Watched, ending: str) -> None:
-    # As the UR Client Library expects: it waits for the end, and only then unlocks the stop.
+    # The UR Client Library expects this: it waits for the end, and unlocks the stop only then.
     watched.take(f"def f():\n  protective_stop()\n{ending}end\n").step(0.1)
     codes = [line.partition(" ")[0] for line in watched.story if line != "'7'"]
     assert codes == ["started", "C209", "stopped"]
@@ -561,7 +561,7 @@ def test_protective_stop_as_last_statement_ends_the_program(watched: Watched, en
     assert watched.story[-2:] == ["started g", "stopped g"]
 
 
-def test_protective_stop_pauses_a_program_that_has_more_to_do(watched: Watched) -> None:
+def test_protective_stop_pauses_a_program_with_more_statements(watched: Watched) -> None:
     watched.take("def f():\n  protective_stop()\n  sleep(0.01)\nend\n").step(0.1)
     assert watched.controller.program_name == "f"
     assert watched.controller.modes.program_state is ProgramState.PAUSED
@@ -571,7 +571,7 @@ def test_protective_stop_pauses_a_program_that_has_more_to_do(watched: Watched) 
     assert watched.story[-1] == "stopped f"
 
 
-def test_the_reason_of_a_stop_that_did_not_hold_is_forgotten(watched: Watched) -> None:
+def test_reason_of_an_overridden_stop_is_forgotten(watched: Watched) -> None:
     watched.controller.faults.emergency_stop()
     watched.controller._state.stop_protectively("a joint jumped")
     watched.step(0.1)
@@ -584,8 +584,8 @@ def test_the_reason_of_a_stop_that_did_not_hold_is_forgotten(watched: Watched) -
 
 
 @pytest.mark.parametrize("firmware", ["5.25", "10.12"])
-def test_vendors_example_of_instructions_runs_to_its_end(firmware: str) -> None:
-    # The motions of the example instruction_executor of the UR Client Library.
+def test_vendor_instruction_example_runs_to_its_end(firmware: str) -> None:
+    # These are the motions of the example instruction_executor of the UR Client Library.
     near, far = "p[-0.203, 0.263, 0.559, 0.68, -1.083, -2.076]", "p[-0.203, 0.463, 0.559, 0.68, -1.083, -2.076]"
     folded = "[-1.57, -1.6, 1.6, -0.7, 0.7, 0.2]"
     lines = [
@@ -609,13 +609,13 @@ def test_vendors_example_of_instructions_runs_to_its_end(firmware: str) -> None:
     assert watched.controller.modes.safety_mode is SafetyMode.NORMAL
 
 
-def test_a_loop_without_time_is_stopped(watched: Watched) -> None:
+def test_loop_that_takes_no_time_is_stopped(watched: Watched) -> None:
     watched.take("def f():\n  while True:\n    x = 1\n  end\nend\n").step(0.01)
     assert "too much time" in watched.story[1]
     assert watched.story[2] == "stopped f"
 
 
-def test_floods_of_text_are_bounded_and_the_end_is_never_lost(watched: Watched) -> None:
+def test_flood_of_text_is_bounded_but_the_end_is_reported(watched: Watched) -> None:
     program = 'def f():\n  i = 0\n  while i < 1500:\n    textmsg("%s")\n    i = i + 1\n  end\nend\n' % ("x" * 500)
     watched.take(program)
     watched.controller.step()
@@ -629,7 +629,7 @@ def test_floods_of_text_are_bounded_and_the_end_is_never_lost(watched: Watched) 
 
 @pytest.mark.parametrize("text", ["ü" * 300, "\u20ac" * 200, "x" * 9000, "\\x00"])
 @pytest.mark.parametrize("firmware", ["1.8", "5.11"])
-def test_any_text_can_be_said(text: str, firmware: str) -> None:
+def test_any_text_can_be_sent_as_message_and_popup(text: str, firmware: str) -> None:
     watched = Watched(firmware)
     watched.take(f'def f():\n  textmsg("{text}")\n  popup("{text}", "{text}")\nend\n').step(0.1)
     assert watched.story[0] == "started f"
@@ -640,12 +640,12 @@ def test_any_text_can_be_said(text: str, firmware: str) -> None:
 
 
 @pytest.mark.parametrize(("line", "speed"), [("0.42", 0.42), (".5", 0.5), ("1", 1.0), ("0", 0.0), ("7", 1.0)])
-def test_set_speed(watched: Watched, line: str, speed: float) -> None:
+def test_set_speed_line_moves_the_slider(watched: Watched, line: str, speed: float) -> None:
     watched.take(f"set speed {line}\n")
     assert watched.controller.speed_fraction == speed
 
 
-def test_a_slower_slider_makes_slower_movements() -> None:
+def test_slower_slider_makes_motions_slower() -> None:
     def seconds(*texts: str) -> float:
         watched = Watched()
         watched.take(*texts, TURN)
@@ -657,7 +657,7 @@ def test_a_slower_slider_makes_slower_movements() -> None:
 
 
 @pytest.mark.parametrize(("firmware", "alone"), [("5.11", 0.0), ("3.3", 0.5)])
-def test_the_slider_shows(firmware: str, alone: float) -> None:
+def test_slider_appears_in_speed_scaling(firmware: str, alone: float) -> None:
     watched = Watched(firmware)
     watched.take("set speed 0.5").step(0.1)
 
@@ -685,13 +685,13 @@ def test_lines_switch_the_arm_off_and_on(watched: Watched) -> None:
     assert watched.story == []
 
 
-def test_a_line_stops_the_program(watched: Watched) -> None:
+def test_stop_program_line_stops_the_program(watched: Watched) -> None:
     watched.take(WAIT).step(0.1)
     watched.take("stop program", "stop  program").step(0.1)
     assert watched.story == ["started wait", "stopped wait"]
 
 
-def test_local_control_refuses_text_and_commands() -> None:
+def test_local_control_refuses_programs_and_commands() -> None:
     watched = Watched(files={"a.urp": WAIT})
     watched.controller.remote_control = False
     watched.take(TURN, "set speed 0.5", "sec s():\n  set_digital_out(0, True)\nend\n", "def f(:\nend\n").step(0.1)
@@ -704,14 +704,14 @@ def test_local_control_refuses_text_and_commands() -> None:
     assert watched.controller.pendant.loaded is None
 
 
-def test_a_cb3_has_no_local_control() -> None:
+def test_cb3_has_no_local_control() -> None:
     watched = Watched(CB3)
     watched.controller.remote_control = False
     watched.take(WAIT).step(0.1)
     assert watched.story == ["started wait"]
 
 
-def test_a_blocking_popup_holds_its_program(watched: Watched) -> None:
+def test_blocking_popup_blocks_its_program(watched: Watched) -> None:
     watched.take('def f():\n  popup("go on?", blocking=True)\n  textmsg("on")\nend\n').step(5)
     assert watched.story == ["started f", "PopupMessage"]
     assert watched.controller.pendant.popup == "go on?"
@@ -720,7 +720,7 @@ def test_a_blocking_popup_holds_its_program(watched: Watched) -> None:
     assert watched.story[2:] == ["'on'", "stopped f"]
 
 
-def test_load_play_pause_play_stop() -> None:
+def test_dashboard_load_play_pause_stop() -> None:
     watched = Watched(files={"/programs/turn.urp": TURN, "bad.urp": "def f(:\nend\n"})
     assert watched.dashboard("play") == "Failed to execute: play"
     assert watched.dashboard("load nothing.urp") == "File not found: nothing.urp"
@@ -729,7 +729,7 @@ def test_load_play_pause_play_stop() -> None:
     assert watched.dashboard("load /programs/turn.urp") == "Loading program: /programs/turn.urp"
     assert watched.dashboard("pause") == "Failed to execute: pause"
     assert watched.dashboard("play") == "Starting program"
-    # No cycle has to pass before this is so.
+    # No cycle has to pass before the state changes.
     assert watched.dashboard("programState") == "PLAYING turn.urp"
     assert watched.dashboard("play") == "Failed to execute: play"
     assert watched.dashboard("pause") == "Pausing program"
@@ -751,7 +751,7 @@ def test_load_play_pause_play_stop() -> None:
     assert watched.controller.arm.setpoint.q[0] == pytest.approx(0.5, abs=1e-9)
 
 
-def test_loading_ends_what_runs() -> None:
+def test_dashboard_load_ends_the_running_program() -> None:
     watched = Watched(files={"a.urp": WAIT})
     watched.take(SPIN).step(1)
     assert watched.dashboard("load a.urp") == "Loading program: a.urp"
@@ -760,7 +760,7 @@ def test_loading_ends_what_runs() -> None:
     assert not watched.moves()
 
 
-def test_stop_ends_the_demonstration() -> None:
+def test_dashboard_stop_ends_the_demonstration() -> None:
     watched = Watched(motion=Demonstration())
     watched.step(2)
     assert watched.dashboard("running") == "Program running: true"
@@ -773,8 +773,8 @@ def test_stop_ends_the_demonstration() -> None:
     assert not watched.moves()
 
 
-def test_stop_program_ends_the_demonstration_too() -> None:
-    # What the UR Client Library sends over the primary interface before its own program.
+def test_stop_program_line_ends_the_demonstration() -> None:
+    # The UR Client Library sends this line over the primary interface before its own program.
     watched = Watched(motion=Demonstration())
     watched.step(2)
     assert watched.dashboard("programState") == "PLAYING <unnamed>"
@@ -784,11 +784,11 @@ def test_stop_program_ends_the_demonstration_too() -> None:
     assert watched.take(TURN).step(6).story == ["started turn", "stopped turn"]
 
 
-# -- the same again ------------------------------------------------------------------------------------
+# -- reproducibility -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("firmware", ["1.8", pytest.param("5.11", marks=pytest.mark.slow)])
-def test_the_same_program_gives_the_same_bytes(firmware: str) -> None:
+def test_same_program_gives_the_same_bytes(firmware: str) -> None:
     program = (
         "def f():\n  thread blink():\n    while True:\n      set_digital_out(0, not get_digital_out(0))\n"
         "      sleep(0.1)\n    end\n  end\n  h = run blink()\n"
@@ -856,7 +856,7 @@ _EVENTS = st.one_of(
 @pytest.mark.property
 @settings(max_examples=60, deadline=None)
 @given(st.lists(_EVENTS, max_size=25), st.sampled_from(["1.8", "3.14", "5.11"]), st.booleans())
-def test_whatever_happens_what_is_started_is_stopped(
+def test_every_started_program_is_reported_as_stopped(
     events: list[tuple[str, Any]], firmware: str, has_demonstration: bool
 ) -> None:
     motion = Demonstration() if has_demonstration else Still()
@@ -882,8 +882,8 @@ def test_whatever_happens_what_is_started_is_stopped(
         assert (len(running) % 2 == 1) == (controller.program_name is not None)
         if controller.program_name is not None:
             assert running[-1] == f"started {controller.program_name}"
-    # Beside a singularity the joints get faster and faster, until the limit of their speed stops the arm.
-    is_beside = any("a speed of" in line for line in watched.story)
-    assert is_beside or watched.steadiest < fastest
+    # Near a singularity the joints become faster and faster, until their speed limit stops the arm.
+    is_near_singularity = any("a speed of" in line for line in watched.story)
+    assert is_near_singularity or watched.steadiest < fastest
     controller._runner.close()
     assert controller.program_name is None

@@ -1,4 +1,4 @@
-"""RTDE of the simulated controller: what real clients ask of it, as bytes, at a controller that is stepped."""
+"""RTDE of the simulated controller: requests of real clients as bytes, to a stepped controller."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LOOP = """def loop():
   end
 end
 """
-# Goes down by 0.1 m, and tells where it goes and how fast.
+# The program moves down by 0.1 m and reports its target and its speed.
 MOVING = """def moving():
   thread tell():
     while True:
@@ -56,7 +56,7 @@ def controller(firmware: str = "5.11", **more: Any) -> Controller:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_every_variable_of_a_firmware_is_there_and_no_other(firmware: str) -> None:
+def test_firmware_offers_exactly_its_variables(firmware: str) -> None:
     sim = controller(firmware)
     peer = Peer(sim)
     release = Firmware.parse(firmware)
@@ -69,13 +69,13 @@ def test_every_variable_of_a_firmware_is_there_and_no_other(firmware: str) -> No
         assert (number, kind) == wanted, name
 
 
-def test_blanks_are_trimmed_and_a_trailing_comma_ends_the_list() -> None:
+def test_names_are_trimmed_and_may_end_with_a_comma() -> None:
     peer = Peer(controller())
     assert peer.ask("O", struct.pack(">d", 125.0) + b" timestamp , actual_q,") == b"\1DOUBLE,VECTOR6D"
     assert peer.ask("I", b"input_int_register_0, input_double_register_3 ,") == b"\1INT32,DOUBLE"
 
 
-def test_an_unknown_name_refuses_the_recipe_and_holds_nothing() -> None:
+def test_unknown_name_rejects_the_recipe_and_claims_nothing() -> None:
     sim = controller()
     first, second = Peer(sim), Peer(sim)
     assert first.outputs("timestamp", "nonsense") == (0, ["DOUBLE", "NOT_FOUND"])
@@ -85,20 +85,20 @@ def test_an_unknown_name_refuses_the_recipe_and_holds_nothing() -> None:
 
 
 @pytest.mark.parametrize("names", ["", ",", "timestamp,," * 200, "n" * (MOST_NAMES + 1)])
-def test_lists_of_names_that_are_none(names: str) -> None:
+def test_empty_and_too_long_lists_of_names_are_rejected(names: str) -> None:
     peer = Peer(controller())
     assert peer.ask("O", struct.pack(">d", 125.0) + names.encode())[0] == 0
     assert peer.ask("I", names.encode())[0] == 0
     assert not peer.start()
 
 
-def test_as_many_names_as_fit() -> None:
+def test_longest_list_of_names_is_accepted() -> None:
     peer = Peer(controller())
     names = b"timestamp," * (MOST_NAMES // 10)
     assert peer.ask("O", struct.pack(">d", 125.0) + names).count(b"DOUBLE") == MOST_NAMES // 10
 
 
-# What the UR Client Library asks for: it drops the names that are not there, and asks again.
+# Outputs that the UR Client Library requests. It drops the names that do not exist and asks again.
 DRIVER_OUTPUTS = [
     "timestamp",
     "actual_q",
@@ -147,7 +147,7 @@ DRIVER_INPUTS = [
 
 
 @pytest.mark.parametrize("firmware", ["3.9", "3.15", "5.4", "5.11", "5.25", "10.12"])
-def test_a_driver_sets_up_its_recipes(firmware: str) -> None:
+def test_vendor_driver_sets_up_its_recipes(firmware: str) -> None:
     sim = controller(firmware)
     peer = Peer(sim)
     number, types = peer.outputs(*DRIVER_OUTPUTS)
@@ -157,7 +157,7 @@ def test_a_driver_sets_up_its_recipes(firmware: str) -> None:
         assert number == 0
         number, _ = peer.outputs(*(name for name in DRIVER_OUTPUTS if name not in missing))
     assert number == 1
-    # It starts, looks at the time stamp, pauses, and claims its inputs only then.
+    # The driver starts, reads the time stamp, pauses, and only then claims its inputs.
     assert peer.start()
     step(sim)
     assert peer.data()[0]["timestamp"] > 40
@@ -166,7 +166,7 @@ def test_a_driver_sets_up_its_recipes(firmware: str) -> None:
     assert peer.start()
 
 
-def test_a_name_may_come_twice() -> None:
+def test_recipe_may_contain_a_name_twice() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.outputs("timestamp", "timestamp")
@@ -180,7 +180,7 @@ def test_a_name_may_come_twice() -> None:
 # -- versions ------------------------------------------------------------------------------------------
 
 
-def test_versions_of_the_protocol() -> None:
+def test_protocol_version_is_negotiated() -> None:
     peer = Peer(controller(), protocol=1)
     for wanted in (0, 3, 65535):
         assert peer.ask("V", struct.pack(">H", wanted)) == b"\0"
@@ -192,14 +192,14 @@ def test_versions_of_the_protocol() -> None:
     assert peer.ask("O", b"timestamp") == b"DOUBLE"
 
 
-def test_the_version_of_the_controller_is_told_as_often_as_asked() -> None:
+def test_controller_version_is_reported_on_every_request() -> None:
     peer = Peer(controller("5.11.6.1234"))
     for _ in range(2):
         assert struct.unpack(">4I", peer.ask("v")) == (5, 11, 6, 1234)
 
 
 @pytest.mark.parametrize("firmware", ["3.15", "5.11"])
-def test_protocol_1_needs_no_v_and_has_no_numbers(firmware: str) -> None:
+def test_protocol_1_needs_no_request_and_has_no_numbers(firmware: str) -> None:
     sim = controller(firmware)
     peer = Peer(sim, protocol=1)
     assert peer.outputs("timestamp", " actual_q") == (1, ["DOUBLE", "VECTOR6D"])
@@ -210,19 +210,19 @@ def test_protocol_1_needs_no_v_and_has_no_numbers(firmware: str) -> None:
     assert data[-1]["timestamp"] - data[-2]["timestamp"] == pytest.approx(0.008)
 
 
-def test_protocol_1_refuses_by_the_word_alone() -> None:
+def test_protocol_1_rejects_an_unknown_name_by_its_type() -> None:
     peer = Peer(controller(), protocol=1)
     assert peer.ask("O", b"timestamp,nonsense") == b"DOUBLE,NOT_FOUND"
     assert not peer.start()
 
 
 @pytest.mark.parametrize("firmware", ["1.8", "3.2"])
-def test_old_firmware_does_not_listen(firmware: str) -> None:
+def test_firmware_before_3_3_has_no_rtde(firmware: str) -> None:
     assert not controller(firmware).rtde.is_offered()
     assert controller("3.3").rtde.is_offered()
 
 
-# -- how often -----------------------------------------------------------------------------------------
+# -- frequency -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_old_firmware_does_not_listen(firmware: str) -> None:
         *(("3.15", frequency, cycles) for frequency, cycles in ((125, 1), (63, 1), (62, 2), (500, 1), (10, 12))),
     ],
 )
-def test_packages_come_in_every_so_manieth_cycle(firmware: str, frequency: float, cycles: int) -> None:
+def test_frequency_is_rounded_to_whole_cycles(firmware: str, frequency: float, cycles: int) -> None:
     sim = controller(firmware)
     peer = Peer(sim)
     peer.outputs("control_step", frequency=frequency)
@@ -245,21 +245,21 @@ def test_packages_come_in_every_so_manieth_cycle(firmware: str, frequency: float
 
 
 @pytest.mark.parametrize("frequency", [0.0, -1.0, math.nan, math.inf])
-def test_frequencies_that_are_none(frequency: float) -> None:
+def test_invalid_frequency_is_rejected(frequency: float) -> None:
     peer = Peer(controller())
     assert peer.outputs("timestamp", frequency=frequency) == (0, ["DOUBLE"])
 
 
 @pytest.mark.property
 @given(st.floats())
-def test_any_frequency_is_taken_or_refused(frequency: float) -> None:
-    """The period of 5e-324 Hz is no number of cycles."""
+def test_any_frequency_is_accepted_or_rejected(frequency: float) -> None:
+    """The period of 5e-324 Hz is too long for a number of cycles."""
     recipe, types = Peer(controller()).outputs("timestamp", frequency=frequency)
     assert (recipe, types) == (int(0.0 < frequency < math.inf), ["DOUBLE"])
 
 
-def test_what_was_due_in_a_cycle_that_was_left_out_comes_with_the_next_one() -> None:
-    """A server that is far too late sends few cycles, and a client that is seldom due would never be in one of them."""
+def test_package_due_in_a_skipped_cycle_is_sent_next() -> None:
+    """A server that is far behind skips cycles; a client with a low frequency might otherwise never get a package."""
     here = controller()
     peer = Peer(here)
     peer.outputs("timestamp", frequency=10)
@@ -273,7 +273,7 @@ def test_what_was_due_in_a_cycle_that_was_left_out_comes_with_the_next_one() -> 
     assert came == [0, 1, 0, 0, 1, 1, 0, 1]
 
 
-def test_many_clients_each_with_their_own_frequency() -> None:
+def test_each_client_has_its_own_frequency() -> None:
     sim = controller()
     peers = [Peer(sim, protocol) for protocol in (1, 2, 2, 2)]
     for peer, frequency in zip(peers, (125, 500, 100, 1), strict=True):
@@ -286,7 +286,7 @@ def test_many_clients_each_with_their_own_frequency() -> None:
 # -- start, pause, and outputs -------------------------------------------------------------------------
 
 
-def test_a_start_needs_outputs_and_a_pause_is_always_accepted() -> None:
+def test_start_needs_outputs_but_pause_is_always_accepted() -> None:
     sim = controller()
     peer = Peer(sim)
     assert peer.ask("P") == b"\1"
@@ -305,7 +305,7 @@ def test_a_start_needs_outputs_and_a_pause_is_always_accepted() -> None:
     assert len(peer.data()) == 2
 
 
-def test_a_second_recipe_replaces_the_first_and_stops_the_data() -> None:
+def test_second_recipe_replaces_the_first_and_stops_data() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.outputs("timestamp")
@@ -318,7 +318,7 @@ def test_a_second_recipe_replaces_the_first_and_stops_the_data() -> None:
     assert [list(data) for data in peer.data()] == [["robot_mode", "timestamp"]] * 2
 
 
-def test_the_timestamp_is_that_of_a_controller_that_has_been_up_for_a_while() -> None:
+def test_timestamp_starts_above_40_seconds() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.outputs("timestamp")
@@ -329,7 +329,7 @@ def test_the_timestamp_is_that_of_a_controller_that_has_been_up_for_a_while() ->
     assert data[-1]["timestamp"] - data[0]["timestamp"] == pytest.approx(499 / 500)
 
 
-def test_a_client_that_does_not_read_loses_packages_and_is_closed_in_the_end() -> None:
+def test_client_that_does_not_read_loses_data_then_is_closed() -> None:
     sim = controller()
     reader, sleeper = Peer(sim), Peer(sim)
     for peer in (reader, sleeper):
@@ -341,7 +341,7 @@ def test_a_client_that_does_not_read_loses_packages_and_is_closed_in_the_end() -
     assert sim.counters.unread == 10
     sleeper.pending = 0
     step(sim, 1)
-    assert len(sleeper.data()) == 1, "the newest, and none of those that were left out"
+    assert len(sleeper.data()) == 1, "only the newest package; the skipped ones are lost"
     sleeper.pending = 1000
     open_after = []
     for cycles in (round(UNREAD * 500), 2):
@@ -394,12 +394,12 @@ REALTIME = {
 
 
 @pytest.mark.parametrize("firmware", ["3.5", "3.15", "5.4", "5.11", "5.25"])
-def test_values_are_those_of_the_other_interfaces_in_the_same_cycle(firmware: str) -> None:
+def test_values_equal_those_of_the_other_interfaces(firmware: str) -> None:
     sim = controller(firmware, motion=Demonstration())
     peer = Peer(sim)
     names = [name for name, variable in OUTPUTS.items() if variable.is_in(sim.firmware)]
     here = [name for name in names if "_register" not in name]
-    # Every 12th or 50th cycle, which are among those that are looked at.
+    # The frequency selects every 12th or 50th cycle; the checked cycles are among them.
     assert peer.outputs(*here, frequency=10) == (1, types_of(here))
     assert peer.start()
     sim.signals.set_digital_input(3, True)
@@ -434,7 +434,7 @@ def test_values_are_those_of_the_other_interfaces_in_the_same_cycle(firmware: st
 
 
 @pytest.mark.slow
-def test_accelerations_of_the_tool_are_the_derivative_of_its_speed() -> None:
+def test_tool_acceleration_is_the_derivative_of_its_speed() -> None:
     sim = controller(motion=Demonstration())
     peer = Peer(sim)
     peer.outputs("target_TCP_acceleration", "target_TCP_speed", "control_step")
@@ -445,7 +445,7 @@ def test_accelerations_of_the_tool_are_the_derivative_of_its_speed() -> None:
     assert now["target_TCP_acceleration"] == pytest.approx(slope, abs=2e-4)
 
 
-def test_registers_are_sent_as_programs_and_clients_write_them() -> None:
+def test_registers_are_sent_as_written() -> None:
     sim = controller()
     peer = Peer(sim)
     sim.registers.outputs.bits = 1 << 0 | 1 << 31 | 1 << 33 | 1 << 64 | 1 << 127
@@ -475,7 +475,7 @@ def test_registers_are_sent_as_programs_and_clients_write_them() -> None:
 # -- inputs --------------------------------------------------------------------------------------------
 
 
-def test_data_are_taken_before_a_start_and_without_outputs() -> None:
+def test_input_is_accepted_before_a_start_and_without_outputs() -> None:
     sim = controller()
     peer = Peer(sim)
     assert peer.inputs("input_int_register_23") == (1, ["INT32"])
@@ -483,24 +483,24 @@ def test_data_are_taken_before_a_start_and_without_outputs() -> None:
     assert sim.registers.inputs.integers[23] == 42
 
 
-def test_one_client_claims_an_input_in_many_recipes_and_no_other_client_does() -> None:
+def test_input_can_be_claimed_by_only_one_client() -> None:
     sim = controller()
     first, second = Peer(sim), Peer(sim)
     for number in range(1, 24):
         assert first.inputs("input_int_register_0", f"input_double_register_{number}")[0] == number
     assert second.inputs("input_int_register_1", "input_int_register_0") == (0, ["INT32", "IN_USE"])
-    assert second.inputs("input_int_register_1") == (2, ["INT32"]), "the refused one holds nothing, and has counted"
+    assert second.inputs("input_int_register_1") == (2, ["INT32"]), "the rejected recipe claims nothing, but counts"
     first.close()
     assert second.inputs("input_int_register_0") == (3, ["INT32"])
 
 
-def test_there_are_255_recipes() -> None:
+def test_client_can_have_255_recipes() -> None:
     peer = Peer(controller())
     assert [peer.inputs("input_int_register_0")[0] for _ in range(257)] == [*range(1, 256), 0, 0]
 
 
 @pytest.mark.parametrize("fieldbus", ["EtherNet/IP", "PROFINET"])
-def test_a_fieldbus_reserves_the_lower_registers(fieldbus: str) -> None:
+def test_fieldbus_reserves_the_lower_registers(fieldbus: str) -> None:
     sim = controller()
     peer = Peer(sim)
     sim.fieldbus = fieldbus
@@ -518,8 +518,8 @@ def test_a_fieldbus_reserves_the_lower_registers(fieldbus: str) -> None:
     [b"\2" + bytes(4), b"\0" + bytes(4), b"\1" + bytes(3)],
     ids=["unknown", "zero", "short"],
 )
-def test_data_that_do_not_fit_do_no_harm(payload: bytes) -> None:
-    """A real client sends 52 bytes for a recipe of 56."""
+def test_data_that_does_not_fit_its_recipe_is_ignored(payload: bytes) -> None:
+    """A real client sends 52 bytes for a recipe of 56 bytes."""
     sim = controller()
     peer = Peer(sim)
     peer.inputs("input_int_register_0")
@@ -533,8 +533,8 @@ def test_data_that_do_not_fit_do_no_harm(payload: bytes) -> None:
     assert sim.registers.inputs.integers[0] == 6
 
 
-def test_data_longer_than_their_recipe_are_taken_as_far_as_it_goes() -> None:
-    """ur_rtde sends two vectors for a recipe of one, in `getForwardKinematics(q, tcp_offset)`."""
+def test_data_longer_than_its_recipe_is_truncated() -> None:
+    """ur_rtde sends two vectors for a recipe with one vector, in `getForwardKinematics(q, tcp_offset)`."""
     sim = controller()
     peer = Peer(sim)
     peer.inputs("input_int_register_0", "input_double_register_0")
@@ -544,7 +544,7 @@ def test_data_longer_than_their_recipe_are_taken_as_far_as_it_goes() -> None:
     assert peer.is_open
 
 
-def test_only_the_channels_of_the_mask_are_set() -> None:
+def test_only_outputs_in_the_mask_are_set() -> None:
     sim = controller()
     peer = Peer(sim)
     sim.signals.digital_outputs = 0b11 << 16 | 0xF0 << 8 | 0x0F
@@ -571,7 +571,7 @@ def test_mask_and_value_may_come_in_different_recipes() -> None:
     assert sim.signals.digital_outputs == 1
 
 
-def test_analogue_outputs_by_mask_and_type() -> None:
+def test_analogue_outputs_follow_mask_and_type() -> None:
     sim = controller()
     peer = Peer(sim)
     names = ["mask", "type", "0", "1"]
@@ -589,7 +589,7 @@ def test_analogue_outputs_by_mask_and_type() -> None:
     assert write(0b11, 0b10, math.nan, math.inf) == pytest.approx([0.004, 10.0])
 
 
-def test_the_speed_slider_moves_once_for_each_mask_of_one() -> None:
+def test_slider_moves_only_when_its_mask_is_one() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.inputs("speed_slider_mask", "speed_slider_fraction")
@@ -606,7 +606,7 @@ def test_the_speed_slider_moves_once_for_each_mask_of_one() -> None:
         assert sim.speed_fraction == shown
 
 
-def test_inputs_keep_their_last_value_after_their_client() -> None:
+def test_inputs_keep_their_value_after_their_client_leaves() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.inputs("input_double_register_40")
@@ -616,7 +616,7 @@ def test_inputs_keep_their_last_value_after_their_client() -> None:
     assert sim.registers.inputs.floats[40] == 1.25
 
 
-def test_an_external_force_counts_when_a_program_has_it_used() -> None:
+def test_external_force_is_used_only_when_enabled() -> None:
     sim = controller()
     peer = Peer(sim)
     wrench = (1.0, 2.0, 2.0, 0.1, 0.2, 0.3)
@@ -640,7 +640,7 @@ def test_an_external_force_counts_when_a_program_has_it_used() -> None:
 # -- programs ------------------------------------------------------------------------------------------
 
 
-def test_a_program_reads_and_writes_registers() -> None:
+def test_program_reads_and_writes_registers() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.inputs("input_int_register_0", "input_double_register_24", "input_bit_register_64")
@@ -666,7 +666,7 @@ def test_a_program_reads_and_writes_registers() -> None:
 
 
 @pytest.mark.parametrize(("action", "state"), [("IGNORE", 2), ("Pause", 4), ("stop", 1)])
-def test_a_watchdog_is_fed_by_any_package_that_has_the_variable(action: str, state: int) -> None:
+def test_watchdog_is_reset_by_any_package_with_its_variable(action: str, state: int) -> None:
     sim = controller()
     peer = Peer(sim)
     peer.inputs("input_int_register_0", "input_int_register_5")
@@ -675,18 +675,18 @@ def test_a_watchdog_is_fed_by_any_package_that_has_the_variable(action: str, sta
     assert peer.start()
     sim.take(LOOP.format(action=action))
     step(sim, 10)
-    for _ in range(20):  # the same value again and again, each 40 ms
+    for _ in range(20):  # the same value every 40 ms
         peer.write(1, input_int_register_0=0, input_int_register_5=0)
         step(sim, 20)
     assert peer.data()[-1]["runtime_state"] == 2
     step(sim, 30)
-    assert peer.data()[-1]["runtime_state"] == 2, "50 ms each are still in time"
+    assert peer.data()[-1]["runtime_state"] == 2, "intervals of 50 ms are still in time"
     peer.write(2, input_int_register_5=1)
     step(sim, 20)
     assert peer.data()[-1]["runtime_state"] == state
 
 
-def test_a_paused_program_has_the_full_time_again() -> None:
+def test_resumed_program_has_the_full_watchdog_time() -> None:
     sim = controller()
     sim.take(LOOP.format(action="pause"))
     step(sim, 100)
@@ -698,7 +698,7 @@ def test_a_paused_program_has_the_full_time_again() -> None:
     assert sim.modes.program_state.name == "PAUSED"
 
 
-def test_watchdogs_end_with_their_program() -> None:
+def test_watchdog_ends_with_its_program() -> None:
     sim = controller()
     sim.take(LOOP.format(action="stop"))
     step(sim, 5)
@@ -707,7 +707,7 @@ def test_watchdogs_end_with_their_program() -> None:
     assert sim.program_name == "other"
 
 
-def test_a_watchdog_over_nothing_is_an_error() -> None:
+def test_watchdog_of_an_unknown_input_is_an_error() -> None:
     sim = controller()
     sim.take(LOOP.replace("input_int_register_0", "output_int_register_0").format(action="stop"))
     step(sim)
@@ -718,7 +718,7 @@ def test_a_watchdog_over_nothing_is_an_error() -> None:
     assert failed.text == "rtde_set_watchdog: there is no RTDE input 'output_int_register_0'"
 
 
-def test_a_movement_tells_where_it_ends() -> None:
+def test_program_reads_its_waypoint_and_speed() -> None:
     sim = controller()
     sim.take(MOVING)
     step(sim, 100)
@@ -732,7 +732,7 @@ def test_a_movement_tells_where_it_ends() -> None:
 
 
 @pytest.mark.parametrize("protocol", [1, 2])
-def test_a_text_of_a_client_is_noted_and_not_answered(protocol: int) -> None:
+def test_text_of_a_client_is_stored_without_reply(protocol: int) -> None:
     sim = controller()
     peer = Peer(sim, protocol)
     peer.put("M", b"\5hello\4test\3")
@@ -740,7 +740,7 @@ def test_a_text_of_a_client_is_noted_and_not_answered(protocol: int) -> None:
     assert list(sim.received) == [("rtde", "test: hello")]
 
 
-def test_texts_of_the_controller_have_the_form_of_the_protocol() -> None:
+def test_text_of_the_controller_has_the_protocol_format() -> None:
     sim = controller()
     old, new = Peer(sim, 1), Peer(sim)
     sim.faults.rtde_text("watch out", "safety", 2)
@@ -755,7 +755,7 @@ def test_texts_of_the_controller_have_the_form_of_the_protocol() -> None:
 
 
 @pytest.mark.parametrize("data", [package("Z", b"abc"), package("V"), package("V", b"\0"), package("I")[:3]])
-def test_what_is_no_request_is_left_alone(data: bytes) -> None:
+def test_invalid_request_is_ignored(data: bytes) -> None:
     peer = Peer(controller())
     peer.session.feed(data)
     peer.take()
@@ -763,7 +763,7 @@ def test_what_is_no_request_is_left_alone(data: bytes) -> None:
     assert peer.ask("P") == b"\1"
 
 
-def test_a_package_shorter_than_its_header_ends_the_connection() -> None:
+def test_package_shorter_than_its_header_ends_the_connection() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.inputs("input_int_register_0")
@@ -776,7 +776,7 @@ def test_a_package_shorter_than_its_header_ends_the_connection() -> None:
 # -- faults --------------------------------------------------------------------------------------------
 
 
-def test_a_stale_client_keeps_its_inputs_for_a_while() -> None:
+def test_stale_client_keeps_its_inputs_claimed() -> None:
     sim = controller()
     sim.faults.rtde_stale_inputs(1.0)
     first, second = Peer(sim), Peer(sim)
@@ -787,10 +787,10 @@ def test_a_stale_client_keeps_its_inputs_for_a_while() -> None:
     step(sim, 2)
     assert second.inputs("input_int_register_0")[1] == ["INT32"]
     third = Peer(sim)
-    assert third.inputs("input_int_register_0")[1] == ["IN_USE"], "the one after it is not stale"
+    assert third.inputs("input_int_register_0")[1] == ["IN_USE"], "the second client still holds its claim"
 
 
-def test_data_that_come_late() -> None:
+def test_late_data_arrives_delayed_but_complete() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.outputs("timestamp")
@@ -805,7 +805,7 @@ def test_data_that_come_late() -> None:
     assert len(peer.data()) == 2
 
 
-def test_a_start_that_brings_no_data_and_one_that_is_refused() -> None:
+def test_start_can_be_refused_or_bring_no_data() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.outputs("timestamp")
@@ -821,7 +821,7 @@ def test_a_start_that_brings_no_data_and_one_that_is_refused() -> None:
     assert len(peer.data()) == 1
 
 
-def test_protocol_2_is_refused() -> None:
+def test_protocol_2_can_be_refused() -> None:
     sim = controller()
     sim.faults.rtde_refuse_protocol_2()
     peer = Peer(sim, 1)
@@ -829,7 +829,7 @@ def test_protocol_2_is_refused() -> None:
     assert peer.ask("O", b"timestamp") == b"DOUBLE"
 
 
-def test_texts_and_data_before_and_in_place_of_replies() -> None:
+def test_text_and_data_before_or_instead_of_replies() -> None:
     sim = controller()
     sim.faults.rtde_hello()
     peer = Peer(sim, 1)
@@ -853,7 +853,7 @@ def test_texts_and_data_before_and_in_place_of_replies() -> None:
         sim.faults.rtde_text_before_reply("U")
 
 
-def test_a_reboot_in_the_middle_of_a_handshake() -> None:
+def test_reboot_during_a_handshake_resets_inputs() -> None:
     sim = controller()
     peer = Peer(sim)
     peer.inputs("input_int_register_0")

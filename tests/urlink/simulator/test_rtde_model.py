@@ -1,4 +1,4 @@
-"""Several RTDE clients that claim, write, start, release and drop, held against a model of the server."""
+"""Several RTDE clients that claim, write, start, release and disconnect, compared with a model of the server."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RATE = 500
 
 @dataclass
 class Client:
-    """What the model knows of one."""
+    """State of one client in the model."""
 
     peer: Peer
     requests: int = 0
@@ -45,13 +45,13 @@ class Client:
 
 
 class Server(RuleBasedStateMachine):
-    """The model beside the controller."""
+    """State machine that runs the model in parallel with the controller."""
 
     def __init__(self) -> None:
         super().__init__()
         self.sim = Controller("UR5e", "5.11", motion=Still())
         self.clients: list[Client] = []
-        # Inputs of connections that are over, each with the last cycle in which they are held.
+        # Inputs of closed connections, each with the last cycle in which they stay claimed.
         self.stale: list[tuple[int, set[str]]] = []
         self.stale_cycles = 0
         self.inputs: dict[str, Any] = {}
@@ -172,10 +172,10 @@ class Server(RuleBasedStateMachine):
             else:
                 assert client.peer.take() == []
 
-    # -- what always holds -----------------------------------------------------------------------------
+    # -- invariants ------------------------------------------------------------------------------------
 
     @invariant()
-    def values_are_those_that_were_written_last(self) -> None:
+    def inputs_have_the_last_written_values(self) -> None:
         inputs = self.sim.registers.inputs
         for name in NUMBERS:
             assert inputs.integers[int(name.rpartition("_")[2])] == self.inputs.get(name, 0)
@@ -187,7 +187,7 @@ class Server(RuleBasedStateMachine):
         assert self.sim.speed_fraction == self.slider
 
     @invariant()
-    def nobody_is_disconnected(self) -> None:
+    def all_clients_stay_connected(self) -> None:
         assert all(client.peer.is_open for client in self.clients)
         assert len(self.sim.rtde.sessions) == len(self.clients)
 
@@ -204,7 +204,7 @@ REQUESTS = st.tuples(st.sampled_from("VvOISPMUZ"), st.binary(max_size=40) | st.s
     pieces=st.lists(REQUESTS.map(lambda request: package(*request)) | st.binary(max_size=30), max_size=30),
     protocol=st.sampled_from([1, 2]),
 )
-def test_any_bytes_are_answered_or_left_alone(pieces: list[bytes], protocol: int) -> None:
+def test_server_survives_any_bytes(pieces: list[bytes], protocol: int) -> None:
     sim = Controller("UR5e", "5.11", motion=Still())
     peer, other = Peer(sim, protocol), Peer(sim)
     other.outputs("control_step")

@@ -1,7 +1,7 @@
-"""Recorded connections of real RTDE clients, sent to the simulated controller, which has to answer as they accept.
+"""Recorded connections of real RTDE clients, sent to the simulated controller, which must reply in the same way.
 
-The recordings' server was a stand-in whose replies these clients got along with, so ours are held against them. Data
-packages differ, since the values do; those that come are held against the recipe that was asked for.
+The recordings were made with a stand-in server whose replies these clients accepted, so the simulator's replies are
+compared with them. Data packages have other values, so they are only checked against the requested recipe.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from urlink.simulator import Controller, Still
 
 pytestmark = pytest.mark.captures("rtde")
 
-#: Cycles that pass between two pieces at most; a recording lasts up to 6 s.
+#: Maximum number of cycles between two pieces; a recording lasts up to 6 s.
 LONGEST_PAUSE = 10
 
 
 class Recording:
-    """One connection.
+    """Recorded connection of one client.
 
     Attributes:
-        name: with the version of the controller.
-        sent: by the client, in the pieces in which it came, each with its time in s.
-        replies: what the client accepted, data packages left out.
+        name: Name of the recording, which contains the version of the controller.
+        sent: Pieces that the client sent, as they arrived, each with its time in s.
+        replies: Replies that the client accepted, without data packages.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -46,13 +46,13 @@ class Recording:
 
     @property
     def text(self) -> str:
-        """Of the message that the stand-in has sent."""
+        """Text of the message that the stand-in sent."""
         (payload,) = {payload for kind, payload in self.replies if kind == "M"}
-        # Protocol 1: a level, then the text; protocol 2: the length, the text.
+        # Protocol 1 sends a level, then the text; protocol 2 sends the length, then the text.
         return payload[1:].decode() if payload[0] <= 3 else payload[1 : 1 + payload[0]].decode()
 
     def controller(self) -> Controller:
-        """One that does what the stand-in did."""
+        """Return a controller that behaves like the stand-in."""
         controller = Controller(None, self.name.split("_")[1], motion=Still())
         faults = controller.faults
         if "v2refused" in self.name:
@@ -66,7 +66,7 @@ class Recording:
         return controller
 
     def check(self, peer: Peer) -> None:
-        """That the client has got all replies, in order, and data of its recipe only after a start."""
+        """Check that the client got all replies in order, and data of its recipe only after a start."""
         replies: list[tuple[str, bytes]] = []
         recipe: Recipe | None = None
         for kind, payload in packages(bytes(peer.sent)):
@@ -81,7 +81,7 @@ class Recording:
 
 
 def _recipe(reply: bytes) -> Recipe | None:
-    """Of the types that a reply to O has; the names do not count for the size."""
+    """Return a recipe with the types of a reply to O; the names do not affect the size."""
     number = reply[0] if reply[0] < 32 else None
     types = (reply if number is None else reply[1:]).decode().split(",")
     if number == 0 or "NOT_FOUND" in types:
@@ -90,7 +90,7 @@ def _recipe(reply: bytes) -> Recipe | None:
 
 
 def _without_source(kind: str, payload: bytes) -> bytes:
-    """Who has said a text, and what the stand-in called itself, do not count."""
+    """Return a reply without the source of a text, because the stand-in used a different name."""
     if kind != "M":
         return payload
     return payload if payload[0] <= 3 else payload[: 1 + payload[0]]
@@ -106,7 +106,7 @@ def recordings() -> Iterator[Recording]:
 
 
 def connected(recording: Recording) -> tuple[Controller, Peer]:
-    """A client of a controller, at which another one holds an input where that was recorded so."""
+    """Return a controller and a client; a second client claims an input if the recording had one."""
     controller = recording.controller()
     name, _, later = recording.name.rpartition("_")
     if later in ("c2", "c3") and "-inuse" in name:
@@ -116,7 +116,7 @@ def connected(recording: Recording) -> tuple[Controller, Peer]:
     return controller, Peer(controller, protocol=1)
 
 
-def test_every_client_gets_through_as_it_was_recorded() -> None:
+def test_recorded_clients_get_the_recorded_replies() -> None:
     for recording in recordings():
         controller, peer = connected(recording)
         before = 0.0
@@ -126,7 +126,7 @@ def test_every_client_gets_through_as_it_was_recorded() -> None:
             peer.session.feed(piece)
         recording.check(peer)
         assert peer.is_open, recording.name
-        # A force in a package that is too short; data of an unknown recipe, and too short.
+        # These send a force in a package that is too short, data of an unknown recipe, and data that is too short.
         odd = ("urrtde-control", "err-hand-recipes")
         assert controller.counters.ignored_packages == 0 or recording.name.startswith(odd), recording.name
         peer.close()
@@ -136,7 +136,7 @@ def test_every_client_gets_through_as_it_was_recorded() -> None:
 
 
 @pytest.mark.slow
-def test_every_client_gets_through_however_its_bytes_are_cut() -> None:
+def test_replies_do_not_depend_on_chunking() -> None:
     chance = random.Random(1)
     for recording in recordings():
         data = b"".join(piece for _, piece in recording.sent)

@@ -1,4 +1,4 @@
-"""The time of programs: the start, the speed slider, and what shows of them."""
+"""Time of programs: the ramp at the start, the speed slider, and the reported values."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def targets(controller: Controller, count: int) -> list[Setpoint]:
 
 @pytest.mark.parametrize("fraction", [1.0, 0.5, 0.25, 0.7, 0.9, 0.05])
 @pytest.mark.parametrize("command", ["servoj", "speedj", "speedl"])
-def test_a_command_of_one_cycle_lasts_one_over_the_slider(command: str, fraction: float) -> None:
+def test_command_of_one_cycle_is_stretched_by_the_slider(command: str, fraction: float) -> None:
     generator = standing()
     generator.scaling = generator.speed_fraction = fraction
     each: list[int] = []
@@ -58,7 +58,7 @@ def test_a_command_of_one_cycle_lasts_one_over_the_slider(command: str, fraction
 
 
 @pytest.mark.parametrize("command", ["servoj", "speedj", "speedl"])
-def test_nothing_is_consumed_at_zero(command: str) -> None:
+def test_commands_make_no_progress_at_zero(command: str) -> None:
     generator = standing()
     generator.scaling = generator.speed_fraction = 0.0
     move = {
@@ -75,8 +75,12 @@ def streamed(
     fractions: Sequence[float],
     parameters: ScalingParameters = ScalingParameters(),  # noqa: B008
 ) -> tuple[list[Setpoint], list[float]]:
-    """The set-points of a stream at 1 rad/s that is not skipped, one fraction of the slider for each cycle; and the
-    scaled time after each."""
+    """Return the set-points of a stream at 1 rad/s without skipping, and the scaled time after each of them.
+
+    Args:
+        fractions: Fraction of the speed slider for each cycle.
+        parameters: Parameters of the speed scaling.
+    """
     generator = MotionGenerator(Arm(model("UR5e")), Setpoint(list(HOME), REST, REST), 1.0, parameters)
     number, move, setpoints, times, time = 0, None, [], [], 0.0
     for fraction in fractions:
@@ -96,7 +100,7 @@ def wave(time: float) -> float:
 
 
 @pytest.mark.slow
-def test_a_stream_is_the_same_path_in_scaled_time() -> None:
+def test_stream_follows_the_same_path_in_scaled_time() -> None:
     full, at = streamed([1.0] * 2500)
     path = np.array([each.q[0] for each in full])
     rng = np.random.default_rng(5)
@@ -111,23 +115,23 @@ def test_a_stream_is_the_same_path_in_scaled_time() -> None:
         there = np.interp(times, at, path)
         assert np.abs(np.array([each.q[0] for each in setpoints]) - there).max() < 0.5 * CYCLE * 0.6, (
             name
-        )  # half a cycle at the top speed
+        )  # half a cycle at the highest speed
         qd = np.array([each.qd[0] for each in setpoints])
         drift = np.diff([each.q[0] for each in setpoints]) - 0.5 * CYCLE * (qd[1:] + qd[:-1])
         assert np.abs(drift).max() < 1e-4, name
 
 
-def test_whether_the_lag_stretches_is_a_parameter() -> None:
+def test_stretching_of_the_lag_is_a_parameter() -> None:
     profile = [1.0] * 400 + [0.0] * 1000
     stretched, _ = streamed(profile)
     straight, _ = streamed(profile, ScalingParameters(servoj_lag_stretches=False))
     speed = stretched[399].qd[0]
     assert abs(speed) > 0.3
-    # At 0 the arm stops where it is, or goes on to the set-point that it lags behind: here by 0.5 * 0.03 + 2 / 300 s.
+    # At 0 the arm stops immediately, or moves on to the set-point that it lags behind: 0.5 * 0.03 + 2 / 300 s here.
     assert straight[-1].q[0] - stretched[-1].q[0] == pytest.approx(speed * 0.0217, rel=0.3)
 
 
-def test_a_motion_that_is_taken_over_near_zero_is_slowed_down_in_order() -> None:
+def test_motion_taken_over_near_zero_stays_within_limits() -> None:
     generator = standing()
     generator.speedj([1.0, 0, 0, 0, 0, 0], 2.0, None)
     cycles(generator, 400)
@@ -146,7 +150,7 @@ def test_a_motion_that_is_taken_over_near_zero_is_slowed_down_in_order() -> None
 
 
 @pytest.mark.parametrize(("firmware", "rate"), [("5.11", 500), ("3.14", 125), ("1.8", 125)])
-def test_a_program_begins_with_160_ms_of_ramp(firmware: str, rate: int) -> None:
+def test_program_starts_with_a_ramp_of_160_ms(firmware: str, rate: int) -> None:
     controller = Controller(firmware=firmware, noise=False)
     controller.take(TURN)
     controller.step()
@@ -156,8 +160,8 @@ def test_a_program_begins_with_160_ms_of_ramp(firmware: str, rate: int) -> None:
     assert (controller.cycle - began) / rate == pytest.approx(trapezoid(0.4, 1.05, 1.4) + 0.08, abs=2.5 / rate)
 
 
-def test_the_ramp_is_that_of_the_log() -> None:
-    """s_k = k / 80, so where a movement accelerates evenly its speed is a s² t with t the scaled time."""
+def test_ramp_matches_the_recorded_log() -> None:
+    """With s_k = k / 80, the speed is a s² t while a motion accelerates evenly; t is the scaled time."""
     controller = Controller(firmware="5.11", noise=False)
     controller.take(TURN)
     speeds = [setpoint.qd[0] for setpoint in targets(controller, 100)]
@@ -168,7 +172,7 @@ def test_the_ramp_is_that_of_the_log() -> None:
     np.testing.assert_allclose(speeds[begin:], expected[: 100 - begin], atol=1e-9)
 
 
-def test_a_program_that_replaces_another_goes_on_with_its_speed() -> None:
+def test_replacing_program_keeps_the_speed() -> None:
     controller = Controller(firmware="5.11", noise=False)
     controller.take(SPIN)
     targets(controller, 300)
@@ -176,7 +180,7 @@ def test_a_program_that_replaces_another_goes_on_with_its_speed() -> None:
     assert min(setpoint.qd[0] for setpoint in targets(controller, 50)) == pytest.approx(0.3)
 
 
-def test_a_resumed_program_begins_with_a_ramp() -> None:
+def test_resumed_program_starts_with_a_ramp() -> None:
     controller = Controller(firmware="5.11", noise=False)
     controller.take(SPIN)
     targets(controller, 300)
@@ -197,7 +201,7 @@ _USUAL = ScalingParameters()
 
 
 def durations(lines: str, scaling: ScalingParameters = _USUAL, firmware: str = "5.11") -> list[float]:
-    """Seconds that each movement of a program lasts, from `UNFOLDED`."""
+    """Return the duration of each motion of a program that begins at `UNFOLDED`, in s."""
     controller = Controller(firmware=firmware, motion=Still(UNFOLDED), noise=False, scaling=scaling)
     controller.take(f"def f():\n{lines}end\n")
     moving = []
@@ -219,10 +223,11 @@ def test_later_moves_from_rest_have_a_shorter_ramp(rest: str) -> None:
 
 
 @pytest.mark.parametrize("firmware", ["5.11", "5.25"])
-def test_later_moves_last_as_long_as_on_the_vendors_simulator(firmware: str) -> None:
-    # The tests of the UR Client Library: its executor sends one move after the other to a program that runs, and looks
-    # every 0.1 s whether the move has ended. movej: more than 1.4 s (1.45 to 1.65 in earlier releases). movel: 0.65 to
-    # 0.85 s. Moves with a time: up to 0.1 s longer than it, 0.3 s as 0.35 to 0.45 s.
+def test_later_moves_last_as_long_as_on_the_vendor_simulator(firmware: str) -> None:
+    # The limits come from the tests of the UR Client Library. Its executor sends one move after the other to a running
+    # program. It checks every 0.1 s whether the move has ended. movej lasts more than 1.4 s (1.45 to 1.65 s in earlier
+    # releases) and movel 0.65 to 0.85 s. A move with a time lasts up to 0.1 s longer than this time; 0.3 s become 0.35
+    # to 0.45 s.
     pose, near = "p[-0.203, 0.263, 0.559, 0.68, -1.083, -2.076]", "p[-0.203, 0.463, 0.559, 0.68, -1.083, -2.076]"
     lines = {
         f"movej({FOLDED}, 1.4, 1.05)": (1.0, 5.0),
@@ -262,11 +267,11 @@ def test_ramp_of_a_later_move_ends_at_the_slider() -> None:
     assert scalings[20:] == [0.5] * 10
 
 
-# -- what shows ----------------------------------------------------------------------------------
+# -- reported values -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("firmware", ["3.4", "3.14", "5.4", "5.11", "5.22"])
-def test_all_interfaces_show_the_same_in_the_same_cycle(firmware: str) -> None:
+def test_all_interfaces_report_the_same_scaling(firmware: str) -> None:
     controller = Controller(firmware=firmware, noise=False)
     peer = Peer(controller)
     names = ["speed_scaling", "target_speed_fraction"]
@@ -294,7 +299,7 @@ def test_all_interfaces_show_the_same_in_the_same_cycle(firmware: str) -> None:
         assert rtde["speed_scaling"] == realtime.speed_scaling == mode.speed_scaling
         assert rtde["target_speed_fraction"] == mode.target_speed_fraction == controller.speed_fraction
         scaling = rtde["speed_scaling"]
-        if not mode.is_program_running:  # real bytes: docs/protocols/primary.md
+        if not mode.is_program_running:  # captured packets: docs/protocols/primary.md
             assert scaling == (1.0 if firmware == "3.4" and number < 150 else 0.0 if firmware != "3.4" else 0.4)
         if "time_scale_source" in names:
             seen.add((rtde["time_scale_source"], bool(scaling), mode.is_program_running))
@@ -306,7 +311,7 @@ def test_all_interfaces_show_the_same_in_the_same_cycle(firmware: str) -> None:
         }
 
 
-def test_the_slider_takes_effect_at_its_rate() -> None:
+def test_slider_takes_effect_at_its_rate() -> None:
     controller = Controller(firmware="5.11", noise=False)
     controller.take(SPIN)
     targets(controller, 200)
@@ -319,6 +324,6 @@ def test_the_slider_takes_effect_at_its_rate() -> None:
 # -- parameters ----------------------------------------------------------------------------------
 
 
-def test_a_rate_is_above_zero() -> None:
+def test_slider_rate_must_be_positive() -> None:
     with pytest.raises(BadValue, match="slider_rate"):
         ScalingParameters(slider_rate=0.0)

@@ -1,4 +1,4 @@
-"""A scene of bodies around a simulated arm: when it is asked, what it does, and how its file finds an adapter."""
+"""Scene of bodies around a simulated arm: its calls, its effects, and the choice of the adapter for a scene file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REST = (0.0,) * 6
 
 
 class Bodies:
-    """Answers what it is told to, and remembers what it was asked."""
+    """Scene that returns a set reaction and records its calls."""
 
     def __init__(self) -> None:
         self.reaction = Reaction(REST)
@@ -34,7 +34,7 @@ def mounted() -> tuple[Controller, Bodies]:
     return controller, bodies
 
 
-def test_it_is_asked_once_a_cycle_with_the_targets_of_that_cycle() -> None:
+def test_scene_is_called_once_per_cycle_with_its_targets() -> None:
     controller, bodies = mounted()
     controller.arm.tcp = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
     controller.step(3)
@@ -45,7 +45,7 @@ def test_it_is_asked_once_a_cycle_with_the_targets_of_that_cycle() -> None:
     assert list(pose) == pytest.approx(controller.arm.sample.pose_target)
 
 
-def test_a_wrench_is_felt_in_the_same_cycle_and_a_torque_is_not_in_it() -> None:
+def test_wrench_is_measured_in_the_same_cycle_without_torque() -> None:
     controller, bodies = mounted()
     bodies.reaction = Reaction((1.0, -2.0, 3.0, 0.1, 0.2, 0.3), (0.0, 5.0, 0.0, 0.0, 0.0, 0.0))
     controller.step()
@@ -66,7 +66,7 @@ def test_a_wrench_is_felt_in_the_same_cycle_and_a_torque_is_not_in_it() -> None:
         (Reaction(REST, (0.0, -61.0, 0.0, 0.0, 0.0, 0.0)), True),
     ],
 )
-def test_what_presses_too_hard_on_tool_or_links_stops_the_arm(reaction: Reaction, stops: bool) -> None:
+def test_excessive_force_on_tool_or_links_stops_the_arm(reaction: Reaction, stops: bool) -> None:
     controller, bodies = mounted()
     controller.step()
     bodies.reaction = reaction
@@ -74,7 +74,7 @@ def test_what_presses_too_hard_on_tool_or_links_stops_the_arm(reaction: Reaction
     assert (controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP) is stops
 
 
-def test_after_such_a_stop_the_arm_can_go_on_while_the_link_is_still_touched() -> None:
+def test_arm_recovers_while_the_link_is_still_touched() -> None:
     controller, bodies = mounted()
     bodies.reaction = Reaction(REST, (0.0, 0.0, 70.0, 0.0, 0.0, 0.0))
     controller.step(2)
@@ -83,7 +83,7 @@ def test_after_such_a_stop_the_arm_can_go_on_while_the_link_is_still_touched() -
     assert controller.modes.safety_mode is SafetyMode.NORMAL
 
 
-def test_in_freedrive_the_arm_gives_way_to_it() -> None:
+def test_arm_yields_to_the_scene_in_freedrive() -> None:
     controller, bodies = mounted()
     controller.take("def drift():\n  freedrive_mode()\n  sleep(10)\nend\n")
     controller.step(50)
@@ -111,7 +111,7 @@ def mount(path: Path, controller: Made) -> Bodies:
     return bodies
 
 
-def test_the_adapter_for_the_ending_of_the_file_opens_it(monkeypatch: pytest.MonkeyPatch, table: Path) -> None:
+def test_scene_file_is_opened_by_the_adapter_of_its_suffix(monkeypatch: pytest.MonkeyPatch, table: Path) -> None:
     monkeypatch.setattr(importlib.metadata.EntryPoint, "load", lambda self: mount)
     entry_points(monkeypatch, importlib.metadata.EntryPoint("xml", "adapter:mount", "urlink.scenes"))
     controller = Controller(noise=False, scene=table)
@@ -120,7 +120,7 @@ def test_the_adapter_for_the_ending_of_the_file_opens_it(monkeypatch: pytest.Mon
     assert controller.arm.sample.force[0] == 9.0
 
 
-def test_without_an_adapter_it_is_refused_with_what_to_install(monkeypatch: pytest.MonkeyPatch, table: Path) -> None:
+def test_missing_adapter_raises_the_package_to_install(monkeypatch: pytest.MonkeyPatch, table: Path) -> None:
     entry_points(monkeypatch)
     with pytest.raises(urlink.LocalError, match=r"table\.xml is installed; use pip install urlink-mujoco"):
         Controller(scene=table)
@@ -131,6 +131,6 @@ def test_without_an_adapter_it_is_refused_with_what_to_install(monkeypatch: pyte
         Controller(scene=usd)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_missing_scene_file_is_named_in_the_error(tmp_path: Path) -> None:
     with pytest.raises(urlink.BadValue, match=r"nowhere\.xml' is not a file"):
         Controller(scene=tmp_path / "nowhere.xml")

@@ -1,4 +1,4 @@
-"""Programs and the dashboard over real ports."""
+"""Programs and the dashboard over real TCP ports."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Connect = Callable[[Controller, str], Any]
 
 TURN = "def turn():\n  movej([0.2, -1.57, 1.57, -1.57, -1.57, 0], a=4, v=2)\nend\n"
 WAIT = "def wait():\n  sleep(60)\nend\n"
-#: Long enough to be compiled beside the clock.
+#: Long enough to be compiled in a thread, while the clock keeps running.
 PADDING = "".join(f"  x{n} = (1 + 2) * 3 - 4\n" for n in range(2000))
 
 
@@ -44,7 +44,7 @@ def listener() -> Iterator[socket.socket]:
 
 
 def messages(link: Any, kind: type, count: int) -> list[Any]:
-    """The next so many messages of a kind on a primary interface."""
+    """Return the next `count` messages of a kind on a primary interface."""
     found: list[Any] = []
     deadline = time.monotonic() + 30
     while len(found) < count:
@@ -72,7 +72,7 @@ def reply(link: Any, line: str) -> str:
 
 
 @pytest.mark.parametrize("port", ["primary", "secondary", "realtime"])
-def test_a_program_comes_in_pieces_on_any_port(port: str, controller: Controller, connect: Connect) -> None:
+def test_program_may_arrive_in_pieces_on_any_port(port: str, controller: Controller, connect: Connect) -> None:
     primary = connect(controller, "primary")
     link = connect(controller, port)
     for part in ("de", "f turn():\r", "\n  movej([0.2, -1.57, 1.57,", " -1.57, -1.57, 0], a=4, v=2)\r\nen", "d\r\n"):
@@ -81,26 +81,26 @@ def test_a_program_comes_in_pieces_on_any_port(port: str, controller: Controller
     assert controller.arm.setpoint.q[0] == pytest.approx(0.2, abs=1e-9)
 
 
-def test_two_programs_in_one_segment(controller: Controller, connect: Connect) -> None:
+def test_two_programs_in_one_segment_run_in_order(controller: Controller, connect: Connect) -> None:
     primary = connect(controller, "primary")
     primary.send((WAIT + TURN + "sec s():\n  set_digital_out(2, True)\nend\n").encode())
     assert keys(primary, 4) == ["started wait", "stopped wait", "started turn", "stopped turn"]
     until(lambda: controller.signals.digital_outputs == 4)
 
 
-def test_a_client_that_leaves_in_the_middle_has_sent_nothing(controller: Controller, connect: Connect) -> None:
+def test_half_a_program_is_discarded_when_its_client_leaves(controller: Controller, connect: Connect) -> None:
     primary = connect(controller, "primary")
     leaving = connect(controller, "secondary")
     leaving.send(b"def half():\n  sleep(60)\n")
     until(lambda: len(controller.received) == 2)
     leaving.close()
     primary.send(b"end\n" + TURN.encode())
-    # The `end` is a line by itself, and no program.
+    # The `end` is then a line on its own, which is not a program.
     assert len(messages(primary, urlink.packets.RuntimeExceptionMessage, 1)) == 1
     assert keys(primary, 2) == ["started turn", "stopped turn"]
 
 
-def test_local_control_over_the_port(controller: Controller, connect: Connect) -> None:
+def test_local_control_refuses_programs_of_a_port(controller: Controller, connect: Connect) -> None:
     controller.remote_control = False
     primary = connect(controller, "primary")
     primary.send(TURN.encode())
@@ -114,7 +114,7 @@ def test_local_control_over_the_port(controller: Controller, connect: Connect) -
 
 
 class Compiling:
-    """The compiling of long programs, which waits until the test lets it go on."""
+    """Compiler of long programs that waits until the test releases it."""
 
     def __init__(self) -> None:
         self.has_begun = threading.Event()
@@ -136,11 +136,9 @@ def compiling(monkeypatch: pytest.MonkeyPatch) -> Iterator[Compiling]:
 
 
 @pytest.mark.slow
-def test_a_long_program_does_not_hold_up_the_clock(
-    controller: Controller, connect: Connect, compiling: Compiling
-) -> None:
+def test_long_program_does_not_delay_the_clock(controller: Controller, connect: Connect, compiling: Compiling) -> None:
     realtime, primary = connect(controller, "realtime"), connect(controller, "primary")
-    # What the same client sends after it waits for it.
+    # Programs that the same client sends later have to wait for this one.
     primary.send(f"def long():\n{PADDING}end\n{TURN}".encode())
     assert compiling.has_begun.wait(10)
     for _ in range(20):
@@ -150,7 +148,7 @@ def test_a_long_program_does_not_hold_up_the_clock(
     assert keys(primary, 4) == ["started long", "stopped long", "started turn", "stopped turn"]
 
 
-def test_a_long_program_does_not_hold_up_other_clients(
+def test_long_program_does_not_delay_other_clients(
     controller: Controller, connect: Connect, compiling: Compiling
 ) -> None:
     primary, other = connect(controller, "primary"), connect(controller, "secondary")
@@ -162,7 +160,7 @@ def test_a_long_program_does_not_hold_up_other_clients(
     assert keys(primary, 2) == ["started long", "stopped long"]
 
 
-def test_long_programs_of_several_clients_are_compiled_one_after_the_other(
+def test_long_programs_are_compiled_one_at_a_time(
     controller: Controller, connect: Connect, compiling: Compiling
 ) -> None:
     primary, other = connect(controller, "primary"), connect(controller, "secondary")
@@ -176,7 +174,7 @@ def test_long_programs_of_several_clients_are_compiled_one_after_the_other(
 
 
 @pytest.mark.slow
-def test_a_long_program_that_does_not_compile(controller: Controller, connect: Connect) -> None:
+def test_compile_errors_of_long_programs_are_reported(controller: Controller, connect: Connect) -> None:
     primary = connect(controller, "primary")
     primary.send(f"def long():\n{PADDING}  nonsense()\nend\n".encode())
     (error,) = messages(primary, urlink.packets.RuntimeExceptionMessage, 1)
@@ -188,7 +186,7 @@ def test_a_long_program_that_does_not_compile(controller: Controller, connect: C
     assert keys(primary, 2) == ["started turn", "stopped turn"]
 
 
-def test_a_reboot_forgets_what_is_being_compiled(
+def test_reboot_discards_a_program_that_is_being_compiled(
     controller: Controller, connect: Connect, compiling: Compiling
 ) -> None:
     primary = connect(controller, "primary")
@@ -202,7 +200,7 @@ def test_a_reboot_forgets_what_is_being_compiled(
     assert keys(primary, 2) == ["started turn", "stopped turn"]
 
 
-def test_closing_waits_for_what_is_being_compiled(connect: Connect, compiling: Compiling) -> None:
+def test_close_waits_for_the_compilation(connect: Connect, compiling: Compiling) -> None:
     before = set(threading.enumerate())
     with Controller("UR5e", "5.11") as controller:
         connect(controller, "primary").send(f"def long():\n{PADDING}  sleep(60)\nend\n".encode())
@@ -212,8 +210,8 @@ def test_closing_waits_for_what_is_being_compiled(connect: Connect, compiling: C
     assert not controller.is_running_program
 
 
-def test_what_is_begun_in_one_cycle_is_bounded() -> None:
-    """A flood of lines, each a program, costs each cycle a little, and other clients have their turn."""
+def test_compilation_per_cycle_is_bounded() -> None:
+    """A flood of lines, each of them a program, adds only a little to each cycle, and other clients get their turn."""
     controller = Controller("UR5e", "5.11", motion=Still())
     loader = controller._loader
     flood, other = loader.open(), loader.open()
@@ -234,7 +232,7 @@ def test_what_is_begun_in_one_cycle_is_bounded() -> None:
     assert sum(begun) == 101
 
 
-def test_what_waits_is_bounded() -> None:
+def test_queued_programs_are_bounded_per_client() -> None:
     controller = Controller("UR5e", "5.11", motion=Still())
     compiled = threading.Event()
     loader = controller._loader
@@ -243,7 +241,7 @@ def test_what_waits_is_bounded() -> None:
     assert queue.put(f"def long():\n{PADDING}end\n")
     assert queue.put("x" * (MOST_WAITING - 100))
     assert not queue.put("y" * 101)
-    # What one client sends does not hold up another.
+    # A full queue of one client does not block another client.
     assert other.put("y" * 101)
     assert queue.put(TURN)
     assert compiled.wait(10)
@@ -255,7 +253,7 @@ def test_what_waits_is_bounded() -> None:
 # -- sockets of programs -------------------------------------------------------------------------------
 
 
-def test_a_program_reads_integers_from_whoever_sent_it(
+def test_program_reads_integers_from_its_sender(
     controller: Controller, connect: Connect, listener: socket.socket
 ) -> None:
     port = listener.getsockname()[1]
@@ -271,7 +269,7 @@ def test_a_program_reads_integers_from_whoever_sent_it(
     peer, _ = listener.accept()
     with peer:
         peer.settimeout(10)
-        # Nobody watches the arm, and still every cycle of a program counts.
+        # Even if no client reads the state of the arm, every cycle of a program is executed.
         assert peer.recv(6) == b"ready\n"
         for part in ((-70_000).to_bytes(4, "big", signed=True), b"\0\0", b"\0\1", (70_007).to_bytes(4, "big")):
             peer.sendall(part)
@@ -279,11 +277,11 @@ def test_a_program_reads_integers_from_whoever_sent_it(
         while data := peer.recv(100):
             answer += data
     assert [int.from_bytes(answer[at : at + 4], "big", signed=True) for at in (0, 4, 8)] == [3, 7, 4]
-    # The program is over, and its socket closed with it.
+    # The program has ended, which also closed its socket.
     until(lambda: controller.program_name is None)
 
 
-def test_questions_and_answers_cycle_by_cycle(
+def test_program_answers_50_requests_over_a_socket(
     controller: Controller, connect: Connect, listener: socket.socket
 ) -> None:
     port = listener.getsockname()[1]
@@ -302,7 +300,7 @@ def test_questions_and_answers_cycle_by_cycle(
 
 
 @pytest.mark.parametrize("end", ["stop", "reboot", "close", "new"])
-def test_the_end_of_a_program_closes_its_sockets(
+def test_end_of_a_program_closes_its_sockets(
     end: str, controller: Controller, connect: Connect, listener: socket.socket
 ) -> None:
     port = listener.getsockname()[1]
@@ -322,7 +320,7 @@ def test_the_end_of_a_program_closes_its_sockets(
         assert peer.recv(1) == b""
 
 
-def test_the_end_of_a_secondary_program_closes_its_sockets(
+def test_end_of_a_secondary_program_closes_its_sockets(
     controller: Controller, connect: Connect, listener: socket.socket
 ) -> None:
     port = listener.getsockname()[1]
@@ -333,9 +331,9 @@ def test_the_end_of_a_secondary_program_closes_its_sockets(
         assert peer.recv(1) == b""
 
 
-def test_heavy_programs_keep_nobody_from_asking_or_closing(controller: Controller, connect: Connect) -> None:
+def test_heavy_program_does_not_block_calls_or_the_dashboard(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "primary")
-    # Cycles that cost many times what they last.
+    # Each cycle takes many times its period to compute.
     loop = (
         "    i = 0\n    while i < 400:\n      get_inverse_kin(p[0.3, 0.2, 0.3, 0, 3.1, 0])\n      i = i + 1\n    end\n"
     )
@@ -346,7 +344,7 @@ def test_heavy_programs_keep_nobody_from_asking_or_closing(controller: Controlle
     asking = connect(controller, "dashboard")
     assert asking.segment().startswith(b"Connected")
     assert reply(asking, "running") == "Program running: true"
-    # Each line of it waits for its turn, and none for all the cycles that are late.
+    # Each line waits for its turn, but does not wait for all the late cycles.
     asking.send(b"running\n" * 400)
     data = b""
     while data.count(b"\n") < 400:
@@ -357,7 +355,7 @@ def test_heavy_programs_keep_nobody_from_asking_or_closing(controller: Controlle
 # -- dashboard -----------------------------------------------------------------------------------------
 
 
-def test_the_dashboard_from_power_off_to_a_program() -> None:
+def test_dashboard_starts_a_program_from_power_off() -> None:
     with urlink.connect("sim://ur5e") as robot:
         controller, dashboard = robot.controller, robot.dashboard
         assert controller is not None
@@ -390,7 +388,7 @@ def test_the_dashboard_from_power_off_to_a_program() -> None:
         assert not dashboard.is_in_remote_control()
 
 
-def test_the_dashboard_says_goodbye(controller: Controller, connect: Connect) -> None:
+def test_dashboard_replies_to_quit_before_disconnecting(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "dashboard")
     assert link.segment() == b"Connected: Universal Robots Dashboard Server\n"
     link.send(b"robotmode\nquit\nrobotmode\n")
@@ -401,7 +399,7 @@ def test_the_dashboard_says_goodbye(controller: Controller, connect: Connect) ->
     assert link.is_ended()
 
 
-def test_play_and_pause_in_one_segment(controller: Controller, connect: Connect) -> None:
+def test_dashboard_commands_in_one_segment_run_in_order(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "dashboard")
     assert link.segment().startswith(b"Connected")
     link.send(b"load wait.urp\r\nplay\r\nprogramState\r\npause\r\nprogramState\r\nplay\r\nstop\r\nprogramState\r\n")
@@ -420,14 +418,14 @@ def test_play_and_pause_in_one_segment(controller: Controller, connect: Connect)
     ]
 
 
-def test_a_dashboard_can_be_disturbed(controller: Controller, connect: Connect) -> None:
+def test_faults_disturb_the_dashboard(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "dashboard")
     assert link.segment().startswith(b"Connected")
     controller.faults.garbage(b"???", "dashboard")
     assert reply(link, "running") == "???Program running: false"
     controller.faults.stall(60.0, "dashboard")
     link.send(b"load wait.urp\nplay\n")
-    # What it says is lost, what it does is not.
+    # The reply is lost, but the command is executed.
     until(lambda: controller.program_name == "wait")
     controller.faults.heal()
     assert reply(link, "running") == "Program running: true"
@@ -437,12 +435,12 @@ def test_a_dashboard_can_be_disturbed(controller: Controller, connect: Connect) 
         controller.faults.unknown_package(port="dashboard")
 
 
-# -- the controller as its programs see it -----------------------------------------------------------
+# -- the controller as seen by its programs ----------------------------------------------------------
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
-def test_to_a_program_this_computer_is_the_controller(controller: Controller, connect: Connect, host: str) -> None:
-    """Public programs move the speed slider so: whatever port serves 30003 here, it is 30003 to them."""
+def test_own_ports_reach_the_controller_from_a_program(controller: Controller, connect: Connect, host: str) -> None:
+    """Public programs move the speed slider in this way. To a program, the actual port of 30003 is always 30003."""
     link = connect(controller, "primary")
     program = f"""def slider():
   socket_open("{host}", 30003, "own")
@@ -458,7 +456,7 @@ end
     until(lambda: controller.speed_fraction == 0.4)
 
 
-def test_a_port_that_is_not_served_is_not_there(connect: Connect) -> None:
+def test_own_port_that_is_not_served_refuses_a_program(connect: Connect) -> None:
     with Controller("UR5e", "5.11", motion=Still(), ports={"primary": 0}) as controller:
         link = connect(controller, "primary")
         link.send(b'textmsg(socket_open("127.0.0.1", 29999))\n')

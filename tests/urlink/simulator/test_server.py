@@ -33,7 +33,7 @@ Connect = Callable[[Controller, str], Any]
 Eventually = Callable[[Callable[[], object]], None]
 
 
-#: What a controller of 5.11 serves.
+#: Ports that a controller with firmware 5.11 serves.
 SERVED = [name for name in PORTS if name != "robot_api"]
 
 
@@ -44,7 +44,7 @@ def times(link: Any, count: int) -> list[float]:
 @pytest.mark.parametrize(
     ("name", "firmware", "period"), [("UR5e", "5.11", 0.002), ("UR10", "3.14", 0.008), ("UR5", "1.6", 0.008)]
 )
-def test_real_time_packets_come_one_a_cycle(name: str, firmware: str, period: float, connect: Connect) -> None:
+def test_realtime_packets_come_once_per_cycle(name: str, firmware: str, period: float, connect: Connect) -> None:
     with Controller(name, firmware) as controller:
         link = connect(controller, "realtime")
         begin, first = time.monotonic(), times(link, 1)[0]
@@ -55,17 +55,17 @@ def test_real_time_packets_come_one_a_cycle(name: str, firmware: str, period: fl
     assert elapsed > 100 * period - 0.05
 
 
-def test_who_connects_sees_nothing_of_the_past(connect: Connect, eventually: Eventually) -> None:
+def test_new_client_gets_no_old_packets(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5e", "5.11") as controller:
-        # With nobody on a real-time port the clock advances ten times a second, by fifty cycles.
+        # Without a client on a real-time port, the clock advances ten times a second, by fifty cycles.
         for _ in range(5):
             eventually(lambda: controller.cycle % 50 == 0)
-            # This is between two of these moments on purpose, not a wait for something to happen.
+            # The pause deliberately ends between two of these moments; it does not wait for an event.
             time.sleep(0.06)
             link = connect(controller, "realtime")
             connected = time.monotonic()
             first = times(link, 1)[0]
-            # Not before it is due: fifty cycles at once would bring ten in no time.
+            # Packets must not arrive before they are due: fifty cycles at once would bring ten packets immediately.
             stamps = times(link, 10)
             assert time.monotonic() - connected > 0.015
             assert stamps[-1] == pytest.approx(first + 0.02, abs=1e-9)
@@ -74,20 +74,20 @@ def test_who_connects_sees_nothing_of_the_past(connect: Connect, eventually: Eve
 
 
 @pytest.mark.parametrize("port", ["primary", "realtime", "dashboard"])
-def test_who_is_gone_before_being_accepted_harms_nobody(port: str, connect: Connect) -> None:
+def test_client_that_disconnects_before_accept_does_no_harm(port: str, connect: Connect) -> None:
     with Controller("UR5e", "5.11") as controller:
 
         def come_and_go() -> None:
             with socket.create_connection((controller.host, controller.ports[port])) as link:
                 link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
-        # In the thread that accepts, so that it cannot be quicker.
+        # The client runs in the thread that accepts, so its connection cannot be accepted before it is closed.
         controller.call(come_and_go)
         times(connect(controller, "realtime"), 3)
 
 
 @pytest.mark.parametrize("port", ["primary", "primary_readonly", "secondary", "secondary_readonly"])
-def test_packages_come_with_a_head_and_ten_times_a_second(port: str, connect: Connect) -> None:
+def test_packages_come_after_a_greeting_at_ten_hertz(port: str, connect: Connect) -> None:
     with Controller("UR5", "3.10") as controller:
         link = connect(controller, port)
         head = [(len(package), package[4]) for package in (link.packet() for _ in range(4))]
@@ -99,19 +99,19 @@ def test_packages_come_with_a_head_and_ten_times_a_second(port: str, connect: Co
             package = link.packet()
             assert (len(package), package[4]) == (682, 16)
             stamps.append(int.from_bytes(package[10:18], "big"))
-    # 12.5 cycles of 8 ms lie between two states, so it is 12 and 13 in turn.
+    # Two states are 12.5 cycles of 8 ms apart, so the gaps alternate between 12 and 13 cycles.
     gaps = [after - before for before, after in itertools.pairwise(stamps)]
     assert set(gaps) == {96_000, 104_000}
     assert sum(gaps[:6]) == 600_000
 
 
-def test_a_state_that_shows_the_stop_comes_before_its_message(connect: Connect) -> None:
-    """The vendor's primary client waits for the message, and then reads the state that it has."""
+def test_state_with_the_stop_precedes_its_message(connect: Connect) -> None:
+    """The vendor's primary client waits for the message, and then reads the last state that it has received."""
     with Controller("UR5e", "5.25", stepped=True) as controller:
         link = connect(controller, "primary")
         controller.step(100)
         link.until(lambda packet: packet[4] == 16)
-        # At any time between two states, of which there is one in 50 cycles.
+        # The moments are spread over the time between two states, which are 50 cycles apart.
         for cycles in (1, 7, 49, 50, 51, 20):
             controller.step(cycles)
             for change, mode in (
@@ -149,7 +149,7 @@ def test_all_clients_of_a_port_get_the_same_bytes(connect: Connect) -> None:
         assert controller.counters.connections == 20
 
 
-def test_a_client_that_does_not_read_loses_packets_and_delays_nobody(connect: Connect, eventually: Eventually) -> None:
+def test_client_that_does_not_read_delays_no_other_client(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5e", "5.11", output_limit=20_000) as controller:
         reader, sleeper = connect(controller, "realtime"), connect(controller, "realtime")
         sleeper.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -160,7 +160,7 @@ def test_a_client_that_does_not_read_loses_packets_and_delays_nobody(connect: Co
             return controller.counters.unread > 50
 
         eventually(left_out)
-        # It may have been there for its programs only, as a public client is: they are still taken.
+        # Public clients exist that connect only to send programs, so text from this client is still accepted.
         sleeper.send(b"set speed 0.5\n")
         eventually(lambda: controller.speed_fraction == 0.5)
         assert controller.counters.dropped == 0
@@ -169,7 +169,7 @@ def test_a_client_that_does_not_read_loses_packets_and_delays_nobody(connect: Co
         assert len(reader.packet()) == 1220
 
 
-def test_clients_may_come_and_go_at_any_time(connect: Connect, eventually: Eventually) -> None:
+def test_clients_can_connect_and_disconnect_at_any_time(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5e", "5.11") as controller:
         steady = connect(controller, "realtime")
         for port in itertools.islice(itertools.cycle(SERVED), 60):
@@ -180,7 +180,7 @@ def test_clients_may_come_and_go_at_any_time(connect: Connect, eventually: Event
         assert controller.counters.dropped == 0
 
 
-def test_lines_that_clients_send_are_kept(connect: Connect, eventually: Eventually) -> None:
+def test_received_lines_are_kept(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5e", "5.11") as controller:
         for port in ("primary", "secondary", "realtime"):
             connect(controller, port).send(f"popup({port})\n".encode())
@@ -198,7 +198,7 @@ def test_lines_that_clients_send_are_kept(connect: Connect, eventually: Eventual
         assert [text for _, text in controller.received] == ["def f():", '  textmsg("\\xff")', "end"]
 
 
-def test_text_without_end_is_thrown_away(connect: Connect, eventually: Eventually) -> None:
+def test_line_without_end_is_discarded(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5e", "5.11") as controller:
         link = connect(controller, "primary")
         link.send(b"x" * (3 * LONGEST_LINE) + b"\nset_digital_out(0, True)\n")
@@ -214,20 +214,20 @@ def test_text_to_read_only_ports_has_no_effect(connect: Connect, eventually: Eve
         assert not controller.received
 
 
-def test_what_clients_send_is_bounded(connect: Connect, eventually: Eventually) -> None:
+def test_number_of_received_lines_is_bounded(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5e", "5.11") as controller:
         connect(controller, "primary").send(b"a\n" * 5000 + b"last\n")
         eventually(lambda: controller.received and controller.received[-1] == ("primary", "last"))
         assert len(controller.received) == 1000
 
 
-def test_closing_leaves_neither_thread_nor_socket(connect: Connect) -> None:
+def test_close_leaves_no_thread_or_socket(connect: Connect) -> None:
     before = threading.active_count()
     controller = Controller("UR5e", "5.11").start()
     controller.signals.tool_communication = ToolCommunication(is_enabled=True)
     controller.tool_serial.device = bytes.upper
     links = [connect(controller, port) for port in SERVED]
-    # What says nothing before it is asked.
+    # These ports send nothing before a request.
     asked = {"rtde": b"\0\3v", "gripper": b"GET POS\n", "interpreter": b"x = 1\n", "tool_serial": b"a"}
     for port, link in zip(SERVED, links, strict=True):
         link.send(asked.get(port, b""))
@@ -246,7 +246,7 @@ def test_closing_leaves_neither_thread_nor_socket(connect: Connect) -> None:
     assert controller.ports == {}
 
 
-def test_a_controller_can_be_closed_while_it_is_down_or_stalled(connect: Connect) -> None:
+def test_controller_can_be_closed_while_down_or_stalled(connect: Connect) -> None:
     before = threading.active_count()
     disturbances: list[Callable[[Any], None]] = [lambda f: f.reboot(downtime=60.0), lambda f: f.stall(60.0)]
     for disturb in disturbances:
@@ -261,7 +261,7 @@ def test_a_controller_can_be_closed_while_it_is_down_or_stalled(connect: Connect
         assert all(link.is_ended() for link in links)
 
 
-def test_a_closed_controller_can_be_started_again(connect: Connect) -> None:
+def test_closed_controller_can_be_started_again(connect: Connect) -> None:
     controller = Controller("UR5e", "5.11")
     for _ in range(2):
         with controller as same:
@@ -271,12 +271,12 @@ def test_a_closed_controller_can_be_started_again(connect: Connect) -> None:
     controller.step()
 
 
-def test_stepping_and_serving_exclude_each_other() -> None:
+def test_served_controller_cannot_be_stepped() -> None:
     with Controller("UR5e") as controller, pytest.raises(LocalError, match="cannot be stepped"):
         controller.step()
 
 
-def test_only_the_ports_asked_for_are_served(connect: Connect) -> None:
+def test_only_the_requested_ports_are_served(connect: Connect) -> None:
     with Controller("UR5e", "5.11", ports={"realtime": 0}) as controller:
         assert list(controller.ports) == ["realtime"]
         assert len(connect(controller, "realtime").packet()) == 1220
@@ -294,19 +294,19 @@ def test_standard_ports_are_those_of_a_real_controller() -> None:
         assert controller.ports == {name: PORTS[name] for name in SERVED}
 
 
-def test_a_host_that_is_not_ours_is_a_clear_error() -> None:
+def test_foreign_host_address_is_a_clear_error() -> None:
     with pytest.raises(BadAddress, match=r"cannot listen on 192\.0\.2\.1:0"):
         Controller(host="192.0.2.1").start()
 
 
 @pytest.mark.parametrize("host", ["", "0.0.0.0", "localhost"])
-def test_whatever_it_listens_on_it_has_an_address_to_connect_to(host: str) -> None:
+def test_address_can_be_connected_to_for_any_host(host: str) -> None:
     with Controller("UR5e", "5.11", host=host) as controller, urlink.connect(controller.address) as robot:
         assert str(robot.firmware).startswith("5.11")
 
 
 @pytest.mark.slow
-def test_twenty_controllers_live_together(connect: Connect) -> None:
+def test_twenty_controllers_run_at_the_same_time(connect: Connect) -> None:
     controllers = [Controller("UR5", "3.14") for _ in range(20)]
     try:
         for controller in controllers:
@@ -314,7 +314,7 @@ def test_twenty_controllers_live_together(connect: Connect) -> None:
         links = [connect(controller, "realtime") for controller in controllers]
         for controller, link in zip(controllers, links, strict=True):
             stamps = times(link, 60)
-            # On a machine that stands still for more than a second, what is missing was counted.
+            # If the machine pauses for more than a second, the missing packets must have been counted.
             missing = round((stamps[-1] - stamps[0]) / 0.008) - 59
             assert 0 <= missing <= controller.counters.skipped
     finally:
@@ -322,7 +322,7 @@ def test_twenty_controllers_live_together(connect: Connect) -> None:
             controller.close()
 
 
-def test_an_error_in_a_call_comes_back_and_harms_nothing(connect: Connect) -> None:
+def test_exception_in_a_call_is_raised_in_the_caller(connect: Connect) -> None:
     def fail() -> None:
         raise BadValue("no")
 
@@ -332,12 +332,12 @@ def test_an_error_in_a_call_comes_back_and_harms_nothing(connect: Connect) -> No
         assert len(connect(controller, "realtime").packet()) == 1220
 
 
-def test_calls_run_in_the_one_thread_of_the_controller() -> None:
+def test_calls_run_in_the_thread_of_the_controller() -> None:
     seen: list[threading.Thread] = []
 
     def look() -> None:
         seen.append(threading.current_thread())
-        # From within, a call is just made.
+        # Within that thread, a call runs directly.
         controller.call(lambda: seen.append(threading.current_thread()))
 
     with Controller("UR5e") as controller:
@@ -345,7 +345,7 @@ def test_calls_run_in_the_one_thread_of_the_controller() -> None:
     assert seen[0] is seen[1] is not threading.current_thread()
 
 
-def test_nothing_is_computed_while_nobody_looks(monkeypatch: pytest.MonkeyPatch, connect: Connect) -> None:
+def test_packets_are_computed_only_for_connected_clients(monkeypatch: pytest.MonkeyPatch, connect: Connect) -> None:
     with Controller("UR5e", "5.11") as controller:
         looks: list[str] = []
         ports: list[tuple[object, str]] = [(controller._realtime, "packet"), (controller._states, "package")]
@@ -364,14 +364,14 @@ def test_nothing_is_computed_while_nobody_looks(monkeypatch: pytest.MonkeyPatch,
 
 
 @pytest.mark.real_time
-def test_the_simulator_is_not_imported_with_the_package() -> None:
+def test_import_of_urlink_does_not_import_the_simulator() -> None:
     code = "import sys, urlink; print(sorted(name for name in sys.modules if 'urlink.simulator' in name))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.real_time
-def test_stepping_needs_no_server() -> None:
+def test_stepping_starts_no_server() -> None:
     code = (
         "import sys, threading; from urlink.simulator import Controller\n"
         "controller = Controller(); controller.step(10)\n"
@@ -381,7 +381,7 @@ def test_stepping_needs_no_server() -> None:
     assert done.stdout.split() == [str(release_of(NEWEST).realtime), "1", "False"]
 
 
-def test_an_older_head_has_the_version_message_alone(connect: Connect) -> None:
+def test_greeting_of_cb2_is_only_the_version_message(connect: Connect) -> None:
     with Controller("UR5", "1.8") as controller:
         link = connect(controller, "primary")
         version = VersionMessage.LAYOUTS.decode(link.packet())
@@ -389,12 +389,12 @@ def test_an_older_head_has_the_version_message_alone(connect: Connect) -> None:
         assert [len(link.packet()) for _ in range(2)] == [1254, 560]
 
 
-# -- a machine that is busy with something else --------------------------------------------------------
+# -- a machine that is busy with other work ------------------------------------------------------------
 
 
 @pytest.fixture
 def starved() -> Iterator[tuple[Controller, Clock]]:
-    """Time goes on when the test says so, as if the server's thread had no processor meanwhile."""
+    """Controller whose time advances only by the test, as if the server's thread got no processor time meanwhile."""
     controller, clock = Controller("UR5e", "5.11"), Clock()
     controller._clock = clock
     with controller:
@@ -402,8 +402,8 @@ def starved() -> Iterator[tuple[Controller, Clock]]:
 
 
 @pytest.mark.real_time
-def test_the_clock_does_not_drift(starved: tuple[Controller, Clock]) -> None:
-    """However irregularly its thread runs: cycle k is due k periods after the start."""
+def test_clock_does_not_drift(starved: tuple[Controller, Clock]) -> None:
+    """However irregularly the thread runs, cycle k is due k periods after the start."""
     controller, clock = starved
     begun, runs = clock.now, random.Random(0)
     for _ in range(500):
@@ -412,8 +412,8 @@ def test_the_clock_does_not_drift(starved: tuple[Controller, Clock]) -> None:
     assert controller.cycle == int((clock.now - begun) * 500)
 
 
-def test_short_hiccups_are_caught_up(starved: tuple[Controller, Clock], connect: Connect) -> None:
-    """A client gets every packet, in order, if late."""
+def test_short_delays_are_caught_up(starved: tuple[Controller, Clock], connect: Connect) -> None:
+    """A client gets every packet in order, though late."""
     controller, clock = starved
     link = connect(controller, "realtime")
     until(lambda: controller.counters.connections == 1)
@@ -425,8 +425,8 @@ def test_short_hiccups_are_caught_up(starved: tuple[Controller, Clock], connect:
     assert controller.counters.late == 99
 
 
-def test_after_long_ones_old_packets_are_not_sent(starved: tuple[Controller, Clock], connect: Connect) -> None:
-    """The controller itself has gone through every cycle; only packets are missing."""
+def test_old_packets_are_not_sent_after_a_long_delay(starved: tuple[Controller, Clock], connect: Connect) -> None:
+    """The controller has executed every cycle; only packets are missing."""
     controller, clock = starved
     link = connect(controller, "realtime")
     until(lambda: controller.counters.connections == 1)
@@ -436,7 +436,7 @@ def test_after_long_ones_old_packets_are_not_sent(starved: tuple[Controller, Clo
 
 
 class Slow:
-    """A scene that needs 5 ms for a cycle of 2 ms."""
+    """Scene that needs 5 ms for a cycle of 2 ms."""
 
     def advance(self, setpoint: Setpoint, pose: Sequence[float], seconds: float) -> Reaction:
         time.sleep(0.005)
@@ -444,7 +444,7 @@ class Slow:
 
 
 @pytest.mark.parametrize("port", ["primary", "secondary"])
-def test_a_controller_slower_than_real_time_goes_silent_on_no_port(port: str, connect: Connect) -> None:
+def test_controller_slower_than_real_time_still_sends_states(port: str, connect: Connect) -> None:
     with Controller("UR5e", "5.11") as controller:
         link = connect(controller, port)
         controller.world.scene = Slow()
@@ -453,11 +453,11 @@ def test_a_controller_slower_than_real_time_goes_silent_on_no_port(port: str, co
             if link.packet()[4] == 16:
                 came.append(time.monotonic())
         assert controller.counters.skipped > 100
-    # 50 cycles lie between two states; which is sent is looked at every 20 ms.
+    # Two states are 50 cycles apart; every 20 ms the server checks which of them are due.
     assert max(after - before for before, after in itertools.pairwise(came[1:])) < 50 * 0.005 + 0.05
 
 
-def test_after_sleeping_the_clock_is_set_anew(starved: tuple[Controller, Clock], connect: Connect) -> None:
+def test_clock_restarts_after_the_machine_has_slept(starved: tuple[Controller, Clock], connect: Connect) -> None:
     controller, clock = starved
     link = connect(controller, "realtime")
     until(lambda: controller.counters.connections == 1)
@@ -469,8 +469,8 @@ def test_after_sleeping_the_clock_is_set_anew(starved: tuple[Controller, Clock],
 
 
 @pytest.mark.slow
-def test_programs_do_not_notice_a_hiccup(connect: Connect) -> None:
-    """The same program comes to the same end in the same cycles, whatever the machine does."""
+def test_programs_do_not_depend_on_delays(connect: Connect) -> None:
+    """The same program has the same result in the same cycles, whatever the machine does."""
 
     def ends(leap: float) -> tuple[int, list[float]]:
         controller, clock = Controller("UR5e", "5.11", motion=Still()), Clock()
@@ -496,12 +496,12 @@ def rtde_package(link: Any) -> tuple[str, bytes]:
 
 
 def started(link: Any, names: bytes = b"timestamp") -> None:
-    """Go through the handshake, everything in one piece."""
+    """Go through the whole handshake in one segment."""
     link.send(b"\0\5V\0\2" + struct.pack(">HBd", 11 + len(names), ord("O"), 500.0) + names + b"\0\3S")
     assert [rtde_package(link)[0] for _ in range(3)] == ["V", "O", "S"]
 
 
-def test_rtde_clients_are_sent_every_cycle_each(connect: Connect) -> None:
+def test_each_rtde_client_gets_every_cycle(connect: Connect) -> None:
     with Controller("UR5e", "5.11") as controller:
         links = [connect(controller, "rtde") for _ in range(3)]
         for link in links:
@@ -514,7 +514,7 @@ def test_rtde_clients_are_sent_every_cycle_each(connect: Connect) -> None:
             assert max(gaps) == pytest.approx(0.002, abs=1e-9)
 
 
-def test_a_reboot_ends_rtde_connections_and_frees_their_inputs(connect: Connect, eventually: Eventually) -> None:
+def test_reboot_ends_rtde_connections_and_frees_inputs(connect: Connect, eventually: Eventually) -> None:
     with Controller("UR5e", "5.11") as controller:
         link = connect(controller, "rtde")
         link.send(b"\0\x14Ispeed_slider_mask")
@@ -524,7 +524,7 @@ def test_a_reboot_ends_rtde_connections_and_frees_their_inputs(connect: Connect,
         eventually(lambda: controller.is_up and not controller.rtde.sessions)
         made: list[Any] = []
 
-        def is_there() -> bool:  # it listens again a moment after it is up
+        def is_there() -> bool:  # the server listens again a moment after `is_up`
             with contextlib.suppress(ConnectionRefusedError):
                 made.append(connect(controller, "rtde"))
             return bool(made)

@@ -1,4 +1,4 @@
-"""Time that passes by calls."""
+"""Simulated time that advances by calls of a step function."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from urlink.simulator.control_loop import passing
 
 
 @pytest.mark.simulated_time
-def test_a_step_that_gets_no_processor_time_does_not_end_time() -> None:
+def test_simulated_time_continues_after_a_step_times_out() -> None:
     steps: list[int] = []
 
     def step(cycles: int) -> None:

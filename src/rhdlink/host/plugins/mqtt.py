@@ -48,9 +48,12 @@ _CONNECT_TIMEOUT, _KEEPALIVE = 5.0, 10
 #: Table for DTU's robots. A line contains a direction, a topic, the RHD variable ("-" for none) and the names of the
 #: values; "#" begins a comment.
 ROBOBOT_TABLE = """\
-read     robobot/drive/T0/pose  pose  time x y heading   # known: the topic, and the time first. Assumed: m, m, rad
-command  robobot/cmd/ti/rc      -     linear angular     # assumed: m/s, rad/s to the left
-alive    robobot/cmd/ti/alive   -     time               # assumed: time when the master began, which identifies it
+# known: the topic, and the time first; assumed: m, m, rad
+read     robobot/drive/T0/pose  pose  time x y heading
+# assumed: m/s, rad/s to the left
+command  robobot/cmd/ti/rc      -     linear angular
+# assumed: time when the master began, which identifies it
+alive    robobot/cmd/ti/alive   -     time
 """
 
 _DIRECTIONS = ("read", "command", "alive")

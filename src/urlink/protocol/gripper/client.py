@@ -243,8 +243,10 @@ class Gripper(StrictAttributes):
         Raises:
             BadValue: If the opening is not between 0 and the stroke.
 
-        >>> Gripper.position_of(0.085), Gripper.position_of(0.0), Gripper.position_of(0.07, stroke=0.14)
-        (0, 255, 128)
+        >>> Gripper.position_of(0.085), Gripper.position_of(0.0)
+        (0, 255)
+        >>> Gripper.position_of(0.07, stroke=0.14)
+        128
         """
         if not 0.0 <= opening <= stroke:
             raise BadValue(f"opening={opening!r} m; expected 0 to the stroke of {stroke:g} m")

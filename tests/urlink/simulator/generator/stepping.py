@@ -1,4 +1,4 @@
-"""Running a generator for as many cycles as a movement takes, and what every movement has in common."""
+"""Functions that run a generator until a motion ends, and checks that every motion must pass."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ def cycles(generator: MotionGenerator, count: int, cycle: float = CYCLE) -> list
 
 
 def finish(generator: MotionGenerator, move: Command, cycle: float = CYCLE, at_most: float = 60.0) -> list[Setpoint]:
-    """The set-points until the movement is over."""
+    """Return the set-points until the motion ends."""
     setpoints = []
     while not move.is_over:
         setpoints.append(generator.advance(cycle))
-        assert len(setpoints) * cycle < at_most, "the movement does not end"
+        assert len(setpoints) * cycle < at_most, "the motion does not end"
     return setpoints
 
 
 def to_rest(generator: MotionGenerator, cycle: float = CYCLE, at_most: float = 60.0) -> list[Setpoint]:
-    """The set-points until nothing moves any more."""
+    """Return the set-points until the arm is at rest."""
     setpoints = []
     while not generator.is_standing:
         setpoints.append(generator.advance(cycle))
@@ -55,7 +55,7 @@ def speeds(setpoints: Sequence[Setpoint]) -> Array:
 
 
 def check_continuous(before: Setpoint, setpoints: Sequence[Setpoint], hardest: Array, cycle: float = CYCLE) -> None:
-    """No speed changes by more than `hardest` rad/s² over a cycle, and the positions go where the speeds take them."""
+    """Check that speeds change by at most `hardest` rad/s² over a cycle, and that positions match the speeds."""
     q, qd = positions([before, *setpoints]), speeds([before, *setpoints])
     assert np.isfinite(q).all()
     assert np.isfinite(qd).all()
@@ -65,7 +65,7 @@ def check_continuous(before: Setpoint, setpoints: Sequence[Setpoint], hardest: A
 
 
 def trapezoid(length: float, speed: float, acceleration: float) -> float:
-    """Seconds from rest to rest."""
+    """Return the duration from rest to rest, in s."""
     if length * acceleration < speed * speed:
         return 2.0 * math.sqrt(length / acceleration)
     return length / speed + speed / acceleration

@@ -47,21 +47,21 @@ def test_joints_arrive_together() -> None:
 
 
 @pytest.mark.parametrize(("duration", "takes"), [(3.0, 3.0), (0.001, trapezoid(1.0, math.pi, 40.0)), (0.4, 0.4)])
-def test_a_time_overrides_speed_and_acceleration_but_not_the_model(duration: float, takes: float) -> None:
+def test_time_overrides_speed_but_not_limits_of_the_model(duration: float, takes: float) -> None:
     generator = standing()
     setpoints = finish(generator, generator.movej(moved(0, 0, 0, 0, 0, 1.0), a=0.1, v=0.1, t=duration))
     assert len(setpoints) == pytest.approx(takes / CYCLE, abs=1.001)
     assert np.abs(speeds(setpoints)).max() <= math.pi * (1 + 1e-9)
 
 
-def test_no_way_to_go_is_over_at_once() -> None:
+def test_movej_to_the_current_posture_ends_immediately() -> None:
     generator = standing()
     assert len(finish(generator, generator.movej(list(HOME)))) == 1
     assert len(finish(generator, generator.movej(list(HOME), t=1.0))) == 1
     assert generator.setpoint == (list(HOME), REST, REST)
 
 
-def test_a_target_out_of_range_is_refused_at_once() -> None:
+def test_target_out_of_range_is_rejected_immediately() -> None:
     generator = standing()
     before = generator.setpoint
     with pytest.raises(OutOfReach, match=r"base.*7.0000 rad is out of range"):
@@ -70,7 +70,7 @@ def test_a_target_out_of_range_is_refused_at_once() -> None:
     finish(generator, generator.movej(moved(0.1, 0, 0, 0, 0, 0)))
 
 
-def test_the_endless_wrist_has_no_range() -> None:
+def test_endless_wrist_has_no_range() -> None:
     generator = standing(arm=MODELS["UR3e"])
     target = moved(0, 0, 0, 0, 0, 20.0)
     finish(generator, generator.movej(target, v=6.0, a=20.0))
@@ -81,7 +81,7 @@ def test_the_endless_wrist_has_no_range() -> None:
     "arguments",
     [{"a": 0.0}, {"v": -1.0}, {"t": -1.0}, {"r": math.nan}, {"q": [0.0] * 5}, {"q": [math.inf] * 6}, {"v": math.inf}],
 )
-def test_arguments_without_meaning(arguments: dict[str, float]) -> None:
+def test_movej_rejects_invalid_arguments(arguments: dict[str, float]) -> None:
     generator = standing()
     with pytest.raises(BadValue):
         generator.movej(**{"q": list(HOME), **arguments})  # type: ignore[arg-type]
@@ -90,7 +90,7 @@ def test_arguments_without_meaning(arguments: dict[str, float]) -> None:
 
 @pytest.mark.property
 @given(arms, postures, postures, st.floats(0.5, 10.0), st.floats(0.5, 60.0), st.sampled_from([0.002, 0.008]))
-def test_no_limit_is_exceeded(
+def test_movej_exceeds_no_limit(
     arm: Model, start: list[float], target: list[float], v: float, a: float, cycle: float
 ) -> None:
     generator = standing(start, arm)
@@ -111,7 +111,7 @@ def test_no_limit_is_exceeded(
 
 @pytest.mark.property
 @given(postures, st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6), st.integers(1, 800))
-def test_another_movej_takes_over_at_the_present_speed(target: list[float], other: list[float], after: int) -> None:
+def test_another_movej_takes_over_at_the_current_speed(target: list[float], other: list[float], after: int) -> None:
     generator = standing()
     generator.movej(target, v=3.0, a=20.0)
     before = generator.setpoint

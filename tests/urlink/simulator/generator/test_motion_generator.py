@@ -1,4 +1,4 @@
-"""What all commands share: blends, the speed slider, going on after a stop, and taking over from each other."""
+"""Behaviour of all commands: blends, the speed slider, resuming after a stop, and replacing each other."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def shifted(x: float, y: float, z: float) -> list[float]:
 # -- blends --------------------------------------------------------------------------------------
 
 
-def test_a_blend_passes_its_corner_at_speed() -> None:
+def test_blend_passes_its_corner_at_speed() -> None:
     generator = standing()
     before = generator.setpoint
     corner, target = moved(0.5, 0, 0, 0, 0, 0), moved(0.5, 0.3, 0, 0, 0, 0)
@@ -58,14 +58,14 @@ def test_a_blend_passes_its_corner_at_speed() -> None:
     setpoints += finish(generator, generator.movej(target, a=3.0, v=1.0))
     assert generator.setpoint == (target, REST, REST)
     check_continuous(before, setpoints, HARDEST)
-    # The arm never stands, and passes the corner inside its radius.
+    # The arm never comes to rest, and passes the corner inside the radius.
     assert np.linalg.norm(speeds(setpoints)[near : near + 100], axis=1).min() > 0.3
     closest = min(math.dist(tool(setpoint.q), tool(corner)) for setpoint in setpoints)
     assert 0.0 < closest < 0.1
     assert len(setpoints) * CYCLE < trapezoid(0.5, 1.0, 3.0) + trapezoid(0.3, 1.0, 3.0)
 
 
-def test_a_blend_without_a_next_move_ends_at_its_target() -> None:
+def test_blend_without_a_next_move_ends_at_its_target() -> None:
     for release in (True, False):
         generator = standing()
         target = moved(0.5, 0, 0.2, 0, 0, 0)
@@ -77,13 +77,13 @@ def test_a_blend_without_a_next_move_ends_at_its_target() -> None:
         assert generator.setpoint == (target, REST, REST)
 
 
-def test_a_radius_beyond_half_the_way_counts_as_half() -> None:
+def test_radius_is_limited_to_half_the_path() -> None:
     generator = standing()
     finish(generator, generator.movej(moved(0.5, 0, 0, 0, 0, 0), r=10.0))
     assert generator.setpoint.q[0] == pytest.approx(0.25, abs=0.01)
 
 
-def test_the_tool_turns_a_rounded_corner_onto_the_next_line() -> None:
+def test_movep_rounds_corners_onto_the_next_line() -> None:
     generator = standing()
     before = generator.setpoint
     setpoints = finish(generator, generator.movep(shifted(0.1, 0, 0), a=1.0, v=0.1, r=0.02))
@@ -95,17 +95,17 @@ def test_the_tool_turns_a_rounded_corner_onto_the_next_line() -> None:
     path = np.array([tool(setpoint.q) for setpoint in setpoints]) - tool(list(HOME))
     np.testing.assert_allclose(path[-1], 0.1, atol=1e-9)
     assert np.linalg.norm(path[first - 1] - [0.1, 0, 0]) <= 0.02
-    # Rounded inside of both radii, straight between them.
+    # The path is rounded inside both radii, and straight between them.
     straight = (path[:, 1] > 0.021) & (np.arange(len(path)) < second)
     assert straight.sum() > 100
     np.testing.assert_allclose(path[straight][:, [0, 2]] - [0.1, 0.0], 0.0, atol=1e-6)
-    # About the same speed all the way.
+    # The speed stays about the same along the whole path.
     pace = np.linalg.norm(np.diff(path, axis=0), axis=1) / CYCLE
     assert pace.max() < 0.103
     assert pace[100:-100].min() > 0.06
 
 
-def test_a_line_follows_on_a_joint_move_and_the_other_way_round() -> None:
+def test_joint_moves_lines_and_circles_blend() -> None:
     generator = standing()
     before = generator.setpoint
     setpoints = finish(generator, generator.movej(moved(0.3, 0, 0, 0, 0, 0), r=0.03))
@@ -120,7 +120,7 @@ def test_a_line_follows_on_a_joint_move_and_the_other_way_round() -> None:
 
 
 @pytest.mark.parametrize("begin", ["movej", "movel", "movep", "movec"])
-def test_the_slider_scales_path_moves(begin: str) -> None:
+def test_slider_scales_path_moves(begin: str) -> None:
     def run(fraction: float) -> list[Setpoint]:
         generator = standing()
         generator.speed_fraction = fraction
@@ -140,7 +140,7 @@ def test_the_slider_scales_path_moves(begin: str) -> None:
 
 
 @pytest.mark.parametrize("begin", ["movej", "movel", "speedj", "speedl"])
-def test_a_slider_that_is_moved_has_no_jerk_in_it(begin: str) -> None:
+def test_moving_the_slider_changes_speed_smoothly(begin: str) -> None:
     generator = standing()
     before = generator.setpoint
     if begin == "movej":
@@ -161,10 +161,10 @@ def test_a_slider_that_is_moved_has_no_jerk_in_it(begin: str) -> None:
     check_continuous(before, setpoints, np.full(6, 12.0))
 
 
-# -- ends and new beginnings ---------------------------------------------------------------------
+# -- ends and restarts ---------------------------------------------------------------------------
 
 
-def test_a_new_command_ends_the_old_one() -> None:
+def test_new_command_ends_the_previous_command() -> None:
     generator = standing()
     move = generator.movej(moved(1, 0, 0, 0, 0, 0))
     cycles(generator, 100)
@@ -172,7 +172,7 @@ def test_a_new_command_ends_the_old_one() -> None:
     assert move.is_over
 
 
-def test_release_brakes_whatever_goes_on() -> None:
+def test_release_brakes_a_running_motion() -> None:
     generator = standing()
     before = generator.setpoint
     move = generator.movej(moved(1, 0, 0, 0, 0, 0))
@@ -186,7 +186,7 @@ def test_release_brakes_whatever_goes_on() -> None:
     assert generator.is_standing
 
 
-def test_a_drive_that_begins_in_motion_brakes() -> None:
+def test_generator_that_starts_in_motion_brakes() -> None:
     generator = MotionGenerator(Arm(UR5E), Setpoint(list(HOME), [0.5] * 6, REST))
     assert not generator.is_standing
     to_rest(generator)
@@ -194,7 +194,7 @@ def test_a_drive_that_begins_in_motion_brakes() -> None:
 
 
 @pytest.mark.parametrize("begin", ["movej", "movel"])
-def test_a_move_goes_on_to_its_end_from_where_the_arm_was_stopped(begin: str) -> None:
+def test_stopped_move_resumes_and_reaches_its_end(begin: str) -> None:
     generator = standing()
     target = moved(0.5, 0.1, 0, 0, 0, 0)
     pose = shifted(0.1, 0.05, 0)
@@ -213,7 +213,7 @@ def test_a_move_goes_on_to_its_end_from_where_the_arm_was_stopped(begin: str) ->
 
 
 @pytest.mark.parametrize("begin", ["speedj", "speedl", "servoj", "nothing"])
-def test_other_commands_go_on_from_rest(begin: str) -> None:
+def test_other_commands_resume_from_rest(begin: str) -> None:
     generator = standing()
     if begin == "speedj":
         generator.speedj([0.1] * 6, 1.0, None)
@@ -227,7 +227,7 @@ def test_other_commands_go_on_from_rest(begin: str) -> None:
 
 
 @pytest.mark.parametrize("begin", ["movej", "servoj", "stopj"])
-def test_what_has_ended_does_not_bring_the_arm_back(begin: str) -> None:
+def test_ended_command_does_not_move_the_arm_back(begin: str) -> None:
     generator = standing()
     if begin == "movej":
         generator.movej(moved(0.1, 0, 0, 0, 0, 0))
@@ -243,7 +243,7 @@ def test_what_has_ended_does_not_bring_the_arm_back(begin: str) -> None:
     assert generator.is_standing
 
 
-def test_a_violation_is_over_when_the_arm_goes_on() -> None:
+def test_violating_command_ends_when_the_arm_restarts() -> None:
     generator = standing()
     move = generator.servoj(moved(1, 0, 0, 0, 0, 0), CYCLE, 0.03, 300.0)
     for _ in range(3):
@@ -256,13 +256,13 @@ def test_a_violation_is_over_when_the_arm_goes_on() -> None:
     assert generator.is_standing
 
 
-def test_a_tcp_is_six_numbers() -> None:
+def test_tcp_must_be_six_numbers() -> None:
     generator = standing()
     with pytest.raises(BadValue, match="a TCP"):
         generator.tcp = [0.0] * 5
 
 
-# -- anything, at any time -----------------------------------------------------------------------
+# -- arbitrary commands in arbitrary cycles ------------------------------------------------------
 
 numbers = st.floats(-1.0, 1.0)
 sixes = st.lists(numbers, min_size=6, max_size=6)
@@ -320,10 +320,10 @@ def begin(generator: MotionGenerator, name: str, six: list[float], a: float, v: 
     ]
 )
 @example([("speedj", [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 0.15625, 1.0, 0.0, 0), *2 * [("finish", REST, 1.0, 1.0, 0.0, 0)]])
-def test_any_commands_in_any_cycles(
+def test_any_commands_in_any_cycles_stay_smooth(
     sequence: list[tuple[str, list[float], float, float, float, int]],
 ) -> None:
-    """Nothing but the two refusals ever comes out, and the speed never jumps by what no arm could follow."""
+    """Only the two refusals may be raised, and the speed must never jump by more than an arm could follow."""
     generator = standing()
     before = generator.setpoint
     setpoints: list[Setpoint] = []
@@ -346,7 +346,7 @@ def test_any_commands_in_any_cycles(
     refusal = "none"
     try:
         setpoints += to_rest(generator)
-    except LimitViolation as violation:  # it was on its way out of its range, too near the end to brake
+    except LimitViolation as violation:  # the joint was about to leave its range, too close to the limit to brake
         refusal = str(violation)
     assert refusal == "none" or "out of range" in refusal
     check_continuous(before, setpoints, 10.0 * UR5E.max_acceleration)

@@ -1,4 +1,4 @@
-"""Profiles against their definition."""
+"""Speed profiles compared with their definition."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ lengths = st.floats(1e-3, 10.0)
 rates = st.floats(0.05, 50.0)
 
 
-def test_nothing_to_go_takes_no_time() -> None:
+def test_zero_length_takes_no_time() -> None:
     assert Trapezoid(0.0, 1.0, 1.0).duration == 0.0
     assert Trapezoid(0.0, 1.0, 1.0).at(0.0) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.property
 @given(lengths, rates, rates, rates, st.floats(0.0, 1.0))
-def test_way_and_speed_agree(length: float, speed: float, fall: float, rise: float, part: float) -> None:
+def test_position_and_speed_agree(length: float, speed: float, fall: float, rise: float, part: float) -> None:
     profile = Trapezoid(length, speed, fall, rise)
     time, step = part * profile.duration, 1e-6 * profile.duration
     way, now, acceleration = profile.at(time)
@@ -35,13 +35,13 @@ def test_way_and_speed_agree(length: float, speed: float, fall: float, rise: flo
 
 @pytest.mark.property
 @given(lengths, rates, rates)
-def test_it_takes_as_long_as_a_trapezoid(length: float, speed: float, acceleration: float) -> None:
+def test_duration_equals_that_of_a_trapezoid(length: float, speed: float, acceleration: float) -> None:
     assert Trapezoid(length, speed, acceleration).duration == pytest.approx(trapezoid(length, speed, acceleration))
 
 
 @pytest.mark.property
 @given(lengths, st.floats(0.01, 100.0), rates, rates)
-def test_a_wanted_time_is_taken_where_the_limits_allow(length: float, wanted: float, v: float, a: float) -> None:
+def test_requested_time_is_kept_if_the_limits_allow(length: float, wanted: float, v: float, a: float) -> None:
     speed, acceleration = timed(length, wanted, v, a)
     assert speed <= v * (1 + 1e-9)
     assert acceleration <= a * (1 + 1e-9)

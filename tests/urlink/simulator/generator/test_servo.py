@@ -26,18 +26,18 @@ from urlink.simulator.robot.generator import LimitViolation, MotionGenerator
 from urlink.simulator.robot.generator.streamed_motion import lag_of
 from urlink.simulator.robot.setpoint_sources import HOME, Setpoint
 
-#: lookahead_time and gain; the last is firmware that has neither
+#: lookahead_time and gain; the last entry is for firmware that has neither
 ARGUMENTS = [(0.03, 300.0), (0.1, 300.0), (0.03, 2000.0), (0.2, 100.0), (0.0, 0.0)]
 
 
 def waving(time: float) -> list[float]:
-    """From rest, at up to 0.5 rad/s."""
+    """Return joint positions that start at rest and move at up to 0.5 rad/s."""
     return [h + 0.25 * (1.0 - math.cos(2.0 * time)) for h in HOME]
 
 
 @pytest.mark.parametrize("cycle", [0.002, 0.008])
 @pytest.mark.parametrize(("lookahead", "gain"), ARGUMENTS)
-def test_the_arm_trails_a_wave_by_the_documented_lag(lookahead: float, gain: float, cycle: float) -> None:
+def test_arm_follows_a_wave_with_the_documented_lag(lookahead: float, gain: float, cycle: float) -> None:
     generator = standing()
     lag = lag_of(cycle, lookahead, gain)
     before, setpoints, expected = generator.setpoint, [], []
@@ -45,18 +45,18 @@ def test_the_arm_trails_a_wave_by_the_documented_lag(lookahead: float, gain: flo
         generator.servoj(waving(i * cycle), cycle, lookahead, gain)
         setpoints.append(generator.advance(cycle))
         expected.append(waving(max(i * cycle - lag, 0.0)))
-    # The second order that the delay leaves out: a quarter of the squared lag times an acceleration of 1 rad/s².
+    # The delay omits the second order: a quarter of the squared lag times an acceleration of 1 rad/s².
     assert np.abs(positions(setpoints) - expected).max() < 0.6 * lag**2 + 1e-4
     check_continuous(before, setpoints, UR5E.max_acceleration, cycle)
 
 
-def test_the_lag_of_a_usual_driver() -> None:
+def test_lag_of_common_driver_settings() -> None:
     assert lag_of(0.008, 0.03, 300.0) == pytest.approx(0.0217, abs=1e-4)
     assert lag_of(0.008, 0.0, 0.0) == 0.008
 
 
 @pytest.mark.parametrize(("lookahead", "gain"), ARGUMENTS)
-def test_a_small_step_is_reached_without_overshoot_and_exactly(lookahead: float, gain: float) -> None:
+def test_small_step_is_reached_exactly_without_overshoot(lookahead: float, gain: float) -> None:
     generator = standing()
     target = [h + 0.0004 for h in HOME]
     generator.servoj(target, CYCLE, lookahead, gain)
@@ -67,14 +67,14 @@ def test_a_small_step_is_reached_without_overshoot_and_exactly(lookahead: float,
     assert generator.setpoint == (target, REST, REST)
 
 
-def test_it_is_over_after_a_cycle_or_the_time_asked_for() -> None:
+def test_servoj_ends_after_a_cycle_or_its_time() -> None:
     generator = standing()
     for seconds, count in ((0.0, 1), (0.002, 1), (0.008, 4), (0.1, 50)):
         assert len(finish(generator, generator.servoj(list(HOME), seconds, 0.03, 300.0))) == count
 
 
-def test_a_set_point_of_several_cycles_is_approached_evenly() -> None:
-    """Once per 8 ms, at 500 cycles a second: no ripple in the speed."""
+def test_set_point_of_several_cycles_is_approached_evenly() -> None:
+    """Set-points every 8 ms, at 500 cycles per second, must cause no ripple in the speed."""
     generator = standing()
     setpoints = []
     for i in range(1, 250):
@@ -84,7 +84,7 @@ def test_a_set_point_of_several_cycles_is_approached_evenly() -> None:
 
 
 @pytest.mark.parametrize(("by", "passes"), [(0.01, True), (0.3, False), (-0.3, False), (1.0, False)])
-def test_a_joint_jump_is_a_violation(by: float, passes: bool) -> None:
+def test_joint_jump_is_a_violation(by: float, passes: bool) -> None:
     generator = standing()
     generator.servoj([*HOME[:5], HOME[5] + by], CYCLE, 0.03, 300.0)
     before = generator.setpoint
@@ -97,15 +97,15 @@ def test_a_joint_jump_is_a_violation(by: float, passes: bool) -> None:
         assert generator.setpoint == before
 
 
-def test_what_no_arm_can_follow_is_a_violation() -> None:
-    """Within the way that the largest speed allows, but from rest, and without any smoothing."""
+def test_impossible_acceleration_is_a_violation() -> None:
+    """The step is within the distance that the largest speed allows, but starts at rest and without any smoothing."""
     generator = standing()
     generator.servoj([HOME[0] + 0.01, *HOME[1:]], CYCLE, 0.0, 0.0)
     with pytest.raises(LimitViolation, match=r"base: an acceleration of .* which no arm can follow"):
         cycles(generator, 10)
 
 
-def test_a_smoother_follower_takes_larger_steps() -> None:
+def test_longer_lookahead_allows_larger_steps() -> None:
     generator = standing()
     generator.servoj([*HOME[:5], HOME[5] + 0.15], CYCLE, 0.2, 300.0)
     to_rest(generator)
@@ -120,15 +120,15 @@ def ramp(generator: MotionGenerator, fastest: float) -> None:
         generator.advance(CYCLE)
 
 
-def test_too_fast_is_a_violation() -> None:
-    """A ramp at 20 % above what the joint may; one at 2 % above passes as rounding."""
+def test_excessive_speed_is_a_violation() -> None:
+    """A ramp 20 % above the largest joint speed must fail; a ramp 2 % above it passes as rounding."""
     for factor, passes in ((1.02, True), (1.2, False)):
         generator = standing()
         with nullcontext() if passes else pytest.raises(LimitViolation, match="base: "):
             ramp(generator, factor * UR5E.max_speed[0])
 
 
-def test_out_of_range_is_a_violation() -> None:
+def test_position_out_of_range_is_a_violation() -> None:
     start = [6.28, *HOME[1:]]
     generator = standing(start)
     generator.servoj([6.2835, *HOME[1:]], CYCLE, 0.03, 300.0)
@@ -136,7 +136,7 @@ def test_out_of_range_is_a_violation() -> None:
         generator.advance(CYCLE)
 
 
-def test_it_takes_over_a_moving_arm() -> None:
+def test_servoj_takes_over_a_moving_arm() -> None:
     generator = standing()
     before = generator.setpoint
     generator.speedj([0.0] * 5 + [0.5], 5.0, None)
@@ -154,8 +154,8 @@ def test_it_takes_over_a_moving_arm() -> None:
     st.sampled_from(ARGUMENTS[:4]),
     st.sampled_from([0.002, 0.008]),
 )
-def test_it_is_stable(steps: list[float], arguments: tuple[float, float], cycle: float) -> None:
-    """However the set-points wander, the arm stays among them and ends on the last one."""
+def test_servoj_stays_near_its_set_points(steps: list[float], arguments: tuple[float, float], cycle: float) -> None:
+    """However the set-points wander, the arm must stay among them and end at the last one."""
     generator = standing()
     goal = 0.0
     goals = [0.0]
@@ -167,7 +167,7 @@ def test_it_is_stable(steps: list[float], arguments: tuple[float, float], cycle:
         setpoints.append(generator.advance(cycle))
     setpoints += to_rest(generator, cycle)
     way = positions(setpoints) - HOME
-    # What it has of speed carries it on a little when the set-points turn round.
+    # The speed of the arm carries it slightly further when the set-points reverse.
     assert way.max() <= max(goals) + 0.004
     assert way.min() >= min(goals) - 0.004
     assert generator.setpoint == ([h + goal for h in HOME], REST, REST)

@@ -25,7 +25,7 @@ from urlink.simulator.robot.generator import Command, LimitViolation
 from urlink.simulator.robot.setpoint_sources import HOME
 
 
-def test_joints_speed_up_in_proportion_and_keep_their_speed() -> None:
+def test_speedj_accelerates_joints_in_proportion() -> None:
     generator = standing()
     wanted = [0.5, -0.25, 0.0, 0.1, 0.0, 1.0]
     setpoints = finish(generator, generator.speedj(wanted, 2.0, None))
@@ -38,7 +38,7 @@ def test_joints_speed_up_in_proportion_and_keep_their_speed() -> None:
     check_continuous(setpoints[0], setpoints[1:] + after, np.full(6, 2.0))
 
 
-def test_a_time_ends_the_function_and_not_the_speed() -> None:
+def test_time_ends_the_command_but_not_the_speed() -> None:
     generator = standing()
     assert len(finish(generator, generator.speedj([0.1] * 6, 10.0, 0.1))) == 50
     assert len(finish(generator, generator.speedl([0.01] * 6, 1.0, 0.008, 1.0))) == 4
@@ -47,7 +47,7 @@ def test_a_time_ends_the_function_and_not_the_speed() -> None:
     assert not generator.is_standing
 
 
-def test_the_slider_stretches_the_time_of_a_speed() -> None:
+def test_slider_stretches_the_time_of_a_speed_command() -> None:
     generator = standing()
     generator.speed_fraction = 0.25
     finish(generator, generator.speedj([0.0] * 6, 1.0, 0.1))
@@ -63,7 +63,7 @@ def test_the_slider_stretches_the_time_of_a_speed() -> None:
     assert not move.is_over
 
 
-def test_a_speed_follows_a_speed_without_a_stop() -> None:
+def test_speedj_changes_speed_without_stopping() -> None:
     generator = standing()
     finish(generator, generator.speedj([0.5] * 6, 2.0, None))
     setpoints = finish(generator, generator.speedj([0.7, 0.3, 0.5, 0.5, 0.5, 0.5], 1.0, None))
@@ -83,13 +83,13 @@ def test_stopj_brakes_evenly_to_rest() -> None:
     assert positions(setpoints)[-1, 0] - before.q[0] == pytest.approx(0.25, abs=1e-9)
 
 
-def test_no_stop_is_harder_than_the_model() -> None:
+def test_stopj_is_limited_by_the_model() -> None:
     generator = standing()
     finish(generator, generator.speedj([1.0] * 6, 5.0, None))
     assert len(finish(generator, generator.stopj(1e6))) == pytest.approx(1.0 / 40.0 / CYCLE, abs=1)
 
 
-def test_the_tool_keeps_its_speed_on_a_line() -> None:
+def test_speedl_keeps_tool_speed_on_a_line() -> None:
     generator = standing()
     generator.tcp = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
     wanted = [0.1, -0.05, 0.05, 0.0, 0.1, 0.2]
@@ -109,7 +109,7 @@ def test_the_tool_keeps_its_speed_on_a_line() -> None:
     assert np.abs(across).max() < 1e-6
 
 
-def test_stopl_takes_over_joints_that_move() -> None:
+def test_stopl_takes_over_moving_joints() -> None:
     generator = standing()
     generator.speedj([0.3, 0.2, -0.3, 0.1, 0.1, 0.5], 3.0, None)
     before = generator.setpoint
@@ -119,8 +119,8 @@ def test_stopl_takes_over_joints_that_move() -> None:
     check_continuous(before, setpoints, UR5E.max_acceleration)
 
 
-def test_where_the_line_ends_stopl_brakes_the_joints() -> None:
-    """A nearly stretched arm that moves outward has not the way to stop on its line."""
+def test_stopl_brakes_the_joints_where_its_line_ends() -> None:
+    """A nearly stretched arm that moves outwards has too little distance to stop on its line."""
     generator = standing([0.0, -0.3, 0.2, -1.5, -1.5, 0.0])
     generator.speedl([0.1, 0, 0, 0, 0, 0], 5.0, None, 5.0)
     cycles(generator, 30)
@@ -130,34 +130,34 @@ def test_where_the_line_ends_stopl_brakes_the_joints() -> None:
     check_continuous(before, setpoints, 3.0 * UR5E.max_acceleration)
 
 
-def test_a_line_out_of_reach_is_a_violation() -> None:
+def test_speedl_out_of_reach_is_a_violation() -> None:
     generator = standing()
     generator.speedl([0.5, 0, 0, 0, 0, 0], 5.0, None, 5.0)
     with pytest.raises(LimitViolation):
         cycles(generator, 5000)
 
 
-def test_a_joint_that_leaves_its_range_is_a_violation_and_may_come_back() -> None:
+def test_joint_that_leaves_its_range_may_return() -> None:
     generator = standing([6.2, *HOME[1:]])
     generator.speedj([1.0, 0, 0, 0, 0, 0], 5.0, None)
     with pytest.raises(LimitViolation, match=r"base: a position of .* out of range"):
         cycles(generator, 200)
     assert generator.setpoint.q[0] <= UR5E.position_limits[0, 1]
-    # Whatever stops the arm now needs some way beyond.
+    # The braking arm travels beyond the limit.
     generator.start([6.4, *generator.setpoint.q[1:]])
     generator.speedj([-0.5, 0, 0, 0, 0, 0], 5.0, None)
     cycles(generator, 500)
     assert generator.setpoint.q[0] < 6.2
 
 
-def test_a_speed_above_the_limit_is_a_violation() -> None:
+def test_speed_above_the_limit_is_a_violation() -> None:
     generator = standing()
     generator.speedj([0, 0, 0, 0, 0, 4.0], 10.0, None)
     with pytest.raises(LimitViolation, match="wrist 3: a speed of"):
         cycles(generator, 500)
 
 
-def test_arguments_without_meaning() -> None:
+def test_speed_commands_reject_invalid_arguments() -> None:
     generator = standing()
     wrongs: list[Callable[[], Command]] = [
         lambda: generator.speedj([0.0] * 5, 1.0, None),
@@ -174,7 +174,7 @@ def test_arguments_without_meaning() -> None:
             wrong()
 
 
-def test_speeds_come_to_rest_when_nobody_commands() -> None:
+def test_release_brakes_speed_commands_to_rest() -> None:
     for begin in ("speedj", "speedl"):
         generator = standing()
         before = generator.setpoint

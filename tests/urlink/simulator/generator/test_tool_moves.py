@@ -47,7 +47,7 @@ def pose(q: object, arm: Model = UR5E) -> Array:
 
 
 def shifted(by: Array, turn: Array, arm: Model = UR5E) -> list[float]:
-    """The pose of the tool at home, moved in the base frame and turned in its own."""
+    """Return the pose of the tool at home, moved in the base frame and turned in the frame of the tool."""
     home = pose(HOME, arm)
     turned = compose(home, np.concatenate([[0, 0, 0], turn]))
     found: list[float] = np.concatenate([home[:3] + by, turned[3:]]).tolist()
@@ -64,7 +64,7 @@ def turned_by(first: Array, second: Array) -> Array:
 
 @pytest.mark.property
 @given(arms, triples, triples, st.floats(0.05, 0.25), st.floats(0.3, 1.5), st.sampled_from([0.004, 0.008]))
-def test_the_tool_goes_straight(arm: Model, by: Array, turn: Array, v: float, a: float, cycle: float) -> None:
+def test_movel_moves_the_tool_straight(arm: Model, by: Array, turn: Array, v: float, a: float, cycle: float) -> None:
     by, turn = 0.06 * arm.reach * by, 0.25 * turn
     generator = with_tool(arm)
     before = generator.setpoint
@@ -76,7 +76,7 @@ def test_the_tool_goes_straight(arm: Model, by: Array, turn: Array, v: float, a:
     start = pose(HOME, arm)
     along = (path[:, :3] - start[:3]) @ by / max(float(by @ by), 1e-300)
     assert np.abs(path[:, :3] - start[:3] - np.outer(along, by)).max() < 1e-6
-    # The tool has turned by the same part of its turn as it has gone of its way.
+    # The tool has covered the same fraction of its rotation as of its distance.
     if by @ by > 1e-4:
         middle = len(path) // 2
         np.testing.assert_allclose(turned_by(start, path[middle]), along[middle] * turn, atol=1e-6)
@@ -88,13 +88,13 @@ def test_the_tool_goes_straight(arm: Model, by: Array, turn: Array, v: float, a:
     check_continuous(before, setpoints, 3.0 * arm.max_acceleration, cycle)
 
 
-def test_a_time_overrides_speed_and_acceleration() -> None:
+def test_time_overrides_speed_and_acceleration() -> None:
     generator = with_tool()
     setpoints = finish(generator, generator.movel(shifted(np.array([0.1, 0, 0]), np.zeros(3)), a=1.2, v=0.01, t=2.0))
     assert len(setpoints) == pytest.approx(2.0 / CYCLE, abs=1.001)
 
 
-def test_no_way_to_go_is_over_at_once() -> None:
+def test_movel_to_the_current_pose_ends_immediately() -> None:
     generator = with_tool()
     target = pose(HOME).tolist()
     assert len(finish(generator, generator.movel(target))) == 1
@@ -102,7 +102,7 @@ def test_no_way_to_go_is_over_at_once() -> None:
 
 
 @pytest.mark.parametrize("begin", ["movel", "movep", "servoc"])
-def test_a_pose_out_of_reach_is_approached_until_the_arm_can_go_no_further(begin: str) -> None:
+def test_pose_out_of_reach_is_approached_as_far_as_possible(begin: str) -> None:
     generator = with_tool()
     start = pose(HOME)
     far = [1000.0 * start[0], 1000.0 * start[1], *start[2:].tolist()]
@@ -116,7 +116,7 @@ def test_a_pose_out_of_reach_is_approached_until_the_arm_can_go_no_further(begin
 
 @pytest.mark.parametrize("way", [(0.2, 0.1, 0.1), (-0.1, 0.3, 0.0)])
 @pytest.mark.parametrize("t", [0.02, 0.05])
-def test_a_time_too_short_is_made_longer(way: tuple[float, ...], t: float) -> None:
+def test_too_short_time_is_extended(way: tuple[float, ...], t: float) -> None:
     generator = with_tool()
     target = shifted(np.array(way), np.array([0.0, 0.0, 1.0]))
     setpoints = finish(generator, generator.movel(target, t=t))
@@ -125,8 +125,8 @@ def test_a_time_too_short_is_made_longer(way: tuple[float, ...], t: float) -> No
     assert (np.abs(speeds(setpoints)) <= 1.03 * UR5E.max_speed).all()
 
 
-def test_a_line_through_what_is_out_of_reach_ends_there() -> None:
-    """From one side of the base to the other, through the column that no arm reaches into."""
+def test_line_through_an_unreachable_region_ends_there() -> None:
+    """The line leads from one side of the base to the other, through the column that no arm can reach."""
     generator = with_tool()
     target = pose(HOME).tolist()
     generator.movel([-target[0], -target[1], *target[2:]], v=0.2)
@@ -141,7 +141,7 @@ def test_a_line_through_what_is_out_of_reach_ends_there() -> None:
 
 
 @pytest.mark.parametrize("q", [[0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0], [0.0] * 6])
-def test_a_line_out_of_a_singular_posture_moves_or_is_a_violation(q: list[float]) -> None:
+def test_line_out_of_a_singularity_moves_or_is_a_violation(q: list[float]) -> None:
     generator = standing(q)
     down = Arm(UR5E).forward(q) - np.array([0, 0, 0.05, 0, 0, 0])
     before, setpoints = generator.setpoint, []
@@ -152,7 +152,7 @@ def test_a_line_out_of_a_singular_posture_moves_or_is_a_violation(q: list[float]
     check_continuous(before, setpoints, 10.0 * UR5E.max_acceleration)
 
 
-def test_movep_and_servoc_are_lines() -> None:
+def test_movep_and_servoc_equal_movel() -> None:
     target = shifted(np.array([0.05, 0.05, 0.0]), np.zeros(3))
     ends = []
     for name in ("movel", "movep", "servoc"):
@@ -166,9 +166,9 @@ def test_movep_and_servoc_are_lines() -> None:
 @pytest.mark.slow
 @pytest.mark.property
 @given(st.floats(0.2, 6.0), st.floats(0.1, 0.9), triples, st.floats(0.02, 0.06), st.sampled_from([0, 1]))
-def test_the_tool_goes_round(angle: float, part: float, turn: Array, radius: float, mode: int) -> None:
-    """An arc of an angle on a circle in a tilted plane; the tool turns to an orientation or stays with the arc."""
-    # A tool that stays with the arc turns as far and as fast as that.
+def test_movec_moves_the_tool_on_a_circle(angle: float, part: float, turn: Array, radius: float, mode: int) -> None:
+    """The arc lies on a circle in a tilted plane; the tool turns to an orientation or keeps it relative to the arc."""
+    # A tool that keeps its orientation relative to the arc turns by the same angle at the same rate.
     angle, v = (angle, 0.1) if mode == 0 else (min(angle, 1.0), 0.5 * radius)
     generator = with_tool()
     start = pose(HOME)
@@ -195,7 +195,7 @@ def test_the_tool_goes_round(angle: float, part: float, turn: Array, radius: flo
         np.testing.assert_allclose(turned_by(np.array(to), path[-1]), 0.0, atol=1e-6)
         length = max(radius * angle, 0.25 * math.hypot(*turn))
     else:
-        # The orientation has turned with the arc: seen from the arm of the circle, it is what it was.
+        # The tool has turned with the arc: relative to the radius of the circle, its orientation is unchanged.
         about = np.concatenate([[0, 0, 0], -angle * np.cross(x, y)])
         undone = compose(about, np.concatenate([[0, 0, 0], path[-1, 3:]]))
         np.testing.assert_allclose(turned_by(start, undone), 0.0, atol=1e-6)
@@ -205,17 +205,17 @@ def test_the_tool_goes_round(angle: float, part: float, turn: Array, radius: flo
 
 
 @given(by=triples, turn=triples)
-def test_optimovel_stays_within_the_limits_of_the_joints(by: Array, turn: Array) -> None:
+def test_optimovel_stays_within_the_joint_limits(by: Array, turn: Array) -> None:
     target = shifted(0.3 * by, 0.5 * turn)
     fast, slow = with_tool(), with_tool()
     try:
         setpoints = finish(fast, fast.optimovel(target, 2.0, 1.0, 0.0))
     except LimitViolation:
-        # A line that leads out of reach, or through a singularity, ends at any speed.
+        # A line that leads out of reach or through a singularity fails at any speed.
         with pytest.raises(LimitViolation):
             finish(slow, slow.movel(target, 0.5, 0.05))
         return
-    # Its speed comes from samples of the line.
+    # optimovel computes its speed from samples of the line.
     assert (np.abs(speeds(setpoints)).max(axis=0) <= 1.02 * UR5E.max_speed).all()
 
 
@@ -226,7 +226,7 @@ def test_optimovel_is_as_fast_as_the_joints_allow() -> None:
     assert 0.8 < tops.max() <= 1.02
 
 
-def test_points_on_a_line_have_no_circle() -> None:
+def test_points_on_a_line_define_no_circle() -> None:
     generator = with_tool()
     middle, end = (shifted(np.array([d, 0, 0]), np.zeros(3)) for d in (0.05, 0.1))
     for via, to in ((middle, end), (middle, middle), (pose(HOME).tolist(), end), (middle, pose(HOME).tolist())):

@@ -1,9 +1,9 @@
-"""Programs with the constructs that public programs have, as PolyScope, URCaps and people write them; all are our own.
+"""Programs with the constructs of public programs, as PolyScope, URCaps and people write them; all are our own.
 
-`corpus.txt` has each construct: its name, what stands before the program's own statements, and those. Here they are put
-together in every pair, so that what works by itself works beside the others too. `@` becomes 1 in the first of a pair
-and 2 in the second, so that no name stands twice. What they need of a controller is what docs/protocols/urscript.md has
-under "What public programs need of an interpreter".
+`corpus.txt` has a section for each construct: its name, the lines before the program's own statements, and the
+statements. This module combines every pair of constructs in one program, to check that they also work together. `@`
+becomes 1 in the first of a pair and 2 in the second, so that all names differ. The requirements on the controller are
+in docs/protocols/urscript.md, under "What public programs need of an interpreter".
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["programs"]
 
 
 def programs() -> Iterator[tuple[str, str]]:
-    """Names and texts: each construct by itself, and every two of them in one program."""
+    """Yield names and texts: each construct alone, and every two constructs in one program."""
     sections = Path(__file__).with_name("corpus.txt").read_text(encoding="utf-8").split("=== ")[1:]
     parts = dict(section.split("\n", 1) for section in sections)
     for names in (*((name,) for name in parts), *itertools.combinations(parts, 2)):

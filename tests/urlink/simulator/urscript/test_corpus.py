@@ -1,4 +1,4 @@
-"""Programs with the constructs of public ones compile, and run to their end or to where they wait for somebody."""
+"""Programs with the constructs of public programs must compile, and run to their end or until they wait."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from urlink.protocol.firmware import Firmware
 from urlink.simulator.urscript import Execution, compile_script
 
 PROGRAMS = dict(programs())
-#: Cycles after which a program that still runs waits for the outside world: none here computes for so long.
+#: Number of cycles after which a running program must be waiting for the outside: no program here computes for longer.
 CYCLES = 40
 
 
 @pytest.mark.parametrize("version", ["3.15", "5.11", "10.12"])
-def test_every_program_compiles_and_runs(version: str) -> None:
+def test_every_corpus_program_compiles_and_runs(version: str) -> None:
     firmware = Firmware.parse(version)
     count = 0
     for name, text in PROGRAMS.items():
@@ -23,7 +23,7 @@ def test_every_program_compiles_and_runs(version: str) -> None:
             continue
         script = compile_script(text, firmware)
         count += 1
-        # What runs is the same on each of them; to compile is what differs.
+        # The programs run in the same way on all firmware; only compiling differs.
         if version == "5.11":
             world = NotedWorld(version)
             execution = Execution(script, world)

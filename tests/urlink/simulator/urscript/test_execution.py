@@ -1,4 +1,4 @@
-"""Programs seen from the controller."""
+"""Compilation and execution of programs, as the controller sees them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def start(text: str, world: NotedWorld) -> Execution:
     return Execution(compile_script(text, world.firmware), world)
 
 
-def test_a_script_says_what_it_is() -> None:
+def test_script_has_its_name_and_kind() -> None:
     program = compile_script("def name():\n  sync()\nend\n", FIRMWARE)
     assert (program.name, program.kind) == ("name", "def")
     secondary = compile_script("sec name():\n  set_digital_out(1, True)\nend", FIRMWARE)
@@ -30,11 +30,11 @@ def test_a_script_says_what_it_is() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "column", "message"),
     [
-        # The texts are those of controllers; what they were given for the first is a guess.
+        # The messages come from controllers; the program of the first message is assumed.
         ("def silly()\nend", 2, 1, "syntax_error_on_line:2:end:"),
         ("def f():\n  calldoesntexist()\nend", 2, 3, "compile_error_name_not_found:calldoesntexist:"),
         ("def f():\n    textmsg(1\n    movej([0], a=1)\nend", 3, 5, "syntax_error_on_line:3:    movej([0], a=1):"),
-        # The rest is of that form.
+        # The other messages follow this pattern.
         ("x = ", 1, 5, "syntax_error_on_line:1:x =:"),
         ("x = 1 +\n\n\nend", 4, 1, "syntax_error_on_line:4:end:"),
         ("x = 'open", 1, 5, "syntax_error_on_line:1:x = 'open:"),
@@ -69,13 +69,13 @@ def test_a_script_says_what_it_is() -> None:
         ("movej([0,0,0,0,0,0], acc=1)", 1, 26, "compile_error_name_not_found:acc:"),
     ],
 )
-def test_what_does_not_compile_says_where(text: str, line: int, column: int, message: str) -> None:
+def test_compile_error_has_line_column_and_message(text: str, line: int, column: int, message: str) -> None:
     with pytest.raises(ProgramError) as caught:
         compile_script(text, FIRMWARE)
     assert (caught.value.line, caught.value.column, caught.value.text) == (line, column, message)
 
 
-def test_stopping_ends_the_motion_and_the_sockets() -> None:
+def test_stop_ends_the_motion_and_closes_sockets() -> None:
     world = NotedWorld()
     world.sockets.peers[1] = [b""]
     execution = start("socket_open('h', 1)\nmovej([0,0,0,0,0,0])\ntextmsg('never')", world)
@@ -83,15 +83,15 @@ def test_stopping_ends_the_motion_and_the_sockets() -> None:
         execution.advance()
         world.cycle += 1
         world.sockets.step()
-    over = [execution.is_over]
+    has_ended = [execution.is_over]
     execution.stop()
-    over.append(execution.is_over)
-    assert over == [False, True]
+    has_ended.append(execution.is_over)
+    assert has_ended == [False, True]
     assert execution.error is None
     assert world.notes[-2:] == ["2 release", "2 close socket_0"]
 
 
-def test_a_secondary_program_leaves_the_arm_alone_and_closes_its_sockets() -> None:
+def test_secondary_program_closes_only_its_sockets() -> None:
     world = NotedWorld()
     world.sockets.peers[1] = [b""]
     world.sockets.open("socket_0", "h", 1)
@@ -99,7 +99,7 @@ def test_a_secondary_program_leaves_the_arm_alone_and_closes_its_sockets() -> No
     assert world.notes == ["0 open socket_0 h:1", "0 close socket_0", "0 digital outputs 0x2", "0 over"]
 
 
-def test_connecting_gives_up() -> None:
+def test_socket_open_times_out() -> None:
     world = NotedWorld("3.4")
     assert run("textmsg(socket_open('h', 0))", world, cycles=1000).notes == [
         "0 open socket_0 h:0",
@@ -109,8 +109,8 @@ def test_connecting_gives_up() -> None:
     ]
 
 
-def test_a_peer_that_sends_without_end_does_not_end_the_program() -> None:
-    """Reading from it takes time, so that the loop is not one in which no time passes."""
+def test_peer_that_sends_endlessly_does_not_end_the_program() -> None:
+    """Reading from the peer takes time, so the loop is not an endless loop that takes no time."""
     world = NotedWorld()
     world.sockets.peers[1] = [b"x" * 100_000]
     text = """
@@ -131,7 +131,7 @@ textmsg(n)
     assert int(notes[-3].removeprefix("101 textmsg ")) == 2000
 
 
-def test_a_popup_waits_until_it_is_closed() -> None:
+def test_blocking_popup_waits_until_it_is_closed() -> None:
     world = NotedWorld()
     execution = start("popup('x', blocking=True)\ntextmsg('on')", world)
     for _ in range(5):
@@ -148,7 +148,7 @@ def test_random_numbers_are_the_same_in_every_run() -> None:
     assert run(text).notes == run(text).notes
 
 
-#: Called by the programs of three drivers.
+#: Functions that the programs of three drivers call.
 DRIVERS = """
 direct_torque enable_external_ft_sensor end_force_mode end_freedrive_mode end_teach_mode force_mode
 force_mode_set_damping force_mode_set_gain_scaling freedrive_mode ft_rtde_input_enable get_actual_joint_positions
@@ -164,7 +164,7 @@ write_output_integer_register zero_ftsensor
 
 
 @pytest.mark.parametrize("name", DRIVERS.split())
-def test_every_function_that_drivers_call_is_known(name: str) -> None:
+def test_every_function_of_common_drivers_is_known(name: str) -> None:
     assert find(name, NEWEST) is not None
 
 
@@ -188,11 +188,11 @@ def test_every_function_that_drivers_call_is_known(name: str) -> None:
         ("direct_torque", "5.23", True),
     ],
 )
-def test_firmware_decides_what_is_known(name: str, firmware: str, known: bool) -> None:
+def test_known_functions_depend_on_the_firmware(name: str, firmware: str, known: bool) -> None:
     assert (find(name, Firmware.parse(firmware)) is not None) is known
 
 
-#: A function that only works something out, which becomes part of expressions, and the same as one that also assigns,
+#: A function that only computes a value, which is inlined into expressions, and the same function with an assignment,
 #: which is called by an instruction.
 LEAF = """\
 def within(aim, here, way):
@@ -219,7 +219,7 @@ NOTHING = 'def nothing(a):\n  if a == 1:\n    return "one"\n  end\nend\n'
         ("thread t():\n  textmsg(within(1, 0, 1) == 2)\nend\njoin run t()", "True"),
     ],
 )
-def test_a_function_that_only_works_something_out(text: str, statements: str, said: str) -> None:
+def test_inlined_function_equals_a_called_function(text: str, statements: str, said: str) -> None:
     assert run(f"gain = 2\n{text}{statements}\n").notes[0].endswith(f" textmsg {said}")
 
 
@@ -233,7 +233,7 @@ def test_a_function_that_only_works_something_out(text: str, statements: str, sa
         ("x = within(1, 2, 3) + within(1, [1], 2)", "aim > here"),
     ],
 )
-def test_what_fails_in_it_says_where(text: str, statement: str, place: str) -> None:
+def test_error_in_an_inlined_function_has_its_line(text: str, statement: str, place: str) -> None:
     program = f"gain = 2\n{text}{statement}\n"
     execution = start(program, NotedWorld())
     execution.advance()
@@ -242,7 +242,7 @@ def test_what_fails_in_it_says_where(text: str, statement: str, place: str) -> N
     assert place in line
 
 
-def test_a_function_that_returns_nothing() -> None:
+def test_function_without_a_return_value() -> None:
     assert run(f"{NOTHING}textmsg(nothing(1))\n").notes[0].endswith("textmsg one")
     execution = start(f"{NOTHING}x = [nothing(2)]\n", NotedWorld())
     execution.advance()
@@ -265,7 +265,7 @@ def test_a_function_that_returns_nothing() -> None:
 @pytest.mark.parametrize(
     "where", ["{}", "def f():\n  local numbers = [1, 2]\n  local box = struct(size=1)\n  {}\nend\nf()"]
 )
-def test_an_index_that_is_none(where: str, statement: str, error: str) -> None:
+def test_invalid_index_is_an_error(where: str, statement: str, error: str) -> None:
     text = where.format(statement.replace("\n", "\n  ") if "def" in where else statement)
     text = f"numbers = [1, 2]\nbox = struct(size=1)\n{text}\n"
     execution = start(text, NotedWorld())

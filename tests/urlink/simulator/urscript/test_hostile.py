@@ -1,4 +1,4 @@
-"""Programs that mean harm: each ends with an error, and neither time nor memory goes with it."""
+"""Malicious programs: each must end with an error, without using much time or memory."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def names() -> Iterator[str]:
 
 
 def repeated(unit: Callable[[int], str]) -> Callable[[int], str]:
-    """A program of about so many characters whose statements are made by `unit`, which is told their number."""
+    """Return a function that makes a program of about a given length; `unit` makes a statement from its number."""
 
     def text(size: int) -> str:
         parts: list[str] = []
@@ -52,7 +52,7 @@ def repeated(unit: Callable[[int], str]) -> Callable[[int], str]:
 
 
 def listed(before: str, items: Callable[[], Iterable[str]], after: str) -> Callable[[int], str]:
-    """A program of about so many characters with one long list in it."""
+    """Return a function that makes a program of about a given length, in characters, with one long list."""
 
     def text(size: int) -> str:
         taken: list[str] = []
@@ -66,7 +66,7 @@ def listed(before: str, items: Callable[[], Iterable[str]], after: str) -> Calla
 
 
 DEFAULTS = ",".join(f"{name}=1" for name in itertools.islice(names(), 60))
-#: Programs that have made, or could make, compiling quadratic; by their length in characters.
+#: Programs for which compiling was or could be quadratic, as functions of their length in characters.
 GROWING: dict[str, Callable[[int], str]] = {
     "statements": repeated(lambda n: f"  x{n % 2000} = (1 + 2) * 3 - 4\n"),
     "moves": repeated(lambda n: "  movej([0.1, -1.57, 1.57, -1.57, -1.57, 0.0], a=1.4, v=1.05)\n"),
@@ -99,7 +99,7 @@ GROWING: dict[str, Callable[[int], str]] = {
     "branches": repeated(lambda n: "if True:\n" * 40 + "end\n" * 40),
     "else ifs": lambda size: "if x == 0:\nx = 1\n" + "elif x == 1:\nx = 1\n" * (size // 20) + "end\n",
     "waiting calls": repeated(lambda n: " x=" + "+".join(["socket_read_line()"] * 20) + "\n"),
-    "own calls in one another": repeated(
+    "nested calls of a user function": repeated(
         lambda n: "def g(a):\nend\n" if not n else " x=" + "g(" * 30 + ")" * 30 + "\n"
     ),
     "threads": repeated(lambda n: "thread t():\nend\n" if not n else "run t()\n"),
@@ -109,7 +109,7 @@ GROWING: dict[str, Callable[[int], str]] = {
 
 
 def work_of(text: str) -> int:
-    """What it costs to compile a text: calls of functions, those that are built into Python included."""
+    """Return the cost of compiling a text: the number of function calls, including built-in functions of Python."""
     calls = 0
 
     def count(frame: object, event: str, argument: object) -> None:
@@ -127,15 +127,15 @@ def work_of(text: str) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GROWING)
-def test_compiling_is_linear(name: str) -> None:
+def test_compile_time_is_linear(name: str) -> None:
     once, twice = (work_of(GROWING[name](size)) for size in (8_000, 16_000))
     assert twice < 2.2 * once + 100
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["parameters", "named arguments", "definitions", "statements"])
-def test_the_longest_programs_compile_at_once(name: str) -> None:
-    """What calls do not count, such as a search in a list, shows in the time: 130 s here once, and now some 0.5 s."""
+def test_longest_programs_compile_quickly(name: str) -> None:
+    """The count of calls omits work such as a search in a list: such a program once took 130 s, and now about 0.5 s."""
     begun = time.process_time()
     with contextlib.suppress(ProgramError):
         compile_script(GROWING[name](250_000), FIRMWARE)
@@ -143,7 +143,7 @@ def test_the_longest_programs_compile_at_once(name: str) -> None:
 
 
 @pytest.mark.parametrize("is_on", [True, False])
-def test_garbage_is_collected_as_before_once_a_program_is_compiled(is_on: bool) -> None:
+def test_compiling_keeps_the_garbage_collector_setting(is_on: bool) -> None:
     before = gc.isenabled()
     (gc.enable if is_on else gc.disable)()
     try:
@@ -156,12 +156,12 @@ def test_garbage_is_collected_as_before_once_a_program_is_compiled(is_on: bool) 
         (gc.enable if before else gc.disable)()
 
 
-def test_more_tokens_than_a_program_may_have() -> None:
+def test_too_many_tokens_do_not_compile() -> None:
     with pytest.raises(ProgramError, match=f"program_too_long:{MAX_TOKENS + 1}:"):
         compile_script("x=1" + "+1" * (MAX_TOKENS // 2), FIRMWARE)
 
 
-def test_more_parameters_than_a_function_may_have() -> None:
+def test_too_many_parameters_do_not_compile() -> None:
     def text(count: int) -> str:
         return f"def f():\n def g({','.join(itertools.islice(names(), count))}):\n end\nend\n"
 
@@ -211,12 +211,12 @@ def test_nesting_up_to_the_limit_compiles_and_runs(text: str) -> None:
     assert error_of(text + "\n") == "0 over"
 
 
-def test_a_text_that_is_too_long_does_not_compile() -> None:
+def test_too_long_text_does_not_compile() -> None:
     with pytest.raises(ProgramError, match="program_too_long"):
         compile_script("#" * (MAX_TEXT + 1), FIRMWARE)
 
 
-def test_a_long_elif_chain_and_a_long_list_are_no_nesting() -> None:
+def test_long_elif_chain_and_long_list_are_not_nested() -> None:
     chain = "x = 999\nif x == 0:\n  pass\n" + "".join(f"elif x == {i}:\n  textmsg({i})\n" for i in range(1, 1000))
     assert run(chain + "end\n").notes == ["0 textmsg 999", "0 over"]
     assert error_of("x = [" + "1+1," * 2000 + "1]\n") == "0 over"
@@ -271,37 +271,37 @@ def test_a_long_elif_chain_and_a_long_list_are_no_nesting() -> None:
         ("kill [1]", "thread handle"),
     ],
 )
-def test_it_ends_with_an_error(text: str, message: str) -> None:
+def test_malicious_program_ends_with_an_error(text: str, message: str) -> None:
     last = error_of(text)
     assert last.split()[1] == "error", last
     assert re.search(message, last), last
 
 
 @pytest.mark.parametrize("text", ["sleep(1e300)", "while True:\n  sleep(0)\nend", "while True:\n  sync()\nend"])
-def test_waiting_is_no_harm(text: str) -> None:
+def test_waiting_program_is_stopped_without_an_error(text: str) -> None:
     assert error_of(text, cycles=50) == "50 stopped"
 
 
-def test_joining_each_other_waits_for_ever_and_can_be_stopped() -> None:
+def test_threads_that_join_each_other_can_be_stopped() -> None:
     text = "a = 0\nb = 0\nthread s():\n  join b\nend\nthread t():\n  join a\nend\na = run s()\nb = run t()\njoin a"
     assert error_of(text, cycles=20) == "20 stopped"
 
 
-def test_a_million_runs_one_after_the_other() -> None:
-    """Those that are over count no longer in the next cycle."""
+def test_ended_threads_no_longer_count() -> None:
+    """Threads that have ended no longer count from the next cycle."""
     text = "thread t():\n  x = 1\nend\ni = 0\nwhile i < 1000:\n  h = run t()\n  join h\n  i = i + 1\nend"
     assert error_of(text, cycles=1100) == "1000 over"
 
 
 @pytest.mark.slow
-def test_what_all_variables_hold_is_bounded() -> None:
+def test_memory_of_variables_is_bounded() -> None:
     count = MAX_MEMORY // MAX_ELEMENTS + 200
     lines = [f"x{i} = make_list({MAX_ELEMENTS - 1}, 1.5)\nsync()" for i in range(count)]
     assert "Out of memory" in error_of("\n".join(lines), cycles=2 * count)
 
 
 @pytest.mark.slow
-def test_what_frames_hold_is_bounded() -> None:
+def test_memory_of_frames_is_bounded() -> None:
     text = f"def f(n):\n  local x = make_list({MAX_ELEMENTS - 1}, 1.5)\n  sync()\n  f(n)\n  textmsg(x)\nend\nf(1)"
     assert "error" in error_of(text, cycles=1000)
     lines = [f"local x{i} = make_list({MAX_ELEMENTS - 1}, {i})" for i in range(5)]
@@ -310,7 +310,7 @@ def test_what_frames_hold_is_bounded() -> None:
 
 
 @pytest.mark.slow
-def test_memory_stays_small() -> None:
+def test_peak_memory_of_a_program_stays_small() -> None:
     text = "\n".join(f"x{i} = make_list({MAX_ELEMENTS - 1}, random())\nsync()" for i in range(400))
     script = compile_script(text, FIRMWARE)
     world = NotedWorld()
@@ -327,20 +327,20 @@ def test_memory_stays_small() -> None:
     assert peak < 100 * 2**20
 
 
-def test_a_long_expression_counts_as_more_than_one_instruction() -> None:
+def test_long_expression_counts_as_many_instructions() -> None:
     wide = " + ".join("(" + " + ".join(["1.0"] * 40) + ")" for _ in range(20))
     world = run(f"n = 0\nwhile n < {MAX_INSTRUCTIONS // 10}:\n  n = n + 1\n  x = {wide}\nend")
     assert ENDLESS in world.notes[-1]
 
 
-def test_strings_that_are_read_are_bounded() -> None:
+def test_strings_read_from_sockets_are_bounded() -> None:
     world = NotedWorld()
     world.sockets.peers[1] = [b"x" * (5 * MAX_STRING)]
     text = "socket_open('h', 1)\n" + "textmsg(str_len(socket_read_string()))\n" * 2
     assert [note.split()[2] for note in run(text, world).notes if "textmsg" in note] == [str(MAX_STRING)] * 2
 
 
-def test_the_end_of_all_is_the_end() -> None:
+def test_failed_program_does_nothing_more() -> None:
     world = NotedWorld()
     execution = Execution(compile_script("x = 1 / 0", FIRMWARE), world)
     execution.advance()

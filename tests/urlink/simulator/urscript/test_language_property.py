@@ -1,4 +1,4 @@
-"""The language against Python's own arithmetic, and against any text."""
+"""The language compared with Python's own arithmetic, and tested with arbitrary texts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FLOATS = st.floats(-1e6, 1e6).map(lambda x: round(x, 6))
 NUMBERS = st.one_of(INTEGERS, FLOATS)
 LISTS = st.lists(NUMBERS, min_size=1, max_size=6)
 
-# A text, and what Python makes of it: a number, or None for an error.
+# A text and its value in Python, or None if Python raises an error.
 Sum = tuple[str, float | int | None]
 
 
@@ -69,7 +69,7 @@ SUMS: st.SearchStrategy[Sum] = st.recursive(
 
 
 def evaluate(text: str) -> list[str]:
-    """The magnitude of a value, to all its digits, and how the program ended."""
+    """Return the magnitude of a value with all digits, and the end of the program."""
     world = NotedWorld()
     world.payload = math.nan
     run(f"def f():\n  set_payload(norm({text}))\nend\n", world)
@@ -78,7 +78,7 @@ def evaluate(text: str) -> list[str]:
 
 @pytest.mark.property
 @given(SUMS)
-def test_arithmetic_is_that_of_python(case: Sum) -> None:
+def test_arithmetic_equals_that_of_python(case: Sum) -> None:
     text, value = case
     found = evaluate(text)
     if value is None:
@@ -89,7 +89,7 @@ def test_arithmetic_is_that_of_python(case: Sum) -> None:
 
 @pytest.mark.property
 @given(NUMBERS, NUMBERS, NUMBERS, st.sampled_from("+-*"), st.sampled_from("+-*"))
-def test_operators_bind_as_in_python(a: float, b: float, c: float, first: str, second: str) -> None:
+def test_operator_precedence_equals_that_of_python(a: float, b: float, c: float, first: str, second: str) -> None:
     text = f"{a!r} {first} {b!r} {second} {c!r}"
     assert float(evaluate(text)[0]) == abs(eval(text))
 
@@ -107,13 +107,13 @@ TRUTHS: st.SearchStrategy[str] = st.recursive(
 
 @pytest.mark.property
 @given(TRUTHS)
-def test_logic_is_that_of_python(text: str) -> None:
+def test_logic_equals_that_of_python(text: str) -> None:
     assert run(f"textmsg({text})\n").notes == [f"0 textmsg {eval(text)}", "0 over"]
 
 
 @pytest.mark.property
 @given(LISTS, LISTS, NUMBERS, st.sampled_from("+-*"))
-def test_lists_are_calculated_element_by_element(a: list[float], b: list[float], x: float, sign: str) -> None:
+def test_list_arithmetic_is_element_by_element(a: list[float], b: list[float], x: float, sign: str) -> None:
     size = min(len(a), len(b))
     a, b = a[:size], b[:size]
     function = OPERATORS[sign]
@@ -196,7 +196,9 @@ LINES = st.sampled_from(
 
 @pytest.mark.property
 @given(st.lists(LINES, max_size=8), st.lists(LINES, max_size=6), st.lists(LINES, max_size=6))
-def test_any_program_of_good_lines_ends_or_goes_on(main: list[str], function: list[str], thread: list[str]) -> None:
+def test_any_program_of_valid_lines_ends_or_keeps_running(
+    main: list[str], function: list[str], thread: list[str]
+) -> None:
     lines = ["y = 2", "def f(x=1):", *function, "return x", "end", "thread t():", "x = 0", *thread, "end", *main]
     is_script_or_error("\n".join(lines))
 
@@ -249,7 +251,7 @@ nan = nan[1]
 
 @pytest.mark.property
 @given(NAMES, st.lists(VALUES, max_size=6), st.sampled_from(["1.8", "3.4", "5.11"]))
-def test_any_call_of_a_built_in_function_works_or_is_an_error(name: str, values: list[str], firmware: str) -> None:
+def test_any_built_in_call_returns_or_is_an_error(name: str, values: list[str], firmware: str) -> None:
     world = NotedWorld(firmware)
     world.sockets.peers[1] = [b"(x)", b"rest\n"]
     try:

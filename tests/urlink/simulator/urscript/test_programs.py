@@ -1,8 +1,8 @@
-"""Small programs with what they do, cycle by cycle.
+"""Small programs and the traces of their effects, cycle by cycle.
 
-A program may begin with lines for the stand-in: `#! firmware 3.4`, and `#! peer <port> <list of what it sends>`.
-A trace has a line for each thing that was asked of the controller, and last how the program ended, or the error with
-which it did not compile. The traces are golden files (`tests/golden.py`).
+A program may begin with settings for the stand-in: `#! firmware 3.4` and `#! peer <port> <list of data to send>`.
+A trace has a line for each request to the controller. Its last line is the end of the program, or the error if the
+program does not compile. The traces are golden files (`tests/golden.py`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def trace(name: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_the_program_does_what_its_trace_says(name: str) -> None:
+def test_program_matches_its_trace(name: str) -> None:
     check_golden(FOLDER / f"{name}.trace", "\n".join(trace(name)) + "\n")
 
 
@@ -43,5 +43,5 @@ def test_every_trace_has_a_program() -> None:
     assert len(PROGRAMS) >= 50
 
 
-def test_the_same_program_does_the_same_again() -> None:
+def test_trace_is_reproducible() -> None:
     assert trace("big_driver") == trace("big_driver")

@@ -1,4 +1,4 @@
-"""Programs on the motion generator that makes the motion of the simulated arm."""
+"""Programs with the motion generator of the simulated arm."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from urlink.simulator.urscript import Execution, compile_script
 
 
 def play(text: str, seconds: float = 20.0) -> tuple[NotedWorld, list[Sequence[float]], Execution]:
-    """The stand-in with a real motion generator, its joint positions cycle by cycle, and the execution."""
+    """Return the stand-in with a real motion generator, its joint positions for each cycle, and the execution."""
     world = NotedWorld()
     generator = MotionGenerator(Arm("UR5e"), Setpoint(list(HOME), [0.0] * 6, [0.0] * 6))
     generator.tcp = world.tcp
@@ -30,7 +30,7 @@ def play(text: str, seconds: float = 20.0) -> tuple[NotedWorld, list[Sequence[fl
     return world, path, execution
 
 
-def test_a_program_moves_the_arm_and_goes_on_where_it_stands() -> None:
+def test_program_moves_the_arm_from_its_current_posture() -> None:
     text = """
 def prog():
   movej([0, -1.5, 1.5, -1.5, -1.5, 0], a=2, v=1)
@@ -49,7 +49,7 @@ end
     assert end[2] - begin[2] == pytest.approx(0.05, abs=1e-6)
 
 
-def test_servoj_takes_one_set_point_a_cycle() -> None:
+def test_servoj_uses_one_set_point_per_cycle() -> None:
     text = """
 q = get_target_joint_positions()
 i = 0
@@ -65,7 +65,7 @@ end
     assert path[-1][5] > 0.05
 
 
-def test_out_of_range_is_a_run_time_error() -> None:
+def test_target_out_of_range_is_a_runtime_error() -> None:
     _, _, execution = play("movej([0, 0, 0, 9, 0, 0])")
     assert execution.error is not None
     assert (execution.error.line, execution.error.column) == (1, 1)
