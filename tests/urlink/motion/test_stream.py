@@ -68,7 +68,7 @@ class TestMoving:
         assert np.abs(path - wanted).max() < error
         assert stream.feed.starved == 0
 
-    def test_no_point_is_missed_with_mixed_degrees(self) -> None:
+    def test_stream_reaches_every_point_of_mixed_degrees(self) -> None:
         stream = Streamed(E_SERIES)
         for i in range(1, 41):
             stream.append(wave(i * 0.05, (1, 3, 5)[i % 3]))
