@@ -421,7 +421,8 @@ class TestEnd:
 
 
 def random_points(rng: np.random.Generator, count: int, q: FloatArray) -> list[TrajectoryPoint]:
-    """Return points at random intervals, of random degrees, at speeds up to 1 rad/s."""
+    """Return points at random intervals, with random derivatives (none, speeds, or speeds and accelerations), at
+    speeds up to 1 rad/s."""
     made, t = [], 0.0
     for _ in range(count):
         h = float(rng.uniform(0.05, 0.4))

@@ -197,7 +197,9 @@ def test_curve_is_continuous_in_given_quantities(time: FloatArray, seed: int, qu
 
 @pytest.mark.property
 @given(times, seeds, st.integers(1, 3), st.lists(st.floats(-1, 30), min_size=1, max_size=10))
-def test_single_time_equals_many_times(time: FloatArray, seed: int, quantities: int, at: list[float]) -> None:
+def test_evaluation_at_one_time_equals_row_for_several_times(
+    time: FloatArray, seed: int, quantities: int, at: list[float]
+) -> None:
     trajectory = some(time, seed, quantities)
     many = trajectory.at([*at, *time])
     for row, t in enumerate([*at, *time]):
