@@ -60,7 +60,7 @@ SIZE = len(PACKET)
 _TIME = struct.Struct(">d")
 
 
-def send(ports: Connection, seconds: float, flood: int, batch: int, rate: int) -> None:
+def send(ports: Connection, seconds: float, flood: int, batch: int, rate: int = RATE) -> None:
     """Serve one connection: paced packets with the time of sending, or a flood of packets.
 
     Paced packets are sent `batch` at a time. Their times are one period apart, like those of a controller whose packets

@@ -56,7 +56,7 @@ def main() -> int:
     supervisor = Supervisor(args.speed)
     with urlink.connect(args.address) as robot:
         until = time.monotonic() + args.duration
-        # Only the newest state counts: an older, queued state is no basis for a decision.
+        # Only the newest state counts: a decision must not use an older, queued state.
         robot.realtime.subscribe(
             supervisor.check, policy=urlink.latest, deadline=args.deadline, on_deadline=supervisor.late
         )

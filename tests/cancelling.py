@@ -1,4 +1,4 @@
-"""Tasks that are cancelled at a turn of the event loop of one's choice, and what is left of them."""
+"""Cancel tasks at a chosen step of the event loop, and check that they leave no tasks, threads, sockets or files."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ __all__ = ["Sent", "Trial", "Turns", "run_cancelled", "turns"]
 
 T = TypeVar("T")
 
-#: Seconds for anything that has to come to an end.
+#: Time limit for everything that must end, in seconds.
 _SOON = 20.0
 
 
 class Sent(NamedTuple):
-    """Bytes that were handed to the kernel."""
+    """Bytes that were passed to the kernel, and the time at which the call started."""
 
     at: float
     data: bytes
 
 
 class Trial:
-    """What is to be cancelled: within ``with trial:`` in the task. The turns count from there on.
+    """Block to cancel: ``with trial:`` in the task. The steps of the loop are counted within this block.
 
     Attributes:
-        left: turns of the loop until the task is cancelled.
-        task: the task.
-        over: when the block was left.
+        left: Number of steps of the loop until the task is cancelled.
+        task: Task that runs the block.
+        over: Time at which the block was left.
     """
 
     def __init__(self, number: int) -> None:
@@ -57,7 +57,7 @@ class Trial:
         self.over = time.monotonic()
 
     def turn(self) -> None:
-        """The loop has made one."""
+        """Count one step of the loop, and cancel the task at the chosen one."""
         if self._is_within and self.left > 0:
             self.left -= 1
             if self.left == 0:
@@ -66,14 +66,14 @@ class Trial:
 
 
 class Turns:
-    """Counts the turns of a loop, and cancels a task at one of them."""
+    """Event loop that counts its steps, and cancels a task at one of them."""
 
     def __init__(self) -> None:
         self._task: asyncio.Task[Any] | None = None
         self._left = 0
 
     def run(self, main: Coroutine[Any, Any, T]) -> T:
-        """As `asyncio.run`, in a loop whose turns are counted."""
+        """Run a coroutine as `asyncio.run` does, in a loop whose steps are counted."""
         loop = _Loop(self._turn)
         try:
             asyncio.set_event_loop(loop)
@@ -83,7 +83,7 @@ class Turns:
             loop.close()
 
     async def cancel(self, use: Callable[[], Awaitable[object]], number: int) -> asyncio.Task[None]:
-        """A task that awaits `use()`, after its end; it is cancelled at this turn, from 1 on, if it still runs."""
+        """Await `use()` in a task, and cancel it at step `number` (from 1) if it still runs; return the task."""
 
         async def work() -> None:
             await use()
@@ -102,7 +102,7 @@ class Turns:
 
 
 class _Loop(asyncio.SelectorEventLoop):
-    """Tells of its turns."""
+    """Event loop that calls a function after each step."""
 
     def __init__(self, told: Callable[[], None]) -> None:
         super().__init__()
@@ -116,14 +116,14 @@ class _Loop(asyncio.SelectorEventLoop):
 def run_cancelled(
     number: int, work: Callable[[Trial], Coroutine[Any, Any, None]], sent: list[Sent]
 ) -> tuple[bool, list[bytes]]:
-    """Run `work` in a loop of its own, and cancel it at a turn. It ends as cancelled then, and nothing of it is left.
+    """Run `work` in its own loop and cancel it at one step; check that it ends as cancelled and leaves nothing.
 
     Args:
-        number: of the turn, from 1 on, in the block of the trial that `work` gets.
-        sent: everything that this process has sent; see the fixture `sends`.
+        number: Number of the step, from 1, within the block of the trial that is passed to `work`.
+        sent: Data sent by this process; see the fixture `sends`.
 
     Returns:
-        Whether it was cancelled before it came to its own end, and what was sent after the block was left.
+        Whether it was cancelled before it ended on its own, and the data sent after the block was left.
     """
     threads, files = set(threading.enumerate()), _files()
     made: list[weakref.ref[socket.socket]] = []
@@ -142,9 +142,9 @@ def _run(work: Callable[[Trial], Coroutine[Any, Any, None]], threads: set[thread
     try:
         trial.task = task = loop.create_task(work(trial))
         loop.run_until_complete(asyncio.wait({task}, timeout=_SOON))
-        assert task.done(), "it goes on"
+        assert task.done(), "the task is still running"
         was_cancelled = trial.left == 0
-        assert task.cancelled() == was_cancelled, "a task that was cancelled has come to its own end"
+        assert task.cancelled() == was_cancelled, "a cancelled task has ended on its own"
         if not was_cancelled:
             task.result()
         loop.run_until_complete(_nothing_left())
@@ -166,7 +166,7 @@ async def _nothing_left() -> None:
 
 @contextlib.contextmanager
 def _collecting(made: list[weakref.ref[socket.socket]], others: set[threading.Thread]) -> Iterator[None]:
-    """Collect the sockets that are made, but not by other threads: a controller, or what an earlier test has left."""
+    """Collect new sockets, except those of `others`: threads of a controller, or threads left by an earlier test."""
     init = socket.socket.__init__
 
     def keeping(self: socket.socket, *args: Any, **named: Any) -> None:
@@ -180,16 +180,16 @@ def _collecting(made: list[weakref.ref[socket.socket]], others: set[threading.Th
 
 
 def _files() -> set[tuple[str, str]]:
-    """Number and name of the files that are open, as far as the system shows them. Sockets are left out."""
+    """Return the number and name of each open file, without sockets. Empty if the system does not list them."""
     found = set()
     for number in os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else ():
-        with contextlib.suppress(OSError):  # that of the folder itself is closed again
+        with contextlib.suppress(OSError):  # the descriptor of the folder itself is closed again
             found.add((number, os.readlink(f"/proc/self/fd/{number}")))
     return {each for each in found if not each[1].startswith("socket:")}
 
 
 def turns(row: int) -> Iterator[int]:
-    """The turns at which to cancel what stands in this row of a table: all of them where tables are tried whole."""
+    """Yield the steps at which to cancel this row of a table: all steps in the profile `fuzz`, otherwise two."""
     if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz":
         yield from range(1, 5000)
     else:
@@ -198,7 +198,7 @@ def turns(row: int) -> Iterator[int]:
 
 @pytest.fixture
 def sends(monkeypatch: pytest.MonkeyPatch) -> list[Sent]:
-    """What is sent from now on over TCP; with the moment at which that was begun."""
+    """List of the data sent over TCP from now on, with the start time of each call."""
     sent: list[Sent] = []
     send_some = TcpTransport.send_some
 

@@ -1,7 +1,7 @@
-"""A plugin for pytest: what the processes of one run need not all do to collect the same ten thousand tests.
+"""Plugin for pytest: shares the work of collecting ten thousand tests between the processes of one run.
 
-Two thirds of the time in which a fresh checkout collects its tests goes into compiling the test modules with their
-assertions rewritten, 20 s of a processor. Processes that walk through them in the same order each compile all of them.
+In a fresh checkout, two thirds of the collection time is spent on compiling the test modules with rewritten assertions
+(20 s of processor time). If all processes import the modules in the same order, each process compiles all of them.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import pytest
 
 
 def in_turn(modules: Sequence[str], number: int, count: int) -> Sequence[str]:
-    """The modules in the order in which process `number` of `count` imports them: it begins with a share of its own."""
+    """Return the modules in the import order of process `number` of `count`, which starts with its own share."""
     first = len(modules) * number // count
     return [*modules[first:], *modules[:first]]
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection(session: pytest.Session) -> None:
-    """In a process of pytest-xdist: import the test modules of the folders asked for, beginning with the own share.
+    """Import the test modules of the given folders in a process of pytest-xdist, starting with its own share.
 
-    Others then find these modules in `__pycache__`, as this process does those of the others.
+    The other processes then find these modules in `__pycache__`, and this process finds theirs.
     """
     worker: dict[str, str] | None = getattr(session.config, "workerinput", None)
     if worker is None:
@@ -33,14 +33,14 @@ def pytest_collection(session: pytest.Session) -> None:
     paths = sorted({path for folder in session.config.args for path in (start / folder).rglob("test_*.py")})
     modules = [".".join(path.relative_to(root).with_suffix("").parts) for path in paths]
     for module in in_turn(modules, int(worker["workerid"].removeprefix("gw")), int(worker["workercount"])):
-        # pytest imports one that fails or skips once more, and reports it.
+        # pytest imports a module that fails or skips once more, and reports it.
         with contextlib.suppress(Exception, pytest.skip.Exception):
             importlib.import_module(module)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collect_file(file_path: Path) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
-    """Examples are looked for in modules that have some: they are 28 of 800."""
+    """Search for doctests only in modules that contain examples (28 of 800)."""
     collectors = yield
     if file_path.suffix != ".py" or ">>>" in file_path.read_text(encoding="utf-8"):
         return collectors

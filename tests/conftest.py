@@ -18,12 +18,12 @@ from hypothesis import Phase, settings
 from tests import real_captures
 from tests.waiting import until
 
-# Few by default, so that the suite stays quick; `nox -f nightly.py -s fuzz` tries many.
+# The default is few examples, so that the test run stays fast; `nox -f nightly.py -s fuzz` tries many.
 settings.register_profile("default", deadline=None, derandomize=False, max_examples=10)
-# A gate gives the same verdict on the same tree; `fuzz` and every run at home look for what is new.
+# The gate (CI) must give the same result for the same files; `fuzz` and local runs search for new failures.
 settings.register_profile("ci", deadline=None, derandomize=True, max_examples=10, print_blob=True)
 settings.register_profile("fuzz", deadline=None, derandomize=False, max_examples=2000, print_blob=True)
-# What fails ends the run of a mutant, so nothing is made smaller or remembered.
+# The run of a mutant ends with the first failure, so failing examples are neither shrunk nor saved.
 settings.register_profile(
     "mutants",
     deadline=None,
@@ -36,14 +36,14 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci" if os.environ.ge
 
 
 def pytest_configure() -> None:
-    """Let Ctrl-C end what tests start: a shell that begins the run in the background has all of it ignore SIGINT."""
+    """Restore the handler of SIGINT, because a shell that starts the run in the background ignores SIGINT."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_finish() -> None:
-    """Hundreds of tests collect garbage, so that a socket which nobody closed warns in the test that opened it."""
-    # Imported for the first time on a computer, it makes a list of the fonts there, by a process and a thread.
+    """Freeze all objects made so far, because hundreds of tests collect garbage to find unclosed sockets."""
+    # At its first import on a computer, this module lists the installed fonts with a process and a thread.
     with contextlib.suppress(ImportError):
         importlib.import_module("matplotlib.font_manager")
     leave_to_stay()
@@ -51,16 +51,16 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """After each module of tests, whose own fixtures are gone by now."""
+    """Freeze the remaining objects after each test module, when its fixtures have been removed."""
     if nextitem is None or nextitem.path != item.path:
         leave_to_stay()
 
 
 def leave_to_stay() -> None:
-    """Leave what there is now out of every later garbage collection.
+    """Exclude all current objects from later garbage collections.
 
-    The collection of tests makes half a million objects, and modules keep what they have once imported, parsed or
-    computed. All of it stays to the end; each collection would spend some 0.1 s on looking through it.
+    Collecting the tests makes half a million objects, and modules keep everything that they imported, parsed or
+    computed. All of these objects stay until the end, and each garbage collection would spend about 0.1 s on them.
     """
     gc.collect()
     gc.freeze()
@@ -72,20 +72,20 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture
 def captures() -> Path:
-    """The folder of packets of real controllers, for a test marked ``captures("ur")``."""
+    """Folder of packets of real controllers, for a test marked ``captures("ur")``."""
     return real_captures.folder("ur")
 
 
 @pytest.fixture(autouse=True)
 def time_of_the_test(request: pytest.FixtureRequest) -> None:
-    """Simulated, for the test and all of its own fixtures, where it or its module is marked ``simulated_time``."""
+    """Simulate time for the test and its fixtures, if the test or its module is marked ``simulated_time``."""
     if request.node.get_closest_marker("simulated_time") and not request.node.get_closest_marker("real_time"):
         request.getfixturevalue("simulated_time")
 
 
 @pytest.fixture(autouse=True)
 def leaves_nothing_that_keeps_the_interpreter(time_of_the_test: None) -> Iterator[None]:
-    """The interpreter joins threads before it exits, so one that a test leaves behind would hang the run at its end."""
+    """Check that no thread is left, because the interpreter joins threads before it exits and the run would hang."""
     before = set(threading.enumerate())
     yield
     until(lambda: all(thread.daemon for thread in set(threading.enumerate()) - before))
@@ -93,9 +93,10 @@ def leaves_nothing_that_keeps_the_interpreter(time_of_the_test: None) -> Iterato
 
 @pytest.fixture
 def own_port() -> Iterator[int]:
-    """A port for what stops and starts again: meanwhile no other program gets it, and connections to it are refused.
+    """Port for a server that stops and starts again; meanwhile it refuses connections and no other program gets it.
 
-    A socket that is bound and does not listen keeps it. As both have SO_REUSEADDR, another one can listen there.
+    A socket that is bound but does not listen reserves the port. The server can still listen there, because both
+    sockets have SO_REUSEADDR.
     """
     with socket.socket() as keeper:
         keeper.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

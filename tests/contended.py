@@ -1,4 +1,4 @@
-"""A lock that another thread holds first: what was read before the lock was taken is old by the time it is taken."""
+"""Locks that another thread gets first, so that values read before acquiring the lock are outdated afterwards."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Contended", "Meeting", "beside"]
 
 
 def beside(call: Callable[[], object], seconds: float = 0.2) -> threading.Thread:
-    """Call in another thread, and wait up to `seconds` for its end, which a lock of the caller may delay."""
+    """Call a function in another thread, and wait up to `seconds`; a lock of the caller may delay its end."""
     thread = threading.Thread(target=call, daemon=True)
     thread.start()
     thread.join(seconds)
@@ -18,12 +18,12 @@ def beside(call: Callable[[], object], seconds: float = 0.2) -> threading.Thread
 
 
 class Contended:
-    """A lock for which the first thread has to wait, and after which another one is at once at work.
+    """Lock with actions of another thread immediately before and after it is held.
 
     Args:
-        lock: the lock itself.
-        before: what another thread does under the lock, before the first thread gets it.
-        after: what another thread does once the first thread has released it.
+        lock: Lock that is wrapped.
+        before: Action of another thread under the lock, before the first acquisition.
+        after: Action of another thread after the first release.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Contended:
 
 
 class Meeting(tuple[Any, ...]):
-    """A tuple: whoever goes through it first meets another thread that does `meanwhile`, unless a lock delays that."""
+    """Tuple whose first iteration makes another thread call `meanwhile`, unless a lock delays that call."""
 
     meanwhile: Callable[[], object] | None = None
     _thread: threading.Thread | None = None
@@ -72,5 +72,5 @@ class Meeting(tuple[Any, ...]):
 
     def join(self) -> None:
         """Wait for the other thread."""
-        assert self._thread is not None, "nobody went through it"
+        assert self._thread is not None, "the tuple was never iterated over"
         self._thread.join()

@@ -1,6 +1,6 @@
-"""Golden files: texts that somebody has read once, and that a test compares with what the code produces today.
+"""Golden files: reviewed texts that a test compares with the current output of the code.
 
-``URLINK_WRITE_GOLDEN=1`` writes them: read the difference before you commit it.
+``URLINK_WRITE_GOLDEN=1`` writes them. Read the difference before you commit it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _WRITE = "URLINK_WRITE_GOLDEN"
 
 
 def check_golden(path: Path, text: str) -> None:
-    """Fail if the file does not contain the text; write it first if the environment asks for that."""
+    """Fail if the file does not contain the text; write the file first if ``URLINK_WRITE_GOLDEN`` is set."""
     if os.environ.get(_WRITE):
         path.write_text(text, encoding="utf-8")
     if not path.exists():

@@ -1,7 +1,7 @@
 """Signal handlers between any two lines of a call, without signals: a trace function calls the handler.
 
-CPython runs the handler of a signal in the main thread, between any two instructions of it. What the handler waits for
-must not be what the interrupted thread has to do first.
+CPython runs the handler of a signal in the main thread, between any two of its instructions. The handler must not wait
+for something that the interrupted thread has to do first.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from typing import Any
 
 import linkcore
 
-#: Folder that the packages are imported from: src, or where pip has installed them.
+#: Folder that the packages are imported from: src, or the folder of the installed packages.
 SRC = str(Path(linkcore.__file__).parents[1])
 _OURS = tuple(f"{SRC}/{package}/" for package in ("linkcore", "urlink", "rhdlink"))
-#: What runs in the library's own process of a simulated robot, and never in a user's thread.
+#: Modules that run in the process of a simulated robot, and never in the thread of a user.
 _ELSEWHERE = tuple(f"{SRC}/{part}/" for part in ("linkcore/simulated", "urlink/simulator"))
-#: Seconds for one round; it takes milliseconds.
+#: Time limit for one round, in seconds; a round takes milliseconds.
 _DEADLINE = 20.0
 
 
 class Interruption:
-    """A handler that is called once, before the `at`-th line of a call.
+    """Handler that is called once, before the `at`-th line of a call.
 
     Args:
         at: Number of the line, from 1.
@@ -57,8 +57,8 @@ class Interruption:
 
     def _trace(self, frame: FrameType, event: str, argument: object) -> Any:
         file = frame.f_code.co_filename
-        # Lines of `threading` count as well: its locks are those of this library. But not those that start a thread,
-        # which wait for the new thread.
+        # Lines of `threading` count as well, because this library uses its locks. Lines that start a thread do not
+        # count, because they wait for the new thread.
         is_ours = file.startswith(_OURS) and not file.startswith(_ELSEWHERE)
         if not is_ours and not (file == threading.__file__ and not isinstance(_self(frame), threading.Thread)):
             return None
@@ -82,19 +82,19 @@ def _self(frame: FrameType) -> object:
 def at_every_line(
     scenario: Callable[[Interruption], object], *, step: int = 1, first: int = 1, is_threaded: bool = True
 ) -> int:
-    """Run a scenario once for each line at which its handler can come, until it comes no more.
+    """Run a scenario once for each line where its handler can be called, until no line is left.
 
     Args:
-        scenario: Sets everything up, makes a call in a block of `Interruption.by`, and checks what has become of it.
-        step: Every how many lines.
+        scenario: Function that prepares a call, makes it in a block of `Interruption.by`, and checks the result.
+        step: Interval between the lines at which the handler is called.
         first: Number of the first line.
-        is_threaded: Run each round in a thread with a deadline; not for simulated time, which finds what hangs.
+        is_threaded: Whether to run each round in a thread with a deadline. Simulated time detects hangs itself.
 
     Returns:
-        How often the handler came.
+        Number of rounds in which the handler was called.
 
     Raises:
-        AssertionError: If a round hangs, or whatever the scenario raises; says at which line the handler came.
+        AssertionError: If a round hangs or the scenario raises. The message names the line of the handler.
     """
     count = 0
     while True:

@@ -1,4 +1,4 @@
-"""Comparison of a list that a test or a page repeats with what the code has; the message names the file to edit."""
+"""Comparison of a list in a test or page with the names in the code; the message names the file to edit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["assert_listed"]
 
 
 def assert_listed(there: Collection[str], listed: Collection[str], where: str) -> None:
-    """Fail if a list does not have exactly what is there.
+    """Fail if a list does not contain exactly the names in the code.
 
     Args:
         there: The names that the code has.

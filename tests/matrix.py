@@ -1,10 +1,11 @@
-"""A plugin for pytest: of a table of cases that are alike, `@pytest.mark.matrix(3)` tries every third row.
+"""Plugin for pytest: `@pytest.mark.matrix(3)` runs every third row of a table of similar cases.
 
-Each test begins with another row, so that tests which share a table try all of it between them.
-`nox -f nightly.py -s fuzz` and `nox -f nightly.py -s mutants` try every row, and so does who names one.
-`@pytest.mark.matrix` alone: the test itself decides.
+Each test starts with another row, so tests that share a table try all of its rows together.
+`nox -f nightly.py -s fuzz` and `nox -f nightly.py -s mutants` run every row. A row that is named in the command line
+also runs. With `@pytest.mark.matrix` alone, the test itself decides.
 
-Where a table is a product, a share that has no factor in common with its axes tries every value of each.
+If a table is a product of axes, choose a share without a common factor with the sizes of the axes. Then every value of
+each axis is tried.
 """
 
 from __future__ import annotations
@@ -33,6 +34,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _others(name: str, share: int, rows: list[pytest.Item]) -> list[pytest.Item]:
-    """The rows of a test that are left to another time."""
+    """Return the rows of a test that are not run now."""
     first = zlib.crc32(name.encode()) % min(share, len(rows))
     return [row for number, row in enumerate(rows) if (number - first) % share]

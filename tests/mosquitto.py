@@ -1,4 +1,4 @@
-"""A real MQTT broker (mosquitto), where there is one."""
+"""Fixtures for a real MQTT broker (mosquitto), if it is installed."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from tests.waiting import until
 __all__ = ["needs_broker", "running"]
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto (apt install mosquitto)")
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed (apt install mosquitto)")
 
 
 @contextlib.contextmanager
 def running(folder: Path, settings: str = "") -> Iterator[int]:
-    """Run a mosquitto for everybody at 127.0.0.1, and give its port.
+    """Run a mosquitto at 127.0.0.1 that accepts anonymous clients, and yield its port.
 
     Args:
-        folder: for its configuration.
-        settings: lines of its listener.
+        folder: Folder for its configuration.
+        settings: Additional lines for the configuration of its listener.
     """
     assert MOSQUITTO is not None
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port: int = probe.getsockname()[1]
     config = folder / "mosquitto.conf"
-    # Begun by root, it would become a user who cannot read the test's files.
+    # If root starts mosquitto, it would switch to a user that cannot read the files of the test.
     config.write_text(f"user root\nlistener {port} 127.0.0.1\nallow_anonymous true\n{settings}")
     process = subprocess.Popen([MOSQUITTO, "-c", str(config)], stderr=subprocess.DEVNULL)
 
@@ -53,6 +53,6 @@ def running(folder: Path, settings: str = "") -> Iterator[int]:
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[int]:
-    """The port of a mosquitto."""
+    """Port of a running mosquitto."""
     with running(tmp_path) as port:
         yield port

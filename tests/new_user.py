@@ -1,7 +1,7 @@
-"""What a new user wants to do, and the examples of the documentation that do it: ``python -m tests.new_user``.
+"""Tasks of a new user, and the examples in the documentation that do them: ``python -m tests.new_user``.
 
-For each task the examples of one page are taken out of it, up to the end of one section, and run as a program of their
-own: in an environment in which nothing but the package is installed, as the session `wheel` of nox has it.
+For each task, the examples of one page up to the end of one section are extracted and run as a separate program. The
+session `wheel` of nox runs them in an environment in which only the package is installed.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from typing import NamedTuple
 __all__ = ["TASKS", "Task", "examples", "words"]
 
 _DOCS = Path(__file__).resolve().parents[1] / "docs"
-#: s for the examples of one task, on a busy machine.
+#: Time limit for the examples of one task on a busy machine, in s.
 _TIMEOUT = 240.0
 
 
 class Task(NamedTuple):
-    """A task, and the page and section whose examples do it."""
+    """Task of a user, with the page and the section whose examples do it."""
 
     what: str
     page: str
@@ -54,7 +54,7 @@ TASKS = (
     Task("append points while it moves", "streams", "Points"),
     Task("press with a force", "force", "Apply a force"),
     Task("teach points by hand", "force", "Teach waypoints"),
-    Task("go on after a protective stop", "safety", "Recover step by step"),
+    Task("resume after a protective stop", "safety", "Recover step by step"),
     Task("read variables by RTDE", "rtde", "Read variables"),
     Task("exchange numbers with a program", "rtde", "Registers"),
     Task("record and replay", "recording", "Replay"),
@@ -69,10 +69,10 @@ TASKS = (
 
 
 def examples(task: Task) -> str:
-    """The examples of the page up to the end of the section, with what they print.
+    """Return the examples of the page up to the end of the section, with their output.
 
     Raises:
-        ValueError: the page has no such section, or no examples up to its end.
+        ValueError: If the page has no such section, or no examples up to its end.
     """
     lines = (_DOCS / f"{task.page}.md").read_text(encoding="utf-8").splitlines()
     found: list[str] = []
@@ -94,7 +94,7 @@ def examples(task: Task) -> str:
 
 
 def words() -> int:
-    """What is read from the first page to the first motion: words outside of code."""
+    """Count the words from the first page to the first motion, without code."""
     ten = (_DOCS / "first-ten-minutes.md").read_text(encoding="utf-8").partition("## Record")[0]
     page = (_DOCS / "index.md").read_text(encoding="utf-8") + ten
     text = re.sub(r"(?ms)^```.*?^```$|^---$.*?^---$|\]\([^)]*\)|^:.*?$", "", page)
@@ -102,7 +102,7 @@ def words() -> int:
 
 
 def run(task: Task) -> str:
-    """Run its examples in a folder of their own; what is wrong, or nothing."""
+    """Run the examples of a task in a separate folder; return the failures, or an empty string."""
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "task.txt").write_text(examples(task), encoding="utf-8")
         env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
@@ -116,13 +116,13 @@ def run(task: Task) -> str:
                 timeout=_TIMEOUT,
             )
         except subprocess.TimeoutExpired:
-            return f"it takes longer than {_TIMEOUT:g} s"
+            return f"the examples did not finish within {_TIMEOUT:g} s"
         return (done.stdout + done.stderr) if done.returncode else ""
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.new_user", description=__doc__)
-    parser.add_argument("--only", metavar="TEXT", default="", help="tasks with this in their name")
+    parser.add_argument("--only", metavar="TEXT", default="", help="run only tasks whose name contains TEXT")
     given = parser.parse_args()
     failed = 0
     for task in TASKS:

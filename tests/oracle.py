@@ -1,4 +1,4 @@
-"""construct's reading of a layout, by which the fast decoders are judged."""
+"""Reference decoder based on construct; tests compare the fast decoders with it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ __all__ = ["parse"]
 
 
 def parse(layout: Layout, data: bytes) -> dict[str, Any]:
-    """name -> value of `data`, through construct alone.
+    """Decode `data` with construct only; return a dictionary of names and values.
 
     Raises:
-        construct.ConstructError: it does not hold the fields.
+        construct.ConstructError: If `data` does not contain all fields.
     """
     parsed = as_struct(layout).parse(data)
     values: dict[str, Any] = {}

@@ -1,7 +1,7 @@
-"""A plugin for pytest: what only the operating system has is for tests with the mark `real_time`, and these are few.
+"""Plugin for pytest: only tests with the mark `real_time` may use the operating system, and they must stay few.
 
-A test that connects or binds a real socket, starts a real thread or a process, or sends a signal, depends on how busy
-the computer is. It belongs into simulated time (`simulated_time`), or says that it cannot.
+A test that connects or binds a real socket, starts a real thread or a process, or sends a signal depends on the load of
+the computer. It should run in simulated time (`simulated_time`), or have the mark `real_time` if it cannot.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import pytest
 
 __all__ = ["SHARE"]
 
-#: The part of all tests that may have the mark.
+#: Largest allowed share of tests with the mark.
 SHARE = 0.1
-#: Events of `sys.addaudithook` -> what they are.
+#: Descriptions of events of `sys.addaudithook`.
 _EVENTS = {
     "socket.bind": "binds a socket",
     "socket.connect": "connects a socket",
@@ -31,7 +31,7 @@ _EVENTS = {
 
 
 class RealTime:
-    """Notes what the test that runs does, in its own threads; those that an earlier one has left do not count."""
+    """Records the system calls of the running test in its own threads, but not in threads left by earlier tests."""
 
     def __init__(self) -> None:
         self._noted: set[str] | None = None
@@ -48,8 +48,8 @@ class RealTime:
         start = self._start
 
         def starting(thread: threading.Thread) -> None:
-            # In simulated time another one is in its place. The thread that draws the progress of a command ends with
-            # its block, and nothing depends on it.
+            # Simulated time replaces this function. The thread that draws the progress of a command is allowed,
+            # because it ends with its block and no test result depends on it.
             is_progress = thread.name == "progress"
             if not is_progress and self._noted is not None and threading.get_ident() not in self._others:
                 self._noted.add("starts a thread")
@@ -88,7 +88,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
-    """The examples of a page are in simulated time, where there is one: they wait for arms and robots."""
+    """Run the examples of pages in simulated time (on Linux), because they wait for arms and robots."""
     with contextlib.ExitStack() as block:
         if item.path.suffix == ".md" and sys.platform == "linux":
             block.enter_context(importlib.import_module("linkcore.simulated").simulated_time())

@@ -1,14 +1,14 @@
-"""The recipes of CONTRIBUTING: how to add something, step by step, as a person reads them and a test executes them.
+"""Recipes of CONTRIBUTING: step-by-step instructions to add something, which a test executes.
 
 A recipe is a section whose heading begins with "Adding". Each numbered step that edits a file begins with the file and
-the place, then shows the text to insert, with the indentation that it has in the file::
+the place. Then it shows the text to insert, with the indentation that the text has in the file::
 
     1. In `src/rhdlink/smrcl/commands.py`, below `_TABLE = (`:
     2. In `src/rhdlink/smrcl/driving.py`, at the end:
     3. In `docs/smrcl.md`, above `| stop |`:
     4. New file `src/urlink/cli/shout.py`:
 
-The line of the place is the only line of the file that begins with the text in backticks, whatever its white space. A
+The line of the place is the only line of the file that begins with the text in backticks, ignoring white space. A
 last Python block below "Check:" is a program that fails if the recipe is incomplete. A command after "Run" in the same
 paragraph is also executed.
 """
@@ -33,7 +33,7 @@ _BLOCK = re.compile(r"^( *)```\w+\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 
 @dataclass(frozen=True)
 class Edit:
-    """One step: text that is inserted into a file, or a new file.
+    """Step of a recipe: text to insert into a file, or a new file.
 
     Attributes:
         path: The file, relative to the repository.
@@ -60,7 +60,7 @@ class Edit:
         path.write_text(self.applied(before), encoding="utf-8")
 
     def applied(self, before: str) -> str:
-        """The text of the file with this edit.
+        """Return the text of the file with this edit.
 
         Raises:
             LookupError: If not exactly one line begins with the anchor.
@@ -80,13 +80,13 @@ class Edit:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A section of the page.
+    """Section of the page.
 
     Attributes:
-        name: What is added, as in "a firmware".
-        edits: The steps that edit files.
-        check: The program that shows that what was added works.
-        commands: The command lines to run before the check, as arguments of Python.
+        name: Name of the thing to add, as in "a firmware".
+        edits: Steps that edit files.
+        check: Program that fails unless the addition works.
+        commands: Command lines to run before the check, as arguments of Python.
     """
 
     name: str
@@ -96,7 +96,7 @@ class Recipe:
 
 
 def recipes() -> list[Recipe]:
-    """All recipes of the page."""
+    """Return all recipes of the page."""
     page = _PAGE.read_text(encoding="utf-8")
     sections = re.findall(r"^## Adding ([^\n]+)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
     return [_recipe(name, text) for name, text in sections]

@@ -1,4 +1,4 @@
-"""Commands in processes of their own, ended with the test that started them."""
+"""Commands in separate processes, which end with the test that started them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def spawning(module: str) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """The body of a fixture: ``spawn("echo", ...)`` runs ``python -m module echo ...``."""
+    """Yield a function for a fixture: ``spawn("echo", ...)`` runs ``python -m module echo ...``."""
     started: list[subprocess.Popen[str]] = []
 
     def spawn(*argv: str, **options: Any) -> subprocess.Popen[str]:

@@ -1,4 +1,4 @@
-"""The classes of the objects that users hold: public names, and what their methods and properties return."""
+"""Classes of the objects that users get: public names, and the results of their methods and properties."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def _is_ours(value: Any) -> bool:
 
 @cache
 def public_classes() -> Mapping[type, str]:
-    """Each class -> where it was found first: "urlink", or "Robot.motion"."""
+    """Map each class to the place where it was found first, such as "urlink" or "Robot.motion"."""
     for package in _PACKAGES:
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-            # Annotations name classes that are imported for type checkers only.
+            # Import all modules, because annotations name classes that are otherwise imported for type checkers only.
             if not module.name.endswith("__main__"):
                 importlib.import_module(module.name)
     found: dict[type, str] = {}
@@ -77,7 +77,7 @@ def _all_names() -> dict[str, Any]:
 
 
 def _returned(function: Any) -> Iterator[type]:
-    """The classes of this project that the annotation of the result names."""
+    """Yield the classes of this project that are named in the annotation of the result."""
     function = inspect.unwrap(function)
     result = function.__annotations__.get("return")
     if isinstance(result, str):

@@ -1,4 +1,4 @@
-"""The pages of the API show how to make what users make, and of nothing else how it is made."""
+"""The API pages document the constructor of a class only if users call it."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ BLOCKS = re.findall(r"^\.\. autoclass:: (\S+)\n((?:   .*\n)*)", PAGE, re.MULTILI
 
 
 def found(name: str) -> Any:
-    """What a dotted name names."""
+    """Return the object with a dotted name."""
     module, _, attribute = name.rpartition(".")
     return getattr(importlib.import_module(module), attribute)
 
 
 SHOWN = {found(name) for name, _ in BLOCKS}
-#: The classes of which the page shows the arguments.
+#: Classes for which the page shows the arguments of the constructor.
 MADE_BY_USERS = [name for name, options in BLOCKS if not re.search(r":exclude-members:.*\b__init__\b", options)]
 
 
 def parts(hint: Any) -> Iterator[Any]:
-    """The classes in an annotation."""
+    """Yield the parts of an annotation, including all classes."""
     yield hint
     for each in typing.get_args(hint):
         yield from parts(each)
 
 
 def internals(cls: Any) -> set[str]:
-    """The classes of ours that an argument is annotated with, and that the page does not show."""
+    """Return the names of our classes in annotations of the arguments that the page does not show."""
     makers = [vars(base).get(name) for base in cls.__mro__[:-1] for name in ("__init__", "__new__")]
     maker = next((each for each in makers if inspect.isfunction(each)), None)
     try:
         hints = typing.get_type_hints(maker) if maker is not None else {}
-    except NameError as error:  # imported for types only, so no class that is made with what users import
+    except NameError as error:  # imported for type checkers only, so users cannot import this class
         return {str(error.name)}
     hints.pop("return", None)
     classes = {each for hint in hints.values() for each in parts(hint) if inspect.isclass(each)}
@@ -50,11 +50,11 @@ def internals(cls: Any) -> set[str]:
 
 
 @pytest.mark.parametrize("name", MADE_BY_USERS)
-def test_users_can_make_what_the_page_shows_how_to_make(name: str) -> None:
+def test_page_documents_classes_of_constructor_arguments(name: str) -> None:
     assert internals(found(name)) == set()
 
 
-def test_what_is_made_by_the_library_is_told_from_what_is_not() -> None:
+def test_page_shows_constructors_of_user_made_classes_only() -> None:
     assert "urlink.Stream" not in MADE_BY_USERS
     assert "Connection" in internals(found("urlink.Stream"))
     assert "urlink.Backoff" in MADE_BY_USERS

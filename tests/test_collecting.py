@@ -1,4 +1,4 @@
-"""What the processes of one run share of the collection, and what it leaves out, loses nothing."""
+"""Sharing the collection between processes, and skipping modules without examples, loses no tests."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def one():
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_each_process_imports_all_modules_and_begins_with_a_share_of_its_own(count: int) -> None:
+def test_in_turn_starts_each_process_with_its_own_share(count: int) -> None:
     modules = [f"module{number}" for number in range(11)]
     orders = [in_turn(modules, number, count) for number in range(count)]
     assert all(sorted(order) == sorted(modules) for order in orders)
@@ -35,7 +35,7 @@ def test_each_process_imports_all_modules_and_begins_with_a_share_of_its_own(cou
 
 
 @pytest.mark.parametrize(("prompt", "failed"), [(">>>", 1), ("...", 0)])
-def test_a_module_with_an_example_is_searched(pytester: pytest.Pytester, prompt: str, failed: int) -> None:
+def test_doctests_are_collected_from_modules_with_examples(pytester: pytest.Pytester, prompt: str, failed: int) -> None:
     pytester.makepyfile(module=MODULE.format(prompt=prompt))
     pytester.runpytest_inprocess("-p", "tests.collecting", "--doctest-modules").assert_outcomes(failed=failed)
 
@@ -43,7 +43,7 @@ def test_a_module_with_an_example_is_searched(pytester: pytest.Pytester, prompt:
 @pytest.mark.slow
 @pytest.mark.real_time
 def test_collection_has_the_same_order_in_every_process() -> None:
-    """pytest-xdist refuses to run where two processes differ, as they do if the cases of a test come from a set."""
+    """pytest-xdist refuses to run if two processes differ, for example if the cases of a test come from a set."""
     orders = []
     for seed in "12":
         command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", "-m", "", "tests"]

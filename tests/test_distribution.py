@@ -33,7 +33,7 @@ _SUFFIXES = {
     ".yml",
 }
 
-#: What names urlink as a distribution, in any file.
+#: Texts that use urlink as the name of a distribution, in any file.
 _WRONG = re.compile(
     r"""
     \binstall\s+(?:[^\s`&;|]+\s+)*['"]?urlink(?![\w./-])                  # pip install urlink
@@ -45,7 +45,7 @@ _WRONG = re.compile(
 
 
 def texts() -> Iterator[Path]:
-    """Every text file of the repository."""
+    """Yield every text file of the repository."""
     for folder, folders, names in os.walk(ROOT):
         folders[:] = [
             each for each in folders if each not in _SKIPPED and (each[0] != "." or each in (".ci", ".github"))
@@ -54,7 +54,7 @@ def texts() -> Iterator[Path]:
 
 
 def wrong_lines(text: str) -> list[int]:
-    """The numbers of the lines that use urlink as the name of a distribution."""
+    """Return the numbers of the lines that use urlink as the name of a distribution."""
     return [number for number, line in enumerate(text.splitlines(), 1) if _WRONG.search(line)]
 
 
@@ -117,7 +117,7 @@ def test_no_pyproject_requires_urlink() -> None:
 
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
-    """A folder in which the files of urlink 1.0.2 of PyPI are installed, as pip leaves them."""
+    """Folder with the files of urlink 1.0.2 from PyPI, as pip installs them."""
     site = tmp_path / "site"
     metadata = site / "urlink-1.0.2.dist-info"
     metadata.mkdir(parents=True)
@@ -160,7 +160,7 @@ def test_import_warns_when_another_urlink_is_shadowed(other: Path) -> None:
 
 @pytest.mark.real_time
 def test_import_is_silent_when_the_distribution_has_no_package(other: Path) -> None:
-    """As a checkout that was installed when the distribution of this project was called urlink."""
+    """A checkout that was installed while this project's distribution was called urlink looks like this."""
     (other / "urlink-1.0.2.dist-info" / "RECORD").write_text("_editable_impl_urlink.pth,,\n", encoding="utf-8")
     done = run(f"import sys; sys.path.append({str(other)!r}); import rhdlink, urlink")
     assert (done.returncode, done.stderr) == (0, "")

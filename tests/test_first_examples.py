@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 _ROOT = Path(__file__).resolve().parents[1]
-#: Functions and classes whose result must be closed, and `connect` of the robots of other libraries.
+#: Functions and classes whose result must be closed, including `connect` and classes of other libraries.
 _CONNECTS = {
     "connect",
     "connect_async",
@@ -22,7 +22,7 @@ _CONNECTS = {
     "RTDEReceiveInterface",
     "RTDEIOInterface",
 }
-#: Pages whose first example cannot use `with`, and why.
+#: Pages whose first example cannot use `with`, with the reason.
 _EXCEPTIONS = {
     "docs/notebooks/move-and-stop.md": "the robot stays connected from cell to cell; the last cell closes it",
     "docs/notebooks/read-and-plot.md": "the robot stays connected from cell to cell; the last cell closes it",
@@ -57,7 +57,7 @@ def _name(call: ast.Call) -> str:
 
 
 def _unclosed(page: str) -> list[str]:
-    """Return what the first example that connects opens without `with`, such as ``line 2: connect``."""
+    """Return the connections that the first connecting example opens without `with`, such as ``line 2: connect``."""
     for source in _examples(page):
         tree = ast.parse(source)
         calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and _name(node) in _CONNECTS]

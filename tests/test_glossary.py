@@ -1,4 +1,4 @@
-"""Every term of the glossary is in the code where the glossary says."""
+"""Every term of the glossary exists in the module, class or function that the glossary names."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ def terms() -> list[Term]:
 TERMS = terms()
 
 
-def test_no_term_has_two_meanings() -> None:
+def test_glossary_terms_are_unique() -> None:
     names = [term.name for term in TERMS]
     assert sorted(names) == sorted(set(names))
     assert all(term.meaning for term in TERMS)
 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: term.name)
-def test_it_is_where_the_glossary_says(term: Term) -> None:
+def test_glossary_term_exists_in_its_module(term: Term) -> None:
     try:
         is_module = importlib.util.find_spec(term.place) is not None
-    except ModuleNotFoundError:  # its parent is no package
+    except ModuleNotFoundError:  # the parent is not a package
         is_module = False
     if not is_module:
         module, _, name = term.place.rpartition(".")

@@ -1,4 +1,4 @@
-"""Which modules may use sockets, asyncio, threads and clocks. pyproject.toml has the contracts of who imports whom."""
+"""Rules for modules that use sockets, asyncio, threads and clocks. pyproject.toml has the rules for imports."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SOCKETS = {
     "linkcore.net.loop",
     "linkcore.net.polled",
     "linkcore.net.awaited",
-    # Puts others in the place of the standard library's.
+    # These modules replace the sockets of the standard library in simulated time.
     "linkcore.simulated.sockets",
     "linkcore.simulated.takeover",
 }
@@ -39,21 +39,22 @@ AWAITED = {
 
 #: The only modules that may start threads.
 THREADS = {
-    "linkcore.net.undo",  # undoes what was given up, for as long as there is anything
-    "linkcore.threads",  # one for the callbacks of each robot, one for each host or server not run in its caller's
+    "linkcore.net.undo",  # undoes abandoned commands, as long as any are pending
+    "linkcore.threads",  # one for the callbacks of each robot, one for each host or server with its own thread
     "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline
     "urlink.simulator.server",  # one for each simulated controller
-    "urlink.simulator.control_loop",  # lets time pass within a block, for a controller that is stepped
+    "urlink.simulator.control_loop",  # advances the time of a stepped controller within a block
     "urlink.simulator.programs.loader",  # one at a time, for a long program
     "rhdlink.sync_thread",  # keeps a robot in sync
-    "linkcore.recording.index",  # some, for as long as a long recording is checked
-    "linkcore.simulated.primitives",  # what a program starts while time is simulated
-    "linkcore.event_loop",  # makes the calls that wait, for one robot of a program that uses asyncio
-    "rhdlink.drive",  # drives a robot between the motions that are asked for
-    "rhdlink.smrcl.mission",  # for a mission that is started rather than run
+    "linkcore.recording.index",  # several, while a long recording is checked
+    "linkcore.simulated.primitives",  # threads that a program starts while time is simulated
+    "linkcore.event_loop",  # makes blocking calls for one robot of a program that uses asyncio
+    "rhdlink.drive",  # drives a robot between requested motions
+    "rhdlink.smrcl.mission",  # runs a mission that was started with `start`
+    "linkcore.cli.console",  # on Windows, reads the lines of stdin
     "linkcore.cli.progress",  # draws the progress of a command
-    "urlink.cli.monitor",  # asks who the robot is while the picture is drawn
+    "urlink.cli.monitor",  # identifies the robot while the screen is drawn
 }
 
 
@@ -66,12 +67,12 @@ MODULES = {name_of(path): path for path in sorted(SRC.rglob("*.py"))}
 
 @cache
 def imports(module: str) -> frozenset[str]:
-    """The full name of everything that a module imports, wherever in it, also for its types only."""
+    """Return the full names of all imports of a module, including imports in functions and for type checkers."""
     return frozenset(_imported(_statements(parsed(module)), package_of(module)))
 
 
 def parsed(module: str) -> ast.Module:
-    """Not kept: that would be a million objects more for each later collection of garbage to look through."""
+    """Parse a module. The tree is not cached, because a million more objects would slow down garbage collections."""
     return ast.parse(source(module))
 
 
@@ -85,7 +86,7 @@ def package_of(module: str) -> str:
 
 
 def _statements(tree: ast.AST) -> Iterator[ast.stmt]:
-    """Every statement in it, wherever."""
+    """Yield every statement of a tree, including nested ones."""
     for name in ("body", "orelse", "handlers", "finalbody", "cases"):
         for each in getattr(tree, name, ()):
             if isinstance(each, ast.stmt):
@@ -102,13 +103,13 @@ def _imported(nodes: Iterable[ast.stmt], package: str) -> Iterator[str]:
             base = parts[: len(parts) - node.level + 1] if node.level else []
             origin = ".".join([*base, *([node.module] if node.module else [])])
             for alias in node.names:
-                # `from . import models` imports a module, `from .models import Model` a name in one.
+                # `from . import models` imports a module; `from .models import Model` imports a name of a module.
                 whole = f"{origin}.{alias.name}"
                 yield whole if whole in MODULES else origin
 
 
 def part(module: str) -> str:
-    """What of its package a module belongs to: `urlink.protocol.enums` to `interfaces`."""
+    """Return the part of its package that a module belongs to: `protocol` for `urlink.protocol.enums`."""
     return [*module.split("."), ""][1]
 
 
@@ -116,8 +117,8 @@ def within(module: str, package: str) -> bool:
     return module == package or module.startswith(f"{package}.")
 
 
-def test_the_imports_are_read() -> None:
-    """Of one module of each way to import, so that the rules below are not true of nothing."""
+def test_imports_finds_each_kind_of_import() -> None:
+    """Check one module for each form of import, so that the rules below cannot pass without finding imports."""
     assert {"linkcore", "urlink"} <= {module.partition(".")[0] for module in MODULES}
     assert {"functools", "linkcore.errors", "linkcore.streaming.stream"} <= imports("linkcore.recording.recorder")
     simulator = imports("urlink.simulator.controller")
@@ -128,48 +129,48 @@ def test_the_imports_are_read() -> None:
 
 
 def offenders(is_wrong: Callable[[str, str], bool]) -> list[str]:
-    """ "module imports name", for each such pair that is wrong."""
+    """Return "module imports name" for each import that violates a rule."""
     return [f"{module} imports {name}" for module in MODULES for name in imports(module) if is_wrong(module, name)]
 
 
-#: Names that several modules of one package have, which then play the same role, each in its folder.
+#: Names that several modules of one package may share, because each plays the same role in its folder.
 ROLES = {
-    "arm": "one arm: how its joints and its tool are related, and how it moves in the simulator",
-    "client": "what users hold of one interface",
-    "commands": "the table of what can be said to a controller in one language",
+    "arm": "one arm: its kinematics, and its motion in the simulator",
+    "client": "the object that users get for one interface",
+    "commands": "the table of the commands to a controller in one language",
     "errors": "the exceptions of its folder",
     "framing": "the frame boundaries of one interface",
     "gripper": "the simulated gripper, and the interface that serves it",
-    "interface": "what the interfaces of one folder have in common",
-    "messages": "the messages to a program on the robot, and those that a simulated controller sends",
-    "interpreter": "interpreter mode: what users hold, and the interface that serves it",
+    "interface": "the common part of the interfaces of one folder",
+    "messages": "the messages to a program on the robot, and the messages that a simulated controller sends",
+    "interpreter": "interpreter mode: the object that users get, and the interface that serves it",
     "packets": "the declared packets of one interface",
     "protocol": "the protocol of one interface",
-    "registers": "the general-purpose registers: what users hold, and the simulated ones",
+    "registers": "the general-purpose registers: the object that users get, and the simulated registers",
     "robot_api": "the Robot API of PolyScope X: its requests, and the interface that answers them",
-    "server": "what is served to TCP clients",
-    "tool_serial": "the serial line of the tool: what users hold, and the interface that serves it",
+    "server": "the server for TCP clients",
+    "tool_serial": "the serial line of the tool: the object that users get, and the interface that serves it",
     "waypoints": "a motion that is given point by point, and the text of its program",
     "force_control": "the motions that control forces, and the texts of their programs",
 }
 
 
-def test_a_module_name_means_one_thing_in_a_package() -> None:
+def test_module_names_are_unique_within_a_package() -> None:
     found: dict[tuple[str, str], list[str]] = {}
     for module, path in MODULES.items():
         package, _, name = module.rpartition(".")
-        # A command of the command line is called as the user calls it, and the functions of URScript by their topic.
+        # Modules of the command line have the names of commands; modules of URScript functions have topics as names.
         if path.name != "__init__.py" and part(module) != "cli" and not package.endswith(".builtins"):
             found.setdefault((module.partition(".")[0], name), []).append(module)
     assert [modules for (_, name), modules in found.items() if len(modules) > 1 and name not in ROLES] == []
 
 
-def test_sockets_are_where_it_is_declared() -> None:
+def test_sockets_are_imported_by_listed_modules_only() -> None:
     networks = {"socket", "socketserver"}
     assert offenders(lambda module, name: name in networks and module not in SOCKETS) == []
 
 
-def test_asyncio_is_where_something_can_be_awaited() -> None:
+def test_asyncio_is_imported_by_listed_modules_only() -> None:
     found = {module for module in MODULES if "asyncio" in imports(module)}
     assert_listed(found, AWAITED, "AWAITED in tests/test_house.py")
 
@@ -178,7 +179,7 @@ _OF_THREADS = {"Thread", "Timer", "ThreadPoolExecutor", "start_new_thread"}
 
 
 def starts_threads(text: str) -> bool:
-    """It calls what makes a thread, or derives a class from it, under whichever name it was imported."""
+    """Whether the code makes a thread or derives a class from one, even if it was imported under another name."""
     if not any(name in text for name in _OF_THREADS):
         return False
     tree, names = ast.parse(text), set(_OF_THREADS)
@@ -213,23 +214,23 @@ def starts_threads(text: str) -> bool:
         ("class Compilation(Base):\n    pass", False),
     ],
 )
-def test_whatever_way_a_thread_is_made_is_seen(text: str, starts: bool) -> None:
+def test_starts_threads_finds_each_way_to_make_a_thread(text: str, starts: bool) -> None:
     assert starts_threads(text) == starts
 
 
-def test_threads_are_started_where_it_is_declared() -> None:
+def test_threads_are_started_by_listed_modules_only() -> None:
     found = {module for module in MODULES if starts_threads(source(module))}
     assert_listed(found, THREADS, "THREADS in tests/test_house.py")
 
 
-def test_what_is_declared_is_there() -> None:
-    """A rule about a module that is gone protects nothing."""
+def test_listed_modules_exist() -> None:
+    """A rule about a module that no longer exists has no effect."""
     assert MODULES.keys() >= SOCKETS | THREADS
     found = {module for module in MODULES if "socket" in imports(module)}
     assert_listed(found, SOCKETS, "SOCKETS in tests/test_house.py")
 
 
-#: What to use instead of each function of the standard library that reads a monotonic clock, or sleeps.
+#: Replacement for each function of the standard library that reads a monotonic clock, or sleeps.
 ONE_CLOCK = {
     "monotonic": "clock.now()",
     "monotonic_ns": "clock.now()",
@@ -242,7 +243,7 @@ ONE_CLOCK = {
 
 
 def other_clocks(text: str) -> list[tuple[int, str]]:
-    """Lines that use such a function of `time`, or import it by name, and what to use there instead."""
+    """Return the lines that use or import such a function of `time`, each with its replacement."""
     found = []
     for node in ast.walk(ast.parse(text)) if "time" in text else ():
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "time":
@@ -255,8 +256,8 @@ def other_clocks(text: str) -> list[tuple[int, str]]:
     return sorted(found)
 
 
-def test_time_is_read_and_waited_for_by_one_clock() -> None:
-    """Only `linkcore.clock` counts the time of a suspend, and can be simulated even where it is a default value."""
+def test_modules_use_the_clock_of_linkcore_only() -> None:
+    """Only `linkcore.clock` includes the time of a suspend, and can be simulated even as a default value."""
     assert other_clocks("def f(c=time.monotonic):\n    time.sleep(1)") == [
         (1, "clock.now()"),
         (2, "clock.sleep(seconds)"),

@@ -1,4 +1,4 @@
-"""Which rows of a table are tried."""
+"""Rows of a table that the plugin `tests.matrix` selects."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def run(pytester: pytest.Pytester, *asked: str) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("profile", ["default", "ci", None])
-def test_a_part_of_each_table(tried: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, profile: str | None) -> None:
+def test_quick_profiles_run_a_share_of_each_table(
+    tried: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, profile: str | None
+) -> None:
     monkeypatch.delenv("HYPOTHESIS_PROFILE", raising=False)
     if profile is not None:
         monkeypatch.setenv("HYPOTHESIS_PROFILE", profile)
@@ -50,11 +52,13 @@ def test_a_part_of_each_table(tried: pytest.Pytester, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("profile", ["fuzz", "mutants"])
-def test_the_whole_table(tried: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, profile: str) -> None:
+def test_other_profiles_run_the_whole_table(
+    tried: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, profile: str
+) -> None:
     monkeypatch.setenv("HYPOTHESIS_PROFILE", profile)
     assert run(tried) == {"test_some": 6, "test_one_and_some": 5, "test_one": 2, "test_all": 6}
 
 
-def test_a_row_that_is_asked_for(tried: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_row_that_is_named_runs(tried: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HYPOTHESIS_PROFILE", raising=False)
     assert [run(tried, f"test_rows.py::test_some[{row}]") for row in range(3)] == [{"test_some": 1}] * 3

@@ -1,4 +1,4 @@
-"""The packages stand on the public surface alone, and the library stands on no middleware."""
+"""The packages use only the public API of the library, and the library uses no middleware."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = sorted((ROOT / "packages").glob("*/pyproject.toml"))
 
-#: What a robot is put into by packages and examples, by the names under which it is imported.
+#: Import names of the middlewares and frameworks that packages and examples connect a robot to.
 MIDDLEWARES = {
     "zenoh",
     "RobotRaconteur",
@@ -34,11 +34,11 @@ MIDDLEWARES = {
     "uvicorn",
 }
 
-#: Modules that are public beside the names of their package, as the API page has them.
+#: Modules that are public in addition to the names of their package, as listed on the API page.
 PUBLIC = {
-    # The one clock, so that ages and deadlines of a package agree with those of the library.
+    # The clock of the library, so that ages and deadlines of a package agree with it.
     "linkcore.clock",
-    # Imported before urlink, to warn of another distribution of that name.
+    # Imported before urlink, to warn about another distribution with this name.
     "linkcore",
     "urlink.arm.kinematics",
     "urlink.arm.mjcf",
@@ -48,7 +48,7 @@ PUBLIC = {
     "urlink.arm.poses",
     "urlink.rtde",
     "urlink.simulator",
-    # What a tool needs beside the public names; its docstring says what it promises.
+    # Additional names for tools; the docstring of the module states its guarantees.
     "urlink.tools",
     "urlink.arm.urdf",
     "rhdlink.host",
@@ -59,7 +59,7 @@ PUBLIC = {
 
 
 def imported(path: Path) -> Iterator[tuple[str, str]]:
-    """(module, name) of everything that a file imports; without a name, the module itself."""
+    """Yield (module, name) for each import of a file; the name is empty if the module itself is imported."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from ((alias.name, "") for alias in node.names)
@@ -76,7 +76,7 @@ def is_public(module: str, name: str) -> bool:
     return module in ("urlink", "rhdlink") and (not name or name in dir(importlib.import_module(module)))
 
 
-def test_the_rule_is_not_true_of_nothing() -> None:
+def test_is_public_distinguishes_public_names() -> None:
     assert is_public("urlink", "connect")
     assert is_public("urlink", "poses")
     assert is_public("urlink.simulator", "Controller")
@@ -84,7 +84,7 @@ def test_the_rule_is_not_true_of_nothing() -> None:
         assert not is_public(module, name)
 
 
-def test_no_module_of_the_library_imports_a_middleware() -> None:
+def test_library_does_not_import_middlewares() -> None:
     found = {
         (str(path.relative_to(ROOT)), module)
         for path in (ROOT / "src").rglob("*.py")
@@ -95,8 +95,8 @@ def test_no_module_of_the_library_imports_a_middleware() -> None:
     assert found == set()
 
 
-def test_no_module_of_the_library_imports_a_package() -> None:
-    """It finds them by entry points."""
+def test_library_does_not_import_packages() -> None:
+    """The library finds packages through their entry points."""
     packages = {path.name for path in ROOT.glob("packages/*/src/*")}
     assert {"urlink_accept", "urlink_compat", "urlink_view"} <= packages
     found = {
@@ -109,8 +109,8 @@ def test_no_module_of_the_library_imports_a_package() -> None:
     assert found == set()
 
 
-#: What the base classes of LeRobot 0.4.4 and 0.6.1 leave to be implemented, as read there: both need torch, which is
-#: not had here.
+#: Abstract members of the base classes of LeRobot 0.4.4 and 0.6.1, copied from its source code. LeRobot needs torch,
+#: which is not installed in this environment.
 LEROBOT = {
     "ur.py": {
         *("observation_features", "action_features", "is_connected", "is_calibrated"),
@@ -124,7 +124,7 @@ LEROBOT = {
 
 
 @pytest.mark.parametrize("module", LEROBOT)
-def test_the_classes_for_lerobot_have_what_its_base_classes_leave_open(module: str) -> None:
+def test_lerobot_classes_implement_all_abstract_members(module: str) -> None:
     path = ROOT / "packages/lerobot/src/lerobot_robot_urlink" / module
     classes = [node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ClassDef)]
     defined = {node.name for each in classes for node in each.body if isinstance(node, ast.FunctionDef)}
@@ -132,7 +132,7 @@ def test_the_classes_for_lerobot_have_what_its_base_classes_leave_open(module: s
 
 
 @pytest.mark.parametrize("project", PACKAGES, ids=lambda path: path.parent.name)
-def test_a_package_imports_public_names_only(project: Path) -> None:
+def test_package_imports_public_names_only(project: Path) -> None:
     sources = list((project.parent / "src").rglob("*.py")) + list(project.parent.glob("examples/*.py"))
     assert sources
     bad = [
@@ -145,8 +145,8 @@ def test_a_package_imports_public_names_only(project: Path) -> None:
 
 
 @pytest.mark.parametrize("project", PACKAGES, ids=lambda path: path.parent.name)
-def test_a_package_touches_nothing_private(project: Path) -> None:
-    """But what it has made itself: an attribute with an underscore is one of `self`, or of another object of it."""
+def test_package_uses_private_names_of_its_own_only(project: Path) -> None:
+    """An attribute with an underscore must belong to `self`, or be defined by the same file."""
     for path in (project.parent / "src").rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         own = {

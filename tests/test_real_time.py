@@ -1,4 +1,4 @@
-"""Few tests are in real time, and a test that is says so."""
+"""Only a few tests run in real time, and each of them has the mark `real_time`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tests.real_time import SHARE, is_marked
 
 pytest_plugins = ["pytester"]
 
-#: Tests of a run that are enough to be the whole suite.
+#: Minimum number of tests in a run of the whole suite.
 _WHOLE = 8000
 
 
-def test_few_tests_are_in_real_time(request: pytest.FixtureRequest) -> None:
+def test_share_of_real_time_tests_is_small(request: pytest.FixtureRequest) -> None:
     items = request.session.items
     if len(items) < _WHOLE:
         pytest.skip(f"{len(items)} tests are not the whole suite")
@@ -23,8 +23,8 @@ def test_few_tests_are_in_real_time(request: pytest.FixtureRequest) -> None:
     assert marked <= SHARE * len(items), f"{marked} of {len(items)} tests are marked real_time"
 
 
-def test_what_serves_clients_of_others_is_marked() -> None:
-    """In a run without the packages of others, as the gate is, no test of theirs shows that its mark is missing."""
+def test_interop_tests_with_a_controller_are_marked_real_time() -> None:
+    """The gate runs without the packages of others and skips these tests, so it would not detect a missing mark."""
     texts = {path.name: path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("interop/test_*.py")}
     unmarked = [name for name, text in texts.items() if "Controller(" in text and "mark.real_time" not in text]
     assert (len(texts) > 5, unmarked) == (True, [])
@@ -39,7 +39,7 @@ USES = {
 
 
 @pytest.mark.real_time
-def test_what_is_real_is_marked(pytester: pytest.Pytester) -> None:
+def test_unmarked_test_with_system_calls_fails(pytester: pytest.Pytester) -> None:
     pytester.makeini("[pytest]\nmarkers = real_time")
     test = pytester.mkdir("tests") / "test_uses.py"
     test.write_text(
@@ -56,7 +56,7 @@ def test_what_is_real_is_marked(pytester: pytest.Pytester) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="time is simulated on Linux alone")
-def test_the_examples_of_a_page_are_in_simulated_time(pytester: pytest.Pytester) -> None:
+def test_page_examples_run_in_simulated_time(pytester: pytest.Pytester) -> None:
     waits = ">>> import time\n>>> begun = time.monotonic()\n>>> time.sleep(3600)\n"
     waits += ">>> time.monotonic() - begun > 3599\nTrue\n"
     pytester.makefile(".md", page=waits)

@@ -1,4 +1,4 @@
-"""The recipes of CONTRIBUTING, each executed in a copy of the repository as the page shows it."""
+"""Recipes of CONTRIBUTING, each executed in a copy of the repository."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from tests.recipes import ROOT, Edit, Recipe, recipes
 
-#: What a recipe may edit, import or run.
+#: Files and folders that a recipe may edit, import or run.
 _COPIED = ("src", "docs", "tests", "captures", "conftest.py", "pyproject.toml", "CONTRIBUTING.md")
 _IGNORED = shutil.ignore_patterns("__pycache__", "interop", "mutants", "soak", "images")
 
@@ -20,7 +20,7 @@ every_recipe = pytest.mark.parametrize("recipe", recipes(), ids=lambda recipe: r
 
 
 @every_recipe
-def test_every_step_fits_the_repository(recipe: Recipe) -> None:
+def test_recipe_steps_fit_the_repository(recipe: Recipe) -> None:
     edited: dict[str, str] = {}
     for edit in recipe.edits:
         path = ROOT / edit.path
@@ -33,7 +33,7 @@ def test_every_step_fits_the_repository(recipe: Recipe) -> None:
 @pytest.mark.slow
 @pytest.mark.real_time
 @every_recipe
-def test_recipe_adds_what_it_promises(recipe: Recipe, tmp_path: Path) -> None:
+def test_recipe_makes_its_check_pass(recipe: Recipe, tmp_path: Path) -> None:
     copy_repository(tmp_path)
     assert python(tmp_path, "-c", recipe.check).returncode != 0, "the check passes without the steps"
     for edit in recipe.edits:
@@ -48,8 +48,8 @@ def test_recipe_adds_what_it_promises(recipe: Recipe, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.real_time
 @every_recipe
-def test_recipe_has_no_step_too_many(recipe: Recipe, tmp_path: Path) -> None:
-    """Without any one of its edits in `src`, the check or a command fails."""
+def test_recipe_fails_without_any_one_of_its_steps(recipe: Recipe, tmp_path: Path) -> None:
+    """Without any one of the edits in `src`, the check fails."""
     copy_repository(tmp_path)
     kept = {edit.path: (tmp_path / edit.path) for edit in recipe.edits if edit.path.startswith("src/")}
     before = {path: file.read_text(encoding="utf-8") if file.exists() else None for path, file in kept.items()}
@@ -89,6 +89,6 @@ def python(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("anchor", ["three", "o"])
-def test_edit_names_the_line_that_is_not_there_once(anchor: str) -> None:
+def test_edit_rejects_a_missing_or_repeated_anchor(anchor: str) -> None:
     with pytest.raises(LookupError, match=f"lines of a.py begin with '{anchor}'; expected 1"):
         Edit("a.py", "new\n", "above", anchor).applied("one\n  other\n")

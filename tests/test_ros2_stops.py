@@ -1,4 +1,4 @@
-"""The ROS 2 adapter with mocks of ROS 2: `halt` stops whatever moves the arm, and what was requested before."""
+"""The ROS 2 adapter with mocks of ROS 2: `halt` stops every motion of the arm, including requested ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MODULES = """rclpy rclpy.action rclpy.callback_groups rclpy.duration rclpy.exec
     control_msgs control_msgs.action geometry_msgs geometry_msgs.msg sensor_msgs sensor_msgs.msg
     std_msgs std_msgs.msg std_srvs std_srvs.srv"""
 _SOURCE = Path(__file__).parents[1] / "packages" / "ros2" / "src" / "urlink_ros2"
-#: rad from where the arm is to where it is asked to go.
+#: Distance from the current position to the goal, in rad.
 _WAY = np.array([0.5, 0, 0, 0, 0, 0])
 
 
@@ -34,10 +34,10 @@ class _ActionServer:
 
 @pytest.fixture
 def adapter(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
-    """The modules of the adapter, by name."""
+    """Modules of the adapter, by name."""
     for name in _MODULES.split():
         monkeypatch.setitem(sys.modules, name, MagicMock())
-    # Its base class has to be a class.
+    # The base class of a class of the adapter must be a class, not a mock.
     monkeypatch.setattr(sys.modules["rclpy.action"], "ActionServer", _ActionServer)
     package = ModuleType("urlink_ros2")
     package.__path__ = [str(_SOURCE)]

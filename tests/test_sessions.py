@@ -1,4 +1,4 @@
-"""The sessions of nox: each states when to run it, and those that pages and workflows name exist."""
+"""Sessions of nox: each states when to run it, and all sessions named by pages and workflows exist."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def sessions(file: str) -> dict[str, str]:
-    """Name -> first line of the docstring, of the sessions that a file defines."""
+    """Map the names of the sessions of a file to the first lines of their docstrings."""
     tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
     return {
@@ -28,13 +28,13 @@ NIGHTLY = sessions("nightly.py")
 
 
 def named(text: str) -> Iterator[tuple[str, bool]]:
-    """The first session of each command in a text, and whether it is one of nightly.py."""
+    """Yield the first session of each command in a text, and whether it belongs to nightly.py."""
     for call in re.finditer(r"\bnox\b(?: -[Rr])*( -f nightly\.py)?(?: -[Rr])* -s ([a-z][a-z0-9_]*)", text):
         yield call[2], bool(call[1])
 
 
 def readable() -> Iterator[Path]:
-    """The files that name sessions to a person or a machine."""
+    """Yield the files that name sessions, for people or for machines."""
     places = ("*.md", ".github/**/*.yml", ".ci/run", "docs/**/*.md", "*/*/README.md", "src/**/*.py", "tests/**/*.py")
     for pattern in places:
         yield from (path for path in ROOT.glob(pattern) if path != Path(__file__).resolve())

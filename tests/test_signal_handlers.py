@@ -1,4 +1,4 @@
-"""Signal handlers that command a robot in the middle of another call: none waits for the call that it interrupts."""
+"""Signal handlers that command a robot during another call: no handler waits for the interrupted call."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from urlink.simulator import Controller
 
 SRC = Path(__file__).resolve().parents[1] / "src"
 
-#: What makes a lock that its own thread cannot take twice, or holds one.
+#: Constructors of locks that a thread cannot acquire twice, and of objects that contain such a lock.
 NOT_REENTRANT = {
     "threading.Lock",
     "threading.Event",
@@ -52,28 +52,28 @@ NOT_REENTRANT = {
     "concurrent.futures.ThreadPoolExecutor",
     "concurrent.futures.ProcessPoolExecutor",
 }
-#: Packages of simulators, which run beside a program and not in its calls.
+#: Packages of simulators, which do not run within the calls of a program.
 SIMULATORS = ("linkcore.simulated", "urlink.simulator")
-#: Each such lock -> why a signal handler does not wait for it.
+#: For each such lock, the reason why a signal handler does not wait for it.
 REASONS = {
-    "linkcore.clock:Expiry": "servers of a robot alone use it, and a handler only calls their `stop`",
-    "linkcore.streaming.packet_queue:BoundedQueue": "is acquired without waiting",
-    "linkcore.recording.index:side_by_side": "threads that read a file, and that no handler waits for",
-    "urlink.motion.stream.common_time:CommonTime": "only threads that read streams take it",
-    "urlink.motion.stream.common_time:CommonPace": "only threads that read streams take it",
-    "rhdlink.client:Variables": "is acquired without waiting",
-    "linkcore.clock:sleep": "belongs to one wait of a worker thread, in which no signal handler runs",
-    "linkcore.clock:is_done": "belongs to one wait of a worker thread, in which no signal handler runs",
-    "linkcore.cli.progress:_Screen": "is set when a command has ended; a handler of the command line only raises",
-    "rhdlink.cli.watch_view:RateCounter": "`rhdlink watch` alone uses it, whose handler only raises",
+    "linkcore.clock:Expiry": "only servers of a robot use it, and a handler only calls their `stop`",
+    "linkcore.streaming.packet_queue:BoundedQueue": "the lock is acquired without waiting",
+    "linkcore.recording.index:side_by_side": "only threads that read a file use it, and no handler waits for them",
+    "urlink.motion.stream.common_time:CommonTime": "only threads that read streams acquire it",
+    "urlink.motion.stream.common_time:CommonPace": "only threads that read streams acquire it",
+    "rhdlink.client:Variables": "the lock is acquired without waiting",
+    "linkcore.clock:sleep": "it belongs to one wait of a worker thread, and no signal handler runs there",
+    "linkcore.clock:is_done": "it belongs to one wait of a worker thread, and no signal handler runs there",
+    "linkcore.cli.progress:_Screen": "it is set when a command has ended; a handler of the command line only raises",
+    "rhdlink.cli.watch_view:RateCounter": "only `rhdlink watch` uses it, and its handler only raises",
 }
 
 
-# -- which locks there are -----------------------------------------------------------------------------
+# -- existing locks ------------------------------------------------------------------------------------
 
 
 def locks() -> dict[str, list[str]]:
-    """ "module:outermost class or function" -> the places of its locks that are not re-entrant."""
+    """Map "module:outermost class or function" to the places of its locks that are not re-entrant."""
     found: dict[str, list[str]] = {}
     for path in sorted(SRC.rglob("*.py")):
         module = ".".join(path.relative_to(SRC).with_suffix("").parts).removesuffix(".__init__")
@@ -91,7 +91,7 @@ def locks() -> dict[str, list[str]]:
 
 
 def _imported(tree: ast.Module) -> dict[str, str]:
-    """Name in a module -> what it was imported as."""
+    """Map each name in a module to the full name of its import."""
     names: dict[str, str] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -167,7 +167,7 @@ def test_event_can_be_used_by_a_handler(handler: str) -> None:
 @pytest.mark.parametrize("inline", [False, True])
 @pytest.mark.parametrize("handler", ["subscribe", "unsubscribe", "close"])
 def test_subscribing_can_be_interrupted(handler: str, inline: bool) -> None:
-    """What the handler subscribes gets packets, and so does what it has interrupted."""
+    """The subscription of the handler gets packets, and so does the interrupted subscription."""
 
     def scenario(interruption: Interruption) -> None:
         transport = ScriptedTransport()
@@ -262,11 +262,11 @@ def test_handle_cancel_can_be_interrupted_by_another() -> None:
         callbacks.close(5.0)
 
 
-def test_recall_close_can_be_interrupted() -> None:
+def test_pending_undos_close_can_be_interrupted() -> None:
     numbers = itertools.count()
 
     def scenario(interruption: Interruption) -> None:
-        user = threading.Lock()  # anything that can be referred to weakly
+        user = threading.Lock()  # any object that supports weak references
         undos = PendingUndos.of(("peer", next(numbers)), "peer", user)
         with interruption.by(lambda: undos.close(user)):
             undos.close(user)
@@ -293,7 +293,7 @@ def test_recording_can_be_closed_by_a_handler(tmp_path: Path) -> None:
 
 
 class _Dashboard(OneAfterAnother):
-    """Several clients at the same time, each in a thread of its own."""
+    """Dashboard server for several clients at the same time, each in its own thread."""
 
     def _talk(self, connection: Any) -> None:
         own = connection.dup()
@@ -343,7 +343,7 @@ def test_rhd_sync_can_be_interrupted(handler: str) -> None:
     def scenario(interruption: Interruption) -> None:
         with contextlib.ExitStack() as ending:
             if handler == "close":
-                ending.enter_context(contextlib.suppress(AssertionError))  # of the server, whose client leaves early
+                ending.enter_context(contextlib.suppress(AssertionError))  # the server fails if its client leaves early
             server = ending.enter_context(ScriptedServer(endless(Robot())))
             use(rhdlink.connect(server.address, _Smr, timeout=5.0), interruption)
 
@@ -368,7 +368,7 @@ def test_rhd_sync_can_be_interrupted(handler: str) -> None:
                 robot.sync()
                 until(lambda: updates, 5.0)
         if time.monotonic() - began > 4.0:
-            raise TimeoutError("a call waited in vain")
+            raise TimeoutError("a call has waited until its timeout")
 
     assert at_every_line(scenario, step=7) > 10
 
@@ -376,7 +376,7 @@ def test_rhd_sync_can_be_interrupted(handler: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("handler", ["stop", "cancel", "close"])
 def test_drive_can_be_stopped_by_a_handler(handler: str) -> None:
-    """A motion whose call the handler interrupts does not begin after the stop."""
+    """If the handler interrupts the call that starts a motion, the motion does not start after the stop."""
 
     def scenario(interruption: Interruption) -> None:
         turtle = Turtle(World(1000.0))
@@ -392,7 +392,8 @@ def test_drive_can_be_stopped_by_a_handler(handler: str) -> None:
             if interruption.where is not None and handler == "stop":
                 until(lambda: turtle.cmdtransvel == turtle.cmdrotvel == 0, 5.0)
 
-    assert at_every_line(scenario, first=3) > 20  # the first lines number the request: before it, the stop is older
+    # The first lines number the request; a stop in these lines would be older than the request.
+    assert at_every_line(scenario, first=3) > 20
 
 
 def _stop(robot: urlink.Robot) -> None:
@@ -413,7 +414,7 @@ def _set_output(robot: urlink.Robot) -> None:
 @pytest.mark.parametrize("command", ["move", "output", "jog"])
 @pytest.mark.parametrize("handler", [_stop, _cancel, _set_output, urlink.Robot.close])
 def test_commands_can_be_interrupted(command: str, handler: Callable[[urlink.Robot], object]) -> None:
-    """In simulated time, at some lines of a command, of which there are thousands."""
+    """The handler runs in simulated time, at some of the thousands of lines of a command."""
 
     def scenario(interruption: Interruption) -> None:
         with urlink.simulated_time(seed=1) as simulation:

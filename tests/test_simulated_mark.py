@@ -1,4 +1,4 @@
-"""The marks that decide whether a test of this project, with all of its own fixtures, is in simulated time."""
+"""Marks that decide whether a test and its fixtures run in simulated time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def begun() -> float:
     return time.monotonic()
 
 
-def test_fixtures_and_test_go_by_the_same_clock(begun: float) -> None:
+def test_fixtures_and_test_use_the_same_clock(begun: float) -> None:
     waited = threading.Event()
     timer = threading.Timer(7200.0, waited.set)
     timer.start()
@@ -25,6 +25,6 @@ def test_fixtures_and_test_go_by_the_same_clock(begun: float) -> None:
 
 
 @pytest.mark.real_time
-def test_what_is_marked_has_the_locks_and_the_clock_of_the_operating_system(begun: float) -> None:
+def test_real_time_test_has_the_locks_and_clock_of_the_system(begun: float) -> None:
     assert type(threading.Lock()).__module__ == "_thread"
     assert begun <= time.monotonic() < begun + 600.0

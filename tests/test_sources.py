@@ -1,4 +1,4 @@
-"""What the code names as the source of a fact is a section of docs/protocols, so that a reader can follow it."""
+"""Sources of facts that the code cites are sections of docs/protocols, so that a reader can find them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ MODULES = sorted((ROOT / "src").rglob("*.py"))
 
 
 def mentions(text: str) -> list[tuple[str, str]]:
-    """Each page that a module names, and what stands behind its name, on one line."""
-    # A mention may go on in the next line of a comment or docstring.
+    """Return each page that a module names, with the text after its name, on one line."""
+    # A mention may continue in the next line of a comment or docstring.
     joined = re.sub(r"\s*\n\s*(?:#:? ?)?", " ", text)
     return re.findall(r"docs/protocols/(\S+?\.md)(.{0,120})", joined)
 
@@ -30,7 +30,7 @@ def leads_somewhere(page: str, rest: str) -> bool:
 
 
 @pytest.mark.parametrize("package", ["linkcore", "urlink", "rhdlink"])
-def test_every_source_that_is_named_can_be_read(package: str) -> None:
+def test_cited_protocol_sections_exist(package: str) -> None:
     lost, seen = [], 0
     for module in MODULES:
         if package in module.parts:
@@ -42,18 +42,18 @@ def test_every_source_that_is_named_can_be_read(package: str) -> None:
     assert seen > 10 or package == "linkcore"
 
 
-def test_no_source_is_named_that_is_not_in_the_repository() -> None:
+def test_code_does_not_cite_sources_outside_the_repository() -> None:
     outside = r"\breference\s+(ur-|rhd-|mrc|smr)"
     assert [str(module) for module in MODULES if re.search(outside, module.read_text(encoding="utf-8"))] == []
 
 
-def test_a_section_that_is_not_there_is_noticed() -> None:
+def test_leads_somewhere_rejects_a_missing_section() -> None:
     assert leads_somewhere("primary.md", ", section Robot state")
     assert not leads_somewhere("primary.md", ", section Robot stare")
     assert not leads_somewhere("primery.md", "")
 
 
-def test_each_test_that_answers_a_thread_is_there() -> None:
+def test_tests_cited_by_the_pages_exist() -> None:
     pages = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("choosing.md", "errors.md")]
     named = [each for page in pages for each in re.findall(r"`(\S+?\.py)::(test_\w+)`", page)]
     assert len(named) > 15
@@ -65,8 +65,8 @@ def test_each_test_that_answers_a_thread_is_there() -> None:
     assert missing == []
 
 
-def test_the_text_of_a_box_is_none_of_its_options() -> None:
-    """Behind `:class: important` it would be taken for names of classes, and never be shown."""
+def test_text_of_a_box_is_not_in_its_class_option() -> None:
+    """A text after `:class: important` would be read as names of classes, and never be shown."""
     pages = [page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md")]
     classes = [each for page in pages for each in re.findall(r"^:class: (.*)$", page, re.MULTILINE)]
     assert "important" in classes

@@ -1,4 +1,4 @@
-"""The reference tables in docs/tables/ are those that docs/make_tables.py writes."""
+"""The reference tables in docs/tables/ equal the output of docs/make_tables.py."""
 
 from __future__ import annotations
 

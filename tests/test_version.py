@@ -18,13 +18,13 @@ PYPROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A folder with the project's settings, which git does not know yet."""
+    """Folder with the settings of the project, which is not a git repository yet."""
     shutil.copy(PYPROJECT, tmp_path)
     return tmp_path
 
 
 def version(folder: Path) -> str:
-    """The version that a build in a folder has."""
+    """Return the version that a build in a folder has."""
     command = [sys.executable, "-m", "hatchling", "version"]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.split()[-1]
 
@@ -36,13 +36,13 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def commit(folder: Path) -> str:
-    """Commit the whole folder; returns the commit as the version names it."""
+    """Commit the whole folder; return the commit as it appears in the version."""
     git(folder, "add", "-A")
     git(folder, "commit", "-q", "--allow-empty", "-m", "a change")
     return "g" + git(folder, "rev-parse", "--short=9", "HEAD")
 
 
-def test_version_is_that_of_the_newest_tag(checkout: Path) -> None:
+def test_version_follows_the_newest_tag(checkout: Path) -> None:
     git(checkout, "init", "-q")
     commit(checkout)
     git(checkout, "tag", "v1.9.2")
@@ -63,7 +63,7 @@ def test_version_is_the_fallback_without_git(checkout: Path) -> None:
 
 
 def test_version_is_the_fallback_in_a_folder_of_another_checkout(checkout: Path) -> None:
-    """The tags of a repository that this project was copied into are not its own."""
+    """If the project was copied into another repository, the tags there do not belong to the project."""
     git(checkout, "init", "-q")
     inner = checkout / "inner"
     inner.mkdir()
@@ -73,7 +73,7 @@ def test_version_is_the_fallback_in_a_folder_of_another_checkout(checkout: Path)
     assert version(inner) == "0.1.dev0"
 
 
-def test_version_is_that_of_the_sdist(checkout: Path) -> None:
+def test_version_in_an_sdist_comes_from_its_metadata(checkout: Path) -> None:
     metadata = "Metadata-Version: 2.4\nName: urlink-robot\nVersion: 7.8.9\n"
     (checkout / "PKG-INFO").write_text(metadata, encoding="utf-8")
     assert version(checkout) == "7.8.9"

@@ -1,4 +1,4 @@
-"""A test that hangs ends the run with its stacks, whatever it hangs in."""
+"""A hanging test ends the run with a dump of its stacks, whatever it hangs in."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ BREAKS_OFF = """
 
 
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """pytest over these tests, with the watchdog and without what else is installed: it starts faster."""
+    """Run pytest on the tests above with the watchdog, and without other installed plugins, so it starts faster."""
     for name, text in (("test_forgetful.py", FORGETFUL), ("conftest.py", BREAKS_OFF)):
         (folder / name).write_text("\n".join(line[4:] for line in text.splitlines()))
     (folder / "pytest.ini").write_text("[pytest]\n")
@@ -65,7 +65,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are blocked as POSIX systems do")
+@pytest.mark.skipif(sys.platform == "win32", reason="the test blocks signals, which needs a POSIX system")
 @pytest.mark.parametrize(
     ("name", "stack"),
     [
@@ -75,7 +75,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
         ("leaves_a_thread", "in _shutdown"),
     ],
 )
-def test_a_run_with_a_hanging_test_ends_and_shows_where(tmp_path: Path, name: str, stack: str) -> None:
+def test_hanging_test_ends_the_run_and_shows_its_stack(tmp_path: Path, name: str, stack: str) -> None:
     result = run(tmp_path, "--timeout=0.5", "-k", name)
     assert result.returncode == 1
     assert "Timeout" in result.stderr
@@ -83,13 +83,13 @@ def test_a_run_with_a_hanging_test_ends_and_shows_where(tmp_path: Path, name: st
 
 
 @pytest.mark.slow
-def test_nothing_is_written_of_a_test_that_ends(tmp_path: Path) -> None:
+def test_watchdog_is_silent_when_a_test_ends(tmp_path: Path) -> None:
     result = run(tmp_path, "--timeout=20", "-k", "is_in_order")
     assert (result.returncode, result.stderr) == (0, "")
 
 
 @pytest.mark.slow
-def test_with_workers_the_other_tests_still_run(tmp_path: Path) -> None:
+def test_other_tests_still_run_with_workers(tmp_path: Path) -> None:
     result = run(tmp_path, "--timeout=2", "-n", "1", "-k", "blocks_again or is_in_order")
     assert result.returncode == 1
     assert "crashed while running 'test_forgetful.py::test_fails_and_then_blocks_again'" in result.stdout

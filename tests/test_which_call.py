@@ -13,7 +13,7 @@ from linkcore.handle import Motion
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "which-call.md"
 TEXT = PAGE.read_text(encoding="utf-8")
-#: The calls of the cheat sheet, each without its arguments.
+#: Calls of the cheat sheet, without their arguments.
 CALLS = re.findall(r"^\| `([\w.]+)", TEXT, re.MULTILINE)
 
 
@@ -44,7 +44,7 @@ def test_every_call_of_the_cheat_sheet_exists() -> None:
 
 
 @pytest.mark.simulated_time
-def test_every_way_to_move_is_on_the_page() -> None:
+def test_every_motion_call_is_on_the_page() -> None:
     with urlink.connect("sim://") as robot:
         ways = [name for name in dir(robot.motion) if name[0] != "_" and name != "current"]
     missing = [name for name in ways if f"motion.{name}(" not in TEXT]

@@ -1,4 +1,4 @@
-"""The words of the public surface: an argument has the name, the kind and the default of its like everywhere.
+"""Names of public arguments: arguments with the same meaning have the same name, kind and default everywhere.
 
 CONTRIBUTING.md, section "Names of arguments", has the table that these tests check.
 """
@@ -15,7 +15,7 @@ import pytest
 
 PLACES = ("urlink", "urlink.motion", "urlink.rtde", "rhdlink", "rhdlink.host", "rhdlink.smrcl", "rhdlink.variables")
 
-#: What some libraries call it, and what it is called here.
+#: Names of arguments in other libraries, and the names in this project.
 WORDS = {
     "blocking": "wait",
     "block": "wait",
@@ -38,7 +38,7 @@ WORDS = {
 
 
 class Argument(NamedTuple):
-    """One argument of a public function."""
+    """Argument of a public function."""
 
     of: str
     name: str
@@ -51,7 +51,7 @@ class Argument(NamedTuple):
 
 
 def functions() -> Iterator[tuple[str, Callable[..., Any]]]:
-    """The public functions and methods, and what makes objects."""
+    """Yield the public functions, methods and constructors with their names."""
     for place in PLACES:
         module = importlib.import_module(place)
         for name in vars(module)["__all__"]:
@@ -68,7 +68,7 @@ def arguments() -> Iterator[Argument]:
     for of, function in functions():
         try:
             signature = inspect.signature(function)
-        except (TypeError, ValueError):  # what is no function, such as an alias of types
+        except (TypeError, ValueError):  # not a function, for example an alias of types
             continue
         for each in signature.parameters.values():
             yield Argument(of, each.name, each.kind is each.KEYWORD_ONLY, each.default, str(each.annotation))
@@ -78,7 +78,7 @@ FOUND = list(arguments())
 
 
 def called(name: str) -> list[Argument]:
-    """The arguments of that name, of which there are some: or the rule would hold nothing."""
+    """Return the arguments with this name; fail if there are none, because the rule would check nothing."""
     found = [each for each in FOUND if each.name == name]
     assert found
     return found
@@ -88,16 +88,16 @@ def wrong(found: list[Argument], is_right: Callable[[Argument], bool]) -> list[s
     return [str(each) for each in found if not is_right(each)]
 
 
-def test_other_words_are_not_used() -> None:
+def test_arguments_do_not_use_other_words() -> None:
     assert {str(each): WORDS[each.name] for each in FOUND if each.name in WORDS} == {}
 
 
-def test_wait_is_named_and_takes_seconds_too() -> None:
+def test_wait_is_keyword_only_and_accepts_seconds() -> None:
     assert wrong(called("wait"), lambda each: each.is_keyword_only and isinstance(each.default, bool)) == []
     assert wrong(called("wait"), lambda each: each.type == "bool | float") == []
 
 
-def test_timeout_is_in_seconds_and_named_where_something_is_made() -> None:
+def test_timeout_is_in_seconds_and_keyword_only_in_constructors() -> None:
     def is_right(each: Argument) -> bool:
         makes = re.search(r"\.connect(_async)?$|(Dashboard|Gripper)\.__init__$", each.of)
         return each.type in ("float", "float | None") and (each.is_keyword_only or not makes)
@@ -105,14 +105,14 @@ def test_timeout_is_in_seconds_and_named_where_something_is_made() -> None:
     assert wrong(called("timeout"), is_right) == []
 
 
-def test_time_is_how_long_a_movement_takes_and_duration_how_long_something_goes_on() -> None:
+def test_time_is_for_moves_and_duration_for_other_calls() -> None:
     moves = [each for each in called("time") if ".move_" in each.of]
     assert wrong(moves, lambda each: each.is_keyword_only and each.default is None) == []
     assert wrong(called("duration"), lambda each: isinstance(each.default, float)) == []
     assert not [str(each) for each in called("duration") if ".move_" in each.of]
 
 
-def test_an_address_names_a_robot_or_where_a_server_listens_and_a_host_has_a_port() -> None:
+def test_connect_takes_an_address_and_host_needs_a_port() -> None:
     with_port = {each.of for each in called("port")}
     assert wrong(called("host"), lambda each: each.of in with_port) == []
     for place in ("urlink.connect", "urlink.connect_async", "rhdlink.connect", "rhdlink.connect_async"):
@@ -121,8 +121,8 @@ def test_an_address_names_a_robot_or_where_a_server_listens_and_a_host_has_a_por
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_what_is_known_here_of_is_or_has_is_a_property(place: str) -> None:
-    """What a controller is asked is a method."""
+def test_is_and_has_names_are_properties(place: str) -> None:
+    """Names starting with `is_` or `has_` are properties; only `Dashboard` asks the controller with methods."""
     module = importlib.import_module(place)
     public = [getattr(module, name) for name in vars(module)["__all__"] if name != "Dashboard"]
     classes = [found for found in public if inspect.isclass(found)]

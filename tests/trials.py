@@ -1,7 +1,7 @@
-"""Programs of many runs, each drawn by its seed: which of them are run, and what is kept to go on from.
+"""Options of programs with many runs, each drawn by its seed: the runs to make, and a file to resume from.
 
-With ``--state FILE`` each run is one line of JSON there; who starts the program again with the same file goes on with
-the runs that it has not, and sums up all of them. ``--first 17 --runs 1`` without the file repeats one.
+With ``--state FILE``, each run is stored in that file as one line of JSON. If the program is started again with the
+same file, it makes the missing runs and sums up all of them. ``--first 17 --runs 1`` without a file repeats one run.
 """
 
 from __future__ import annotations
@@ -17,15 +17,17 @@ __all__ = ["add_arguments", "tried"]
 
 
 def add_arguments(parser: argparse.ArgumentParser, runs: int) -> None:
-    """Which runs; so many by default."""
-    parser.add_argument("--first", type=int, default=0, help="seed of the first run (0)")
-    parser.add_argument("--runs", type=int, default=runs, help="how many, with the seeds that follow (%(default)d)")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="of processor time: no run begins after")
-    parser.add_argument("--state", type=Path, help="a file of what was run, to go on from")
+    """Add the options that select the runs; `runs` is the default number."""
+    parser.add_argument("--first", type=int, default=0, help="seed of the first run (default: 0)")
+    parser.add_argument(
+        "--runs", type=int, default=runs, help="number of runs, with consecutive seeds (default: %(default)d)"
+    )
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="start no run after this processor time")
+    parser.add_argument("--state", type=Path, help="file with the results of runs, to resume from")
 
 
 def tried(args: argparse.Namespace, run: Callable[[int], dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """What each run has given, with its seed: first those of the file, then the others as they are run."""
+    """Yield the result of each run with its seed: first the runs in the file, then the others as they finish."""
     seeds = range(args.first, args.first + args.runs)
     lines = args.state.read_text().splitlines() if args.state and args.state.exists() else []
     kept = [each for each in map(json.loads, lines) if each["seed"] in seeds]

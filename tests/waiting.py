@@ -1,4 +1,4 @@
-"""Waiting for what another thread brings about, with a deadline and never for luck."""
+"""Waits for an effect of another thread, with a deadline."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import pytest
 def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, "it did not come about"
+        assert time.monotonic() < end, f"the condition did not become true within {seconds:g} s"
         time.sleep(0.002)
 
 
 def interrupted(call: Callable[[], object], when: Callable[[], object] = lambda: True) -> None:
-    """Make a call that Ctrl-C has to interrupt; it comes 50 ms after the call waits and `when` has become true."""
+    """Make a call that Ctrl-C must interrupt, 50 ms after the call has started to wait and `when` is true."""
     main = threading.main_thread().ident or 0
     begun: list[bool] = []
     ended = threading.Event()
@@ -35,7 +35,7 @@ def interrupted(call: Callable[[], object], when: Callable[[], object] = lambda:
         until(lambda: waits() and when())
         time.sleep(0.05)
         signal.pthread_kill(main, signal.SIGINT)
-        while not ended.wait(5.0):  # a signal that comes just before a system call does not end it
+        while not ended.wait(5.0):  # repeat: a signal that arrives just before a system call does not end the call
             signal.pthread_kill(main, signal.SIGINT)
 
     thread = threading.Thread(target=interrupt)

@@ -1,13 +1,14 @@
-"""Ends the process of a test that nothing else can end, so that no test can hang the run.
+"""Plugin for pytest that exits the process of a hanging test, so that no test can hang the run.
 
-pytest-timeout raises in the main thread after `timeout` seconds. Two tests get past it: one whose main thread never
-runs Python code again (a C call that keeps the interpreter lock), and one that blocks again after it has failed. pytest
-drops its timers with the first failure of a test, so a fixture that then joins a blocked thread would wait for ever.
+pytest-timeout raises in the main thread after `timeout` seconds. Two kinds of tests are not ended by it. In the first
+kind, the main thread never runs Python code again, because a C call keeps the interpreter lock. The second kind blocks
+again after it has failed: pytest drops its timers with the first failure of a test, so a fixture that then joins a
+blocked thread would wait forever.
 
-This plugin arms faulthandler's timer, a C thread that needs no interpreter lock, and arms it again after a failure.
-After twice `timeout` it writes the stacks of all threads to stderr and exits. Under pytest-xdist that is one worker:
-the test that it ran is reported as failed, and another worker goes on with the rest. The same time is left to threads
-that are still running when all tests are over, because the interpreter joins them before it exits.
+This plugin arms the timer of faulthandler, a C thread that needs no interpreter lock. It arms the timer again after a
+failure. After twice `timeout`, it writes the stacks of all threads to stderr and exits. Under pytest-xdist, only one
+worker exits: its current test is reported as failed, and another worker continues with the rest. The same time limit
+applies to threads that still run after all tests, because the interpreter joins them before it exits.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from collections.abc import Generator
 
 import pytest
 
-#: For threads that are still running when all tests are over, which the interpreter waits for before it exits.
+#: Time for threads that still run after all tests, in seconds; the interpreter waits for them before it exits.
 EXIT_SECONDS = 5.0
 
 
@@ -28,20 +29,20 @@ class Watchdog:
 
     def __init__(self, config: pytest.Config) -> None:
         self._is_debugged = config.getoption("usepdb")
-        # While a test runs, its output is captured from descriptor 2 as well. This one leads out of the capture.
+        # While a test runs, pytest also captures descriptor 2. This copy writes to the real stderr.
         self._stderr = os.dup(2)
-        # That of a test in simulated time, by which pytest reports a failure, is another one.
+        # Keep the real clock, because `time.monotonic` is replaced when a test in simulated time fails.
         self._now = time.monotonic
         self._deadline: float | None = None
 
     def start(self, seconds: float) -> None:
-        """Exit after that many seconds; 0 is never."""
+        """Exit after `seconds`; 0 means never."""
         if seconds and not self._is_debugged:
             self._deadline = self._now() + seconds
             self.rearm()
 
     def rearm(self) -> None:
-        """Arm the timer for what is left; pytest has cancelled it, or there is none yet."""
+        """Arm the timer for the remaining time, because pytest has cancelled it or it was not armed yet."""
         if self._deadline is not None:
             left = max(self._deadline - self._now(), 0.001)
             faulthandler.dump_traceback_later(left, file=self._stderr, exit=True)
@@ -64,12 +65,12 @@ class Watchdog:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_teardown(self) -> None:
-        """Once more: an alarm of pytest-timeout that comes while a failure is handled ends what is called there."""
+        """Arm the timer again, because an alarm of pytest-timeout can interrupt the handling of a failure."""
         self.rearm()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Where an alarm comes while a failure is reported, the run breaks off, and fixtures are torn down here."""
+        """Start the timer: after an alarm during the report of a failure, pytest tears down fixtures only here."""
         self.start(2 * limit_of(session.config))
 
     @pytest.hookimpl(trylast=True)
@@ -78,7 +79,7 @@ class Watchdog:
 
 
 def limit_of(config: pytest.Config, item: pytest.Item | None = None) -> float:
-    """The seconds that pytest-timeout gives a test; 0 for no limit."""
+    """Return the time limit of pytest-timeout for a test, in seconds; 0 means no limit."""
     mark = item.get_closest_marker("timeout") if item is not None else None
     if mark is not None and mark.args:
         return float(mark.args[0])

@@ -1,4 +1,4 @@
-"""A clock that the test sets, for what takes its time from one clock and has no threads; else time is simulated."""
+"""Clock that the test sets, for objects that use one clock and no threads. Other tests use simulated time."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["Clock", "Suspend"]
 
 
 class Clock:
-    """Stands still until the test sets `now`, or something sleeps by it.
+    """Clock that advances only if the test sets `now`, or if a caller sleeps with it.
 
     Attributes:
-        now: s.
-        sleeps: seconds of each sleep.
-        meanwhile: called in each sleep, when the time has come.
+        now: Time of the clock, in s.
+        sleeps: Duration of each sleep, in s.
+        meanwhile: Function that is called at the end of each sleep.
     """
 
     def __init__(self, now: float = 100.0) -> None:
@@ -35,13 +35,13 @@ class Clock:
         self.meanwhile()
 
     def replace(self, module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Have a module take its time from here."""
+        """Make a module use this clock."""
         fake = SimpleNamespace(now=self, sleep=self.sleep, left=lambda until: max(until - self.now, 0.0))
         monkeypatch.setattr(module, "clock", fake)
 
 
 class Suspend:
-    """Advances `linkcore.clock` when it is called, and nothing else, as a suspend of this computer does."""
+    """Function that advances only `linkcore.clock`, as a suspend of this computer does."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._seconds = 0.0

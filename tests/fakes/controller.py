@@ -1,4 +1,4 @@
-"""A controller whose every packet the test sends, and what commands it, over scripted transports."""
+"""Scripted controller that sends the packets of the test, and the objects that command it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ AT_ONCE = Backoff(first=0, most=0)
 
 
 class ScriptedController:
-    """`state`, `key`, `text` and `exception` send a packet each; `sent` holds the commands that were sent to it."""
+    """Controller that sends a packet in `state`, `key`, `text` and `exception`; `sent` holds the received commands."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class ScriptedController:
         backoff: Backoff = AT_ONCE,
         *,
         model: str | None = None,
-        stale_after: float = 60.0,  # on a busy machine a test may be held up for longer than a robot is silent
+        stale_after: float = 60.0,  # longer than on a robot, because a busy computer may delay a test
         start_timeout: float = 5.0,
         start_place: StartPlace = START_PLACE,
         is_remote: bool | None = None,
@@ -103,7 +103,7 @@ class ScriptedController:
     def sent(self) -> list[str]:
         return [data.decode() for data in self.slow.sent]
 
-    # -- what it sends -------------------------------------------------------------------------------
+    # -- packets to the library ----------------------------------------------------------------------
 
     def state(
         self,
@@ -118,7 +118,7 @@ class ScriptedController:
         tool: dict[str, Any] | None = None,
         fast: bool = True,
     ) -> None:
-        """One state on both interfaces, or without `fast` on the primary alone."""
+        """Send one state on both interfaces, or only on the primary interface if `fast` is False."""
         if mode is None:
             mode = RobotModeCB2.RUNNING if self.firmware.is_cb2 else RobotMode.RUNNING
         modes = packet(
@@ -137,7 +137,7 @@ class ScriptedController:
             self.fast.put(bytes(packet(RealtimeState, self.firmware, **fields)))
 
     def clear(self, **options: Any) -> None:
-        """A state in which all is well, and which the interlock has received on both interfaces."""
+        """Send a state that permits motions, and wait until the interlock has received it on both interfaces."""
         self.state(**options)
         self.monitor.listen(closely=True)
         until(lambda: self.monitor.refusal_to_stop() is None)
@@ -154,7 +154,7 @@ class ScriptedController:
     def exception(self, line: int, column: int, text: str) -> None:
         self.slow.put(bytes(RuntimeExceptionMessage(self.firmware, line=line, column=column, text=text)))
 
-    # -- what a program does -------------------------------------------------------------------------
+    # -- events of a program -------------------------------------------------------------------------
 
     def begins(self, program: Handle) -> None:
         self.key("PROGRAM_XXX_STARTED", program.name)

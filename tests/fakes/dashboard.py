@@ -1,4 +1,4 @@
-"""A dashboard server over TCP whose every byte a test decides, and a simulated controller that is stepped."""
+"""Dashboard server over TCP that sends the bytes of the test, and a simulated controller that the test steps."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from tests.fakes.server import OneAfterAnother
 from urlink.protocol.dashboard.commands import GREETING
 from urlink.simulator import Controller, Still
 
-#: Seconds that a test waits for what must come at once.
+#: Time limit for events that must happen at once, in seconds.
 TIMEOUT = 10.0
 
-#: One of each firmware at which the table changes, or was asked to be looked at.
+#: One version for each firmware at which the table of commands changes, and some further ones.
 FIRMWARES = ["1.6", "1.8", "3.0", "3.1", "3.2", "3.4", "3.7", "3.12", "3.14", "5.0", "5.1", "5.4", "5.6", "5.8", "5.11"]
 
 
 def stepped(firmware: str) -> Controller:
-    """A controller that the test steps, with two saved programs and an arm that stands still."""
+    """Return a controller that the test steps, with two saved programs and an arm at rest."""
     files = dict.fromkeys(("pick.urp", "/programs/place it.urp"), "while True:\n  sync()\nend\n")
     return Controller(firmware=firmware, motion=Still(), serial="20215500001", files=files)
 
@@ -32,19 +32,19 @@ def protective_stop(host: Controller) -> None:
 
 
 def play(host: Controller) -> None:
-    """Let a program run."""
+    """Load and start a program."""
     assert host.pendant.load("pick.urp")
     assert host.pendant.play()
 
 
 class ScriptedDashboard(OneAfterAnother):
-    """Greets, and answers each line as `answer` says, which is called in the desk's thread.
+    """Server that sends a greeting and answers each line with `answer`, which is called in the thread of the server.
 
     Attributes:
-        lines: what came, connection by connection.
+        lines: Received lines of all connections.
     """
 
-    #: what `answer` returns for: nothing is said; the connection is closed
+    #: Results of `answer` that send no reply, and that close the connection.
     SILENCE, CLOSE = b"", None
 
     def __init__(
@@ -76,11 +76,11 @@ class ScriptedDashboard(OneAfterAnother):
             connection.sendall(data[start : start + self._chunk])
 
     def say(self, data: bytes) -> None:
-        """Say something unasked."""
+        """Send data without a request."""
         assert self._connection is not None
         self._connection.sendall(data)
 
     def hang_up(self) -> None:
-        """Close the connection of the moment."""
+        """Close the current connection."""
         assert self._connection is not None
         self._connection.shutdown(socket.SHUT_RDWR)

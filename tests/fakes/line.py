@@ -1,4 +1,4 @@
-"""What commands a robot without thread, socket and clock: the test calls who listens, and lets time pass."""
+"""Objects that command a robot, without threads, sockets or a clock: the test calls subscribers and advances time."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ from urlink.script.wrapping import StartPlace
 from urlink.session.identity import Identity, KnownIdentity
 
 FIRMWARE = (5, 11)
-#: Where programs find their permission, as `urlink.connect` has it.
+#: Registers with the start permission of programs, as in `urlink.connect`.
 START_PLACE = StartPlace(47, tuple(range(24, 32)))
 
 
 def slow(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING, **modes: bool) -> RobotState:
-    """What the primary interface says."""
+    """Return a state of the primary interface."""
     package = packet(RobotModeData, FIRMWARE, robot_mode=mode, **modes)
     return RobotState(package, packet(MasterboardData, FIRMWARE, safety_mode=safety))
 
 
 def fast(safety: SafetyMode = SafetyMode.NORMAL, mode: RobotMode = RobotMode.RUNNING) -> RealtimeState:
-    """What the real-time interface says."""
+    """Return a state of the real-time interface."""
     return packet(RealtimeState, FIRMWARE, robot_mode=mode, safety_mode=safety)
 
 
 class Subscriber:
-    """What was subscribed, in place of a `Subscription`."""
+    """Fake of `Subscription`."""
 
     def __init__(self, kind: type, callback: Callable[[Any], object], among: list[Subscriber]) -> None:
         self.kind = kind
@@ -56,7 +56,7 @@ class Subscriber:
         among.append(self)
 
     def close(self, timeout: float = 0.0) -> None:
-        assert timeout == 0.0, "here nobody waits for what is being told"
+        assert timeout == 0.0, "inline subscriptions must be closed without waiting"
         self._among.remove(self)
 
     def __enter__(self) -> None:
@@ -67,10 +67,10 @@ class Subscriber:
 
 
 class Line:
-    """In place of a `Connection`.
+    """Fake of `Connection`.
 
     Args:
-        waits: called instead of waiting for room, with the seconds that may be waited.
+        waits: Function that is called instead of waiting for room, with the timeout in seconds.
     """
 
     name = "line"
@@ -79,13 +79,13 @@ class Line:
         self.state = ConnectionState.CONNECTED
         self.counters = SimpleNamespace(connections=1)
         self.subscribers: list[Subscriber] = []
-        #: seconds of silence, and who wants to be told of it
+        #: Seconds of silence, and the function to call after this time.
         self.watches: list[tuple[float, Callable[[float], object]]] = []
         self.silence = SimpleNamespace(limit=None, watch=self.watch)
         self.fan_out = SimpleNamespace(newest=lambda kind: None)
         self.sent: list[str] = []
         self.aborts = 0
-        #: bytes that it takes; None for all
+        #: Number of bytes that it still accepts; None for no limit.
         self.room: int | None = None
         self._waits = waits
 
@@ -98,11 +98,11 @@ class Line:
         return lambda: self.watches.remove(watch)
 
     def reads_here(self) -> bool:
-        """Every thread: nothing waits, since nothing could come."""
+        """Return True for every thread, so nothing waits, because no packet could arrive."""
         return True
 
     def look(self) -> None:
-        """What was told has been handed out."""
+        """Do nothing, because packets are delivered immediately."""
 
     def tell(self, packet: Any) -> None:
         for each in tuple(self.subscribers):
@@ -110,7 +110,7 @@ class Line:
                 each.callback(packet)
 
     def be_silent(self) -> None:
-        """For as long as is watched for."""
+        """Call all watchers, as if the robot had been silent for their time."""
         for seconds, hook in tuple(self.watches):
             hook(seconds)
 
@@ -134,8 +134,8 @@ class Desk:
     """Monitor and channel between two lines. Each wait for room takes `pace` seconds, and calls `meanwhile`.
 
     Args:
-        stale_after: seconds, as of `Interlock`.
-        may_wait: this thread may wait for what a robot says.
+        stale_after: See `Interlock`, in seconds.
+        may_wait: Whether this thread may wait for packets of the robot.
     """
 
     def __init__(self, *, stale_after: float = math.inf, may_wait: bool = False) -> None:
@@ -147,7 +147,7 @@ class Desk:
         slow, fast = cast(Connection, self.primary), cast(Connection, self.realtime)
         self.section = Section(lambda: not may_wait)
         self.interlock = Interlock(stale_after=stale_after)
-        # Called back at once.
+        # Callbacks are called immediately.
         self.callbacks = cast(CallbackThread, SimpleNamespace(call=lambda function, *arguments: function(*arguments)))
         self.monitor = SafetyMonitor(slow, fast, self.interlock, self.section, self.callbacks, self.clock)
         self.channel = CommandChannel(slow, self.monitor, self.section, self.clock)
@@ -158,7 +158,7 @@ class Desk:
         self.meanwhile()
 
     def clear(self) -> None:
-        """All is well on both lines."""
+        """Report a state that permits motions on both lines."""
         self.monitor.listen(closely=True)
         self.primary.tell(slow())
         self.realtime.tell(fast())
@@ -173,7 +173,7 @@ class Desk:
 
 
 def give_up(undos: PendingUndos, name: str, undo: Callable[[Any, Callable[[], bool]], object]) -> None:
-    """A command of that name was sent and not answered."""
+    """Send a command that is not answered, so that its undo is pending."""
     client = SimpleNamespace(close=lambda: None)
     with contextlib.suppress(LinkTimeout), undos.command(name, 0.0, Undo(lambda: client, undo)) as sent:
         sent()
@@ -185,13 +185,13 @@ STARTED, STOPPED = "PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"
 
 
 class Run(Handle):
-    """A program that was sent; `texts` is what it said."""
+    """Handle of a sent program; `texts` holds the texts that it has sent."""
 
     def __init__(self, desk: Programming, life: Lifecycle, name: str, **options: Any) -> None:
         super().__init__(life)
         self._desk = desk
         self.texts: list[str] = []
-        #: as the controller calls it
+        #: Name of the program on the controller.
         self.program = name
 
     def says(self, word: str) -> None:
@@ -206,12 +206,12 @@ class Run(Handle):
 
     @property
     def end(self) -> str:
-        """How it ended, in words."""
+        """Description of the end of the program."""
         return f"{type(self.error).__name__}: {self.error}" if self.error is not None else self.phase.value
 
 
 class Programming(Desk):
-    """Programs, before a robot with which all is well."""
+    """Desk with programs, and with a robot that permits motions."""
 
     def __init__(
         self, *, start_timeout: float = 5.0, start_place: StartPlace = START_PLACE, firmware: str = "5.11"
@@ -232,12 +232,12 @@ class Programming(Desk):
         self.clear()
 
     def motion(self, *, asks: bool = True, **options: Any) -> Run:
-        """One of the library's own."""
+        """Start a motion of the library."""
         wrapped = self.programs.own(["movej(q)"], asks=asks)
         return self._start(wrapped, self.programs.life(f"motion {wrapped.name}"), **options)
 
     def script(self, source: str = "movej(q)", **options: Any) -> Run:
-        """One of the user's own."""
+        """Start a script of a user."""
         wrapped = self.programs.wrap(source)
         options = {"is_motion": False, "left_alone": "it may still run", **options}
         return self._start(wrapped, self.programs.life(wrapped.name), **options)
@@ -254,11 +254,11 @@ class Programming(Desk):
         self.primary.tell(RuntimeExceptionMessage(FIRMWARE, line=line, column=column, text=text))
 
     def state(self, later: float = 0.0, *, runs: bool = False, paused: bool = False) -> None:
-        """A state, so many seconds later."""
+        """Report a state, `later` seconds later."""
         self.clock.now += later
         self.primary.tell(slow(is_program_running=runs, is_program_paused=paused))
 
     @property
     def stops(self) -> int:
-        """How often the arm was told to brake."""
+        """Number of sent brake commands."""
         return sum("stopj(2.0)" in text for text in self.sent)

@@ -1,4 +1,4 @@
-"""A scripted transport and a tiny protocol: what streams are tested on without a network."""
+"""Scripted transport and tiny protocol, to test streams without a network."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HEADER = Header(size=Int8ub)
 
 @packet(header=HEADER)
 class Count(State):
-    """Five bytes: a size and a number."""
+    """Packet of five bytes: a size and a number."""
 
     number: int = wire(Int32ub)
 
@@ -58,7 +58,7 @@ class CountBoundary:
 
 AT_ONCE = Backoff(first=0, most=0)
 
-#: The number that cannot be decoded.
+#: Number that cannot be decoded.
 BAD = 666
 
 
@@ -80,7 +80,7 @@ def counts(*numbers: int) -> bytes:
 
 
 def output_of(program: str) -> str:
-    """What a Python program prints; its argument is a port of this computer, from which a count comes every 10 ms."""
+    """Run a Python program, and return its output; its argument is a port that sends a `Count` every 10 ms."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(30)
         command = [sys.executable, "-c", program, str(server.getsockname()[1])]
@@ -108,9 +108,9 @@ def output_of(program: str) -> str:
 
 
 class ScriptedTransport:
-    """Yields what the test puts: bytes are received, exceptions raised; `open` takes a turn too.
+    """Transport with scripted input: it receives the bytes, and raises the exceptions, that the test puts.
 
-    `openings` holds what each `open` does: None succeeds, an exception is raised.
+    `openings` holds the result of each `open`: None for success, or an exception to raise.
     """
 
     name = "script"
@@ -123,9 +123,9 @@ class ScriptedTransport:
         self._closed = True
         self.opened = 0
         self.sent: list[bytes] = []
-        #: raised by the next `send`
+        #: Exception that the next `send` raises.
         self.refusal: Exception | None = None
-        #: bytes that `send_some` takes until `make_room` says otherwise; None for all
+        #: Number of bytes that `send_some` accepts until the next `make_room`; None for no limit.
         self.room: int | None = None
 
     def put(self, *items: bytes | Exception) -> None:
@@ -149,8 +149,8 @@ class ScriptedTransport:
             if self._closed:
                 raise ConnectionLost("closed here")
             if not came:
-                assert timeout is not None, "nobody has put anything"
-                raise LinkTimeout("nothing came")
+                assert timeout is not None, "the test has put no data for 30 s"
+                raise LinkTimeout("no data has arrived")
             item = self._items.popleft()
         if isinstance(item, Exception):
             raise item
@@ -205,6 +205,6 @@ def scripted(
     silence: float | None = None,
     lossless: bool = False,
 ) -> Stream[Count]:
-    """A stream of `Count` over a transport."""
+    """Return a stream of `Count` over a transport."""
     connection = Connection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
     return Stream(connection, Count, lossless=lossless)

@@ -1,7 +1,7 @@
-"""One factory for the packets that fakes send: an arm that is powered on, at rest and in normal mode.
+"""Factory for the packets that fakes send: an arm that is powered on, at rest and in normal mode.
 
-A packet class of the library fills every field that is not given with zero. A fake that relied on this would send an
-unpowered arm without anybody noticing. Here each field has a stated value, and `packet` rejects a field without one.
+A packet class of the library fills every omitted field with zero. A fake that relied on this would silently report an
+unpowered arm. In this module each field has a stated value, and `packet` rejects a field without one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ S = TypeVar("S", bound=State)
 _SIX_ZEROS = (0.0,) * 6
 _THREE_ZEROS = (0.0,) * 3
 
-#: Packet class -> field -> its value for an arm at rest, in the unit of the field
+#: Values of all fields of each packet class for an arm at rest, in the unit of the field.
 AT_REST: dict[type[State], dict[str, Any]] = {
     RealtimeState: {
         "time": 0.0,

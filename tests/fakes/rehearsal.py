@@ -1,4 +1,4 @@
-"""A robot whose arm is where it is led to, cycle by cycle as the test says; it plays both sides of the reverse link."""
+"""Robot whose arm follows set-points exactly, with one cycle for each step of the test, including its reverse link."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from urlink.script.wrapping import finish_marker, start_marker
 _ARM = Arm("UR5e")
 TIMEOUT = 60.0
 STOP, FOLLOW, WAIT = 0, 1, 2
-#: rad; far from the limits and from singular postures.
+#: Joint positions in rad, far from the limits and from singular postures.
 HOME = (0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0)
 
 
 class InputClaim:
-    """RTDE inputs that were claimed: the packages of them that were written."""
+    """Claimed RTDE inputs, with the packages that were written to them."""
 
     def __init__(self) -> None:
         self.written: SimpleQueue[dict[str, float]] = SimpleQueue()
@@ -54,7 +54,7 @@ class InputClaim:
 
 
 class Rehearsal(ScriptedController):
-    """Each `tick` is one state of the robot; `q` is where its arm is, and what is sent to it is read by `message`."""
+    """Robot that sends one state for each `tick`; `q` is the position of its arm, and `message` reads set-points."""
 
     def __init__(
         self, firmware: str = "5.11", model: str = "UR5e", port: int = 0, link: LinkName = "reverse", **options: Any
@@ -73,7 +73,7 @@ class Rehearsal(ScriptedController):
                 RegisterPort(self._claim, 1.0, SETPOINT_INPUTS, RegisterLink),
                 RegisterPort(self._claim, 1.0, POINT_INPUTS, lambda inputs: PointRegisterLink(inputs, lambda: None)),
                 self.section,
-                # Motions go by the clock of the test: one cycle passes with each state.
+                # Motions use the clock of the test, in which one cycle passes with each state.
                 clock=lambda: self.time,
             )
         )
@@ -83,11 +83,11 @@ class Rehearsal(ScriptedController):
         self.q = list(HOME)
         self.qd = [0.0] * 6
         self.time = 100.0
-        #: as it is reported; not on CB2
+        #: Reported speed scaling; CB2 does not report it.
         self.scaling = 1.0
         self.cycle = 1.0 / self.firmware.rate
         self.link: socket.socket | None = None
-        #: those in the last message, rad/s
+        #: Joint speeds in the last message, in rad/s.
         self.speeds = [0.0] * 6
         self._rest = b""
         self.clear()
@@ -102,7 +102,7 @@ class Rehearsal(ScriptedController):
         super().close()
 
     def tick(self, away: float = 0.0) -> None:
-        """One state later; wrist 3 is reported `away` rad from where it was led."""
+        """Send the next state; the actual position of wrist 3 is `away` rad from its target."""
         self.time += self.cycle
         self.state(fast=False)
         mode = {"robot_mode": RobotModeCB2.RUNNING if self.firmware.is_cb2 else RobotMode.RUNNING}
@@ -126,7 +126,7 @@ class Rehearsal(ScriptedController):
 
     @property
     def pose(self) -> FloatArray:
-        """Of its flange, which is its tool."""
+        """Pose of the flange, which is the TCP."""
         return _ARM.forward(self.q)
 
     def _claim(self, names: tuple[str, ...]) -> InputClaim:
@@ -134,12 +134,12 @@ class Rehearsal(ScriptedController):
         return self.inputs
 
     def show(self) -> None:
-        """Tick, and wait until that has been heard."""
+        """Tick, and wait until the state was received."""
         self.tick()
         until(lambda: self.realtime.latest and self.realtime.latest.time == self.time)
 
     def until(self, condition: Callable[[], object]) -> None:
-        """Tick until something is so."""
+        """Tick until the condition is true."""
 
         def tick() -> bool:
             self.tick()
@@ -147,20 +147,20 @@ class Rehearsal(ScriptedController):
 
         until(tick)
 
-    # -- its program ---------------------------------------------------------------------------------
+    # -- the program on the robot --------------------------------------------------------------------
 
     @property
     def program(self) -> str:
-        """Name of the program that was sent last."""
+        """Name of the last sent program."""
         return re.match(r"def (\w+)\(\):", self.uploaded)[1]  # type: ignore[index]
 
     @property
     def uploaded(self) -> str:
-        """Text of the program that was sent last."""
+        """Text of the last sent program."""
         return next(text for text in reversed(self.sent) if text.startswith("def "))
 
     def begin(self) -> None:
-        """The program that was sent last begins, and is let go on if it asks."""
+        """Start the last sent program, and wait for its start permission if it asks for one."""
         name, sent = self.program, len(self.sent)
         is_asking = "urlink_cycles" in self.uploaded
         self.key("PROGRAM_XXX_STARTED", name)
@@ -169,12 +169,12 @@ class Rehearsal(ScriptedController):
             until(lambda: len(self.sent) > sent)
 
     def finish(self, name: str | None = None) -> None:
-        """It comes to its end."""
+        """End the program normally."""
         self.text(finish_marker(name or self.program))
         self.key("PROGRAM_XXX_STOPPED", name or self.program)
 
     def vanish(self) -> None:
-        """It is stopped."""
+        """Stop the program before its end."""
         self.key("PROGRAM_XXX_STOPPED", self.program)
 
     # -- the reverse link ----------------------------------------------------------------------------
@@ -185,15 +185,15 @@ class Rehearsal(ScriptedController):
 
     @property
     def token(self) -> bytes:
-        """What the program says first."""
+        """Token that the program sends first."""
         return int(re.search(r"socket_send_int\((\d+)\)", self.uploaded)[1]).to_bytes(4, "big")  # type: ignore[index]
 
     def connect(self) -> None:
-        """The program that was sent last begins, and connects or sees its token."""
-        self.inputs.written = SimpleQueue()  # without the last messages of the motion before
+        """Start the last sent program, which connects to the reverse link, or sees its token in a register."""
+        self.inputs.written = SimpleQueue()  # discard the last messages of the previous motion
         self.begin()
         if self.has_registers:
-            # It is told on another connection than the states, at which it is written to.
+            # The start is reported on another connection than the states, and the states trigger the next writes.
             until(lambda: (motion := self.motion.current) is None or motion.phase is Phase.RUNNING)
             return
         if self.link is not None:
@@ -203,9 +203,9 @@ class Rehearsal(ScriptedController):
         self._rest = b""
 
     def message(self) -> tuple[list[float], int] | None:
-        """The next message: six joints in rad, and what to do; None where the connection has ended.
+        """Return the next message: six joint positions in rad, and the mode; None if the connection has ended.
 
-        Registers have no end; there it is None once nothing more can come, since no motion is left.
+        Registers have no end of a connection. There the result is None when no motion is left that could write.
         """
         if self.has_registers:
             until(lambda: self.motion.current is None or not self.inputs.written.empty())
@@ -235,7 +235,7 @@ class Rehearsal(ScriptedController):
         return numbers[:6], mode
 
     def obey(self) -> tuple[list[float], int] | None:
-        """One tick, and the message that answers it; the arm goes there."""
+        """Tick once, and return the message that answers it; the arm moves to the set-point of the message."""
         self.tick()
         message = self.message()
         if message is not None and message[1] == FOLLOW:
@@ -243,11 +243,11 @@ class Rehearsal(ScriptedController):
         return message
 
     def line(self) -> str:
-        """The next line that was answered."""
+        """Return the next answered line."""
         assert self.link is not None
         while b"\n" not in self._rest:
             data = self.link.recv(4096)
-            assert data, "closed"
+            assert data, "the library has closed the connection"
             self._rest += data
         line, self._rest = self._rest.split(b"\n", 1)
         return line.decode().strip()
@@ -274,5 +274,5 @@ class Rehearsal(ScriptedController):
 
 
 def turned(angle: float, q: Sequence[float] = HOME) -> list[float]:
-    """A posture with wrist 3 turned."""
+    """Return a posture with wrist 3 turned by an angle."""
     return [*q[:5], q[5] + angle]

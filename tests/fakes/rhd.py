@@ -1,4 +1,4 @@
-"""A server that does exactly what a test says, one script for each connection."""
+"""RHD server that runs the scripts of the test, one script for each connection."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.data import DataPackage, Words
 from rhdlink.wire.messages import SymbolRow
 
-#: Seconds after which a client that says nothing has failed the test.
+#: Time limit in seconds; a client that sends nothing for this time fails the test.
 TIMEOUT = 10.0
 
 
 class Peer:
-    """The server's end of one connection.
+    """Server side of one connection.
 
     Attributes:
-        heard: all that the client sent and a script has read.
+        heard: All data from the client that a script has read.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -30,9 +30,9 @@ class Peer:
         self.heard = b""
 
     def hear(self, expected: bytes) -> None:
-        """Read as much as this, which it has to be."""
+        """Read as many bytes as expected, and check that they equal the expected bytes."""
         there = self.read(len(expected))
-        assert there == expected, f"the client said {there!r}, expected {expected!r}"
+        assert there == expected, f"the client sent {there!r}; expected {expected!r}"
 
     def read(self, size: int) -> bytes:
         data = b""
@@ -48,18 +48,18 @@ class Peer:
             self._socket.sendall(each)
 
     def is_left(self) -> bool:
-        """Wait for the client to leave; False if it says more instead."""
+        """Wait for the client to leave; return False if it sends more data instead."""
         try:
             return self._socket.recv(1) == b""
         except ConnectionError:
             return True
 
     def hears_nothing(self) -> bool:
-        """Whether nothing has come so far."""
+        """Whether no data has arrived so far."""
         return not select.select([self._socket], [], [], 0)[0]
 
     def reset(self) -> None:
-        """Leave as a program does that crashed."""
+        """Make the close of the connection a reset, as for a crashed program."""
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
@@ -67,9 +67,9 @@ Script = Callable[[Peer], object]
 
 
 class ScriptedServer:
-    """Runs its scripts, one connection after another, in a thread.
+    """Server that runs its scripts in a thread, one for each connection, one after another.
 
-    Leaving the context waits for them to end, and raises what one of them raised.
+    Leaving the context waits for the end of the scripts, and raises the error of a failed script.
     """
 
     def __init__(self, *scripts: Script) -> None:
@@ -86,7 +86,7 @@ class ScriptedServer:
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         if kind is not None:
-            self._listener.close()  # whatever went wrong, no more clients will come
+            self._listener.close()  # the test has failed, so no more clients will connect
         self._thread.join(2 * TIMEOUT)
         self._listener.close()
         if kind is None and self._failure is not None:
@@ -105,7 +105,7 @@ class ScriptedServer:
 
 
 class Robot:
-    """A robot's side to script with: one read and two write variables, and a tick."""
+    """Robot side for scripts, with one read variable, two write variables, and a tick."""
 
     def __init__(self, read: tuple[str, ...] = ("tick", "encl"), write: tuple[str, ...] = ("speedl", "speedr")) -> None:
         self.database = Database([SymbolRow(name, 1) for name in read], [SymbolRow(name, 1) for name in write])
@@ -115,14 +115,14 @@ class Robot:
         peer.say(self.database.encode_handshake(access))
 
     def batch(self, tick: int, **values: int) -> bytes:
-        """A batch of the tick `tick`, which was at `tick` centiseconds."""
+        """Return a batch of the tick `tick`, with a time stamp of `tick` centiseconds."""
         read = self.database.read
         for name, value in {"tick": tick, **values}.items():
             read.set(read.find(name) or 0, value, TimeStamp(1000, 10_000 * tick))
         return b"dw\0\0\0\0" + read.encode(read.dirty.take()) + b"ee"
 
     def write(self, **values: int) -> bytes:
-        """What a writer that sets these says, but for its time stamps."""
+        """Return the message of a writer that sets these values, except for its time stamps."""
         write = Database(write=self.database.write.rows).write
         for name, value in values.items():
             write.set(write.find(name) or 0, value, TimeStamp(0, 0))
@@ -157,13 +157,13 @@ def endless(side: Robot, access: str = "r") -> Script:
                 tick += 1
                 peer.say(side.batch(tick, encl=tick // 2))
         except (AssertionError, ConnectionError):
-            assert tick  # it left
+            assert tick  # the client left, after at least one tick
 
     return script
 
 
 def entries(package: DataPackage) -> Iterator[tuple[int, tuple[int, int], Words]]:
-    """Each entry of a data package: id, (seconds, microseconds), values."""
+    """Yield each entry of a data package: id, (seconds, microseconds), values."""
     values, starts = package.values, package.selection.starts
     sizes = np.diff(starts, append=len(values))
     for identity, start, size, (seconds, micros) in zip(

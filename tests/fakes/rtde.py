@@ -1,4 +1,4 @@
-"""A transport that answers RTDE requests as a controller does, or as a test says."""
+"""Transport that answers RTDE requests like a controller, or with the answers of a test."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from urlink.protocol.rtde.packets import (
 from urlink.protocol.rtde.recipes import Recipe
 from urlink.protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
 
-#: What stands in place of an answer: the request as it was decoded -> what is sent, one package after the other.
+#: Function that replaces an answer: it gets the decoded request and returns the packages to send.
 Answer = Callable[[Any], list[State]]
 
 
 class RequestBoundary(RtdeBoundary):
-    """Frame boundaries of what a client sends."""
+    """Frame boundaries of the packages of a client."""
 
     sizes: Mapping[int, range] = MappingProxyType(
         {
@@ -53,10 +53,10 @@ class RequestBoundary(RtdeBoundary):
 
 
 class ScriptedRtde(ScriptedTransport):
-    """A controller that has all variables but those that it `lacks`; `held` inputs are in use.
+    """Controller that has all variables except those in `lacks`; inputs in `held` are in use.
 
-    `answers` replaces what it says to a class of request. `asked` is what it was asked, `written` name -> value of the
-    inputs that data packages wrote.
+    `answers` replaces the answers to some classes of requests. `asked` lists the received requests. `written` maps the
+    names of inputs that data packages wrote to their values.
     """
 
     def __init__(self, *openings: Exception | None) -> None:
@@ -98,7 +98,7 @@ class ScriptedRtde(ScriptedTransport):
                 self.protocol = 2 if request.wanted == 2 else 1
 
     def usual(self, request: Any) -> list[State]:
-        """What a controller answers."""
+        """Return the answers that a controller would send."""
         version = f"{self.protocol}.0"
         if isinstance(request, ProtocolRequest):
             return [ProtocolReply(accepted=request.wanted in self.protocols)]
@@ -133,7 +133,7 @@ class ScriptedRtde(ScriptedTransport):
         )
 
     def data(self, **values: Any) -> State:
-        """A data package of the recipe that holds."""
+        """Return a data package of the current output recipe."""
         assert self.outputs is not None
         version = f"{self.protocol}.0"
         return DataPackage.LAYOUTS.of(version).decode(self.outputs.encode(values))  # type: ignore[no-any-return]

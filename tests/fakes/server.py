@@ -1,4 +1,4 @@
-"""A server for tests: takes one connection after another, in a thread."""
+"""TCP server for tests that serves one connection after another, in a thread."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ __all__ = ["OneAfterAnother"]
 
 
 class OneAfterAnother:
-    """Listens on a free port of this computer, and talks to one client after another.
+    """Server that listens on a free port of this computer, and serves one client after another.
 
     Args:
-        timeout: seconds for a client to send, and for the thread to end.
+        timeout: Time limit for a client to send, and for the thread to end, in seconds.
 
     Attributes:
-        port: on which it listens.
-        connections: accepted so far.
+        port: Number of the port.
+        connections: Number of connections accepted so far.
     """
 
     def __init__(self, timeout: float = 10.0) -> None:
@@ -42,7 +42,7 @@ class OneAfterAnother:
                 self._talk(connection)
 
     def _talk(self, connection: socket.socket) -> None:
-        """All that is received from a client and sent to it; the connection is closed on return."""
+        """Exchange all data with a client. The connection is closed on return."""
         raise NotImplementedError
 
     def close(self) -> None:

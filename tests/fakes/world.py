@@ -1,4 +1,4 @@
-"""The world of a program in URScript (`urlink.simulator.urscript.world`), which notes what the program asks of it."""
+"""World of a URScript program (`urlink.simulator.urscript.world`) that records the requests of the program."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def short(values: Sequence[float] | None) -> str:
 
 
 class NotedMove:
-    """Is over after a number of cycles."""
+    """Movement that ends after a number of cycles."""
 
     def __init__(self, world: NotedWorld, cycles: int) -> None:
         self._world = world
@@ -38,7 +38,7 @@ class NotedMove:
 
 
 class NotedMotion:
-    """Each movement takes a number of cycles by its kind, and puts the arm at its goal at once."""
+    """Motions of an arm that reaches its goal immediately, while the movement lasts some cycles."""
 
     def __init__(self, world: NotedWorld) -> None:
         self._world = world
@@ -99,13 +99,13 @@ class NotedMotion:
 
 
 class NotedSockets:
-    """Sockets of a program, with peers that send what the test has put."""
+    """Sockets of a program, with peers that send the data of the test."""
 
     def __init__(self, world: NotedWorld) -> None:
         self._world = world
         self._states: dict[str, State] = {}
         self._buffers: dict[str, bytearray] = {}
-        #: what a peer sends, by port; the ports that nobody listens at are left out
+        #: Data that a peer sends, by port. No peer listens at the other ports.
         self.peers: dict[int, list[bytes]] = {}
         self._coming: dict[str, deque[bytes]] = {}
 
@@ -118,7 +118,7 @@ class NotedSockets:
             self._states[name] = "failed" if port else "connecting"
 
     def step(self) -> None:
-        """A cycle passes: who is connecting is connected, and each peer sends one piece."""
+        """Advance by one cycle: connecting sockets become connected, and each peer sends one piece."""
         for name, state in self._states.items():
             if state == "connecting" and self._coming[name]:
                 self._states[name] = "open"
@@ -151,10 +151,10 @@ class NotedSockets:
 
 
 class NotedWorld:
-    """A controller at a firmware, with an arm that obeys at once.
+    """Controller of a firmware, with an arm that moves immediately.
 
     Attributes:
-        notes: what was asked, "<cycle> <what>".
+        notes: Requests of the program, as "<cycle> <request>".
     """
 
     def __init__(self, firmware: str = "5.11") -> None:
@@ -261,10 +261,10 @@ class NotedWorld:
 
 
 def run(text: str, world: NotedWorld | None = None, cycles: int = 200) -> NotedWorld:
-    """Let a program run to its end, or for so many cycles; how it ended is the last note.
+    """Run a program to its end, or for at most `cycles`; the last note describes its end.
 
     Raises:
-        ProgramError: it does not compile.
+        ProgramError: If the program does not compile.
     """
     world = world or NotedWorld()
     execution = Execution(compile_script(text, world.firmware), world)

@@ -1,8 +1,8 @@
-"""ur_rtde in a process of its own, which does what it is told line by line.
+"""Separate process for ur_rtde that executes calls line by line.
 
-Its constructors wait for the controller with the interpreter's lock held, so that a simulator in the same process would
-never answer. A line is `[name of an interface or of its class, method, arguments]` as JSON; `["control", "", [...]]`
-makes the interface. The reply is `{"value": ...}` or `{"error": ...}`.
+The constructors of ur_rtde wait for the controller while they hold the interpreter lock. So a simulator in the same
+process would never answer. A line is `[name of an interface or of its class, method, arguments]` as JSON;
+`["control", "", [...]]` makes the interface. The reply is `{"value": ...}` or `{"error": ...}`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 
 def classes() -> dict[str, Any]:
-    """The interfaces by name. Not imported with this module, which those who have no ur_rtde collect tests from too."""
+    """Return the interfaces by name; import them here, because pytest imports this module even without ur_rtde."""
     return {
         "control": import_module("rtde_control").RTDEControlInterface,
         "io": import_module("rtde_io").RTDEIOInterface,
@@ -23,7 +23,7 @@ def classes() -> dict[str, Any]:
 
 
 def path_of(entries: list[list[Any]]) -> Any:
-    """`[[kind of move, "joints" or "tool", parameters], ...]`"""
+    """Make a path from `[[kind of move, "joints" or "tool", parameters], ...]`."""
     rtde_control = import_module("rtde_control")
     path = rtde_control.Path()
     for kind, where, parameters in entries:
@@ -57,7 +57,7 @@ def main() -> None:
             text = json.dumps(reply)
         except TypeError:
             text = json.dumps({"value": repr(reply["value"])})
-        # ur_rtde writes messages of its own to the standard output.
+        # ur_rtde writes its own messages to the standard output, so replies use the standard error.
         sys.stderr.write(f"\n>>>{text}\n")
         sys.stderr.flush()
 

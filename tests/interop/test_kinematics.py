@@ -1,6 +1,6 @@
-"""Kinematics and dynamics beside those of ur-analytic-ik, Pinocchio and MuJoCo, which others wrote.
+"""Kinematics and dynamics compared with the third-party libraries ur-analytic-ik, Pinocchio and MuJoCo.
 
-`nox -f nightly.py -s kinematics` installs them; elsewhere the tests of what is not there are skipped.
+`nox -f nightly.py -s kinematics` installs them. In other environments, tests of missing libraries are skipped.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ EVERY = pytest.mark.parametrize("name", MODELS)
 BOTH = pytest.mark.parametrize("is_calibrated", [False, True], ids=["published", "calibrated"])
 ROWS = 300
 
-# The first import of MuJoCo starts a process, which looks for glfw: before any test, since each is to start none.
+# The first import of MuJoCo starts a process that looks for glfw. Import it here, because a test must not start one.
 with contextlib.suppress(ImportError):
     importlib.import_module("mujoco")
 
@@ -36,33 +36,33 @@ def postures(seed: int) -> np.ndarray:
 
 
 class TestAnalytic:
-    """ur-analytic-ik: the closed form in C++."""
+    """Comparison with ur-analytic-ik, a closed-form solution in C++."""
 
     @pytest.fixture
     def theirs(self, name: str) -> Any:
         module: Any = pytest.importorskip("ur_analytic_ik")
         return getattr(module, name.lower().replace(" ", ""))
 
-    def test_it_has_every_arm(self) -> None:
+    def test_module_has_every_arm(self) -> None:
         module: Any = pytest.importorskip("ur_analytic_ik")
         assert {arm for arm in dir(module) if arm.startswith("ur")} == {
             name.lower().replace(" ", "") for name in MODELS
         }
 
     @EVERY
-    def test_forward(self, theirs: Any, name: str) -> None:
+    def test_forward_kinematics_equals_ur_analytic_ik(self, theirs: Any, name: str) -> None:
         q = postures(1)
         expected = np.array([theirs.forward_kinematics(*row) for row in q.tolist()])
         np.testing.assert_allclose(to_matrix(Arm(name).forward(q)), expected, rtol=0.0, atol=1e-12)
 
     @EVERY
-    def test_all_solutions(self, theirs: Any, name: str) -> None:
+    def test_solutions_include_those_of_ur_analytic_ik(self, theirs: Any, name: str) -> None:
         arm = Arm(name)
         compared = 0
         for matrix in to_matrix(arm.forward(postures(2))):
             ours = arm.solutions(from_matrix(matrix))
             others = np.array(theirs.inverse_kinematics(np.ascontiguousarray(matrix)))
-            # It leaves out what does not lead back to the pose closely enough, and orders them otherwise.
+            # ur-analytic-ik omits solutions that do not reproduce the pose closely enough, and has another order.
             for q in others.reshape(-1, 6):
                 turned = np.angle(np.exp(1j * (ours - q)))
                 assert np.abs(turned).max(axis=1).min() < 1e-6
@@ -71,7 +71,7 @@ class TestAnalytic:
 
 
 class TestPinocchio:
-    """Pinocchio reads the URDF that urlink writes, so that this is compared as well."""
+    """Comparison with Pinocchio, which reads the URDF that urlink writes; so the URDF is tested as well."""
 
     @pytest.fixture
     def arm(self, name: str, is_calibrated: bool) -> Arm:
@@ -86,13 +86,13 @@ class TestPinocchio:
 
     @staticmethod
     def configuration(model: Any, q: np.ndarray) -> np.ndarray:
-        """A joint that turns without end is a cosine and a sine there."""
+        """Return joint positions for Pinocchio, in which a continuous joint has a cosine and a sine."""
         parts = [[math.cos(x), math.sin(x)] if model.joints[i + 1].nq == 2 else [x] for i, x in enumerate(q.tolist())]
         return np.concatenate(parts)
 
     @EVERY
     @BOTH
-    def test_forward_and_jacobian(self, pin: tuple[Any, Any, Any], arm: Arm) -> None:
+    def test_forward_and_jacobian_equal_pinocchio(self, pin: tuple[Any, Any, Any], arm: Arm) -> None:
         pinocchio, model, data = pin
         flange = model.getFrameId("tool0")
         for q in postures(3)[:50]:
@@ -105,7 +105,7 @@ class TestPinocchio:
 
     @EVERY
     @BOTH
-    def test_dynamics(self, pin: tuple[Any, Any, Any], arm: Arm) -> None:
+    def test_dynamics_equal_pinocchio(self, pin: tuple[Any, Any, Any], arm: Arm) -> None:
         pinocchio, model, data = pin
         ours = Dynamics(arm)
         rng = np.random.default_rng(4)
@@ -124,7 +124,7 @@ class TestPinocchio:
 
 
 class TestMujoco:
-    """MuJoCo reads the MJCF that urlink writes, with the rotors; and the URDF, which has no place for them."""
+    """Comparison with MuJoCo, which reads the MJCF with the rotors, and the URDF, which cannot contain rotors."""
 
     @pytest.fixture
     def arm(self, name: str, is_calibrated: bool) -> Arm:
@@ -135,7 +135,7 @@ class TestMujoco:
         mujoco: Any = pytest.importorskip("mujoco")
         model = mujoco.MjModel.from_xml_string(text)
         data = mujoco.MjData(model)
-        # What rubs is no part of the rigid bodies.
+        # Switch off friction, which is not part of the rigid-body dynamics.
         model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
         model.opt.gravity[:] = 0.0, 0.0, -GRAVITY
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
@@ -158,15 +158,15 @@ class TestMujoco:
 
     @EVERY
     @BOTH
-    def test_mjcf(self, arm: Arm) -> None:
+    def test_mjcf_dynamics_equal_mujoco(self, arm: Arm) -> None:
         self.compare(arm, to_mjcf(arm), rotors=True)
 
     @EVERY
     @BOTH
-    def test_urdf(self, arm: Arm) -> None:
+    def test_urdf_dynamics_equal_mujoco(self, arm: Arm) -> None:
         self.compare(arm, to_urdf(arm), rotors=False)
 
-    def test_friction_is_that_of_the_motors(self) -> None:
+    def test_mjcf_friction_equals_the_motor_friction(self) -> None:
         mujoco: Any = pytest.importorskip("mujoco")
         model, motors = mujoco.MjModel.from_xml_string(to_mjcf("UR10e")), motors_of("UR10e")
         np.testing.assert_allclose(model.dof_frictionloss, np.multiply(motors.torque_constants, motors.coulomb))
@@ -174,7 +174,7 @@ class TestMujoco:
 
 
 def _times(mujoco: Any, model: Any, data: Any, vector: np.ndarray) -> np.ndarray:
-    """The mass matrix times a vector."""
+    """Return the mass matrix times a vector."""
     found = np.zeros(6)
     mujoco.mj_mulM(model, data, found, vector)
     return found

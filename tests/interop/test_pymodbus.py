@@ -1,4 +1,4 @@
-"""pymodbus, over port 54321, drives the gripper on the simulated tool connector."""
+"""pymodbus drives the gripper at the simulated tool connector over port 54321."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ client = pytest.importorskip("pymodbus.client")
 pytestmark = [pytest.mark.real_time, pytest.mark.timeout(120)]
 
 
-def test_a_gripper_is_activated_and_closed() -> None:
+def test_pymodbus_activates_and_closes_the_gripper() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         robot.io.set_tool_communication()
         place = {"port": robot.controller.ports["tool_serial"], "framer": pymodbus.FramerType.RTU}

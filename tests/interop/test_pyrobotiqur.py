@@ -1,4 +1,4 @@
-"""The simulated gripper as pyrobotiqur 0.2.2 uses it, a client of the Robotiq URCap that other people wrote."""
+"""The simulated gripper with pyrobotiqur 0.2.2, a third-party client of the Robotiq URCap."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ pyrobotiqur = pytest.importorskip("pyrobotiqur", reason="nox -s interop installs
 pytestmark = pytest.mark.real_time
 
 
-def test_it_activates_grips_and_lets_go() -> None:
+def test_pyrobotiqur_activates_grips_and_releases() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         client = pyrobotiqur.RobotiqGripper(controller.host, controller.ports["gripper"])
         with client as gripper:

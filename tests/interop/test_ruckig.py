@@ -1,6 +1,7 @@
-"""Profiles beside those of ruckig, which others wrote: state to state, never its waypoints, which go to a service.
+"""Jerk-limited profiles compared with the third-party library ruckig, between two states.
 
-`nox -f nightly.py -s kinematics` installs it; elsewhere these tests are skipped.
+The tests do not use the waypoints of ruckig, because it sends them to a web service. `nox -f nightly.py -s kinematics`
+installs ruckig. In other environments these tests are skipped.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ def their_duration(x: float, v: float, a: float, target: float, limit: JointLimi
     return float(found.duration)
 
 
-def test_as_fast_as_theirs_from_any_state() -> None:
-    """Both claim the shortest time there is, so there is one right answer."""
+def test_profile_duration_equals_ruckig_from_any_state() -> None:
+    """Both libraries compute the shortest possible time, so only one answer is correct."""
     chosen = random.Random(1)
     compared = 0
     while compared < 5000:

@@ -1,8 +1,8 @@
-"""The dashboard client of ur_rtde, which other people wrote, against the simulator's dashboard server.
+"""The dashboard client of the third-party library ur_rtde with the simulator's dashboard server.
 
-It asks for the version first, leaves out what that version does not have, and raises where a reply is not the one that
-it expects; so a call that returns has been answered as it expects of a real controller. The interfaces of ur_rtde that
-speak RTDE are in `test_ur_rtde_interfaces.py`.
+The client asks for the version first, and omits commands that this version does not have. It raises an error for an
+unexpected reply. So a call that returns has got the reply that the client expects from a real controller. The RTDE
+interfaces of ur_rtde are tested in `test_ur_rtde_interfaces.py`.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ def says(read: Callable[[], str], text: str) -> bool:
     return read() == text
 
 
-def test_it_connects(client: Any) -> None:
+def test_client_connects_and_disconnects(client: Any) -> None:
     assert client.isConnected()
     client.disconnect()
     assert not client.isConnected()
 
 
-def test_what_it_reads(controller: Controller, client: Any) -> None:
+def test_client_reads_modes_version_and_program(controller: Controller, client: Any) -> None:
     assert client.robotmode() == "Robotmode: RUNNING"
     assert client.safetymode() == "Safetymode: NORMAL"
     assert client.polyscopeVersion().startswith(f"{controller.firmware.major}.{controller.firmware.minor}.")
@@ -67,7 +67,7 @@ def test_what_it_reads(controller: Controller, client: Any) -> None:
         assert client.isInRemoteControl()
 
 
-def test_power_and_brakes(controller: Controller, client: Any) -> None:
+def test_client_switches_power_and_releases_brakes(controller: Controller, client: Any) -> None:
     client.powerOff()
     until(partial(says, client.robotmode, "Robotmode: POWER_OFF"))
     assert not client.running()
@@ -77,7 +77,7 @@ def test_power_and_brakes(controller: Controller, client: Any) -> None:
     until(partial(says, client.robotmode, "Robotmode: RUNNING"), 10)
 
 
-def test_programs(client: Any) -> None:
+def test_client_loads_plays_pauses_and_stops_programs(client: Any) -> None:
     with pytest.raises(RuntimeError, match="File not found"):
         client.loadURP("/programs/other.urp")
     client.loadURP(PATH)
@@ -93,7 +93,7 @@ def test_programs(client: Any) -> None:
         until(partial(says, client.programState, state))
 
 
-def test_popups_and_the_log(controller: Controller, client: Any) -> None:
+def test_client_shows_popups_and_adds_to_the_log(controller: Controller, client: Any) -> None:
     shown = []
     for command in (lambda: client.popup("Is anybody there?"), client.closePopup, client.closeSafetyPopup):
         command()
@@ -104,7 +104,7 @@ def test_popups_and_the_log(controller: Controller, client: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_protective_stop_is_unlocked_after_five_seconds(controller: Controller, client: Any) -> None:
+def test_client_unlocks_a_protective_stop_after_five_seconds(controller: Controller, client: Any) -> None:
     controller.faults.protective_stop()
     until(partial(says, client.safetymode, "Safetymode: PROTECTIVE_STOP"))
     with pytest.raises(RuntimeError, match="Cannot unlock protective stop until 5s after occurrence"):
@@ -121,7 +121,7 @@ def test_a_protective_stop_is_unlocked_after_five_seconds(controller: Controller
     until(partial(says, client.safetymode, "Safetymode: NORMAL"))
 
 
-def test_local_control_refuses(controller: Controller, client: Any) -> None:
+def test_play_raises_in_local_control(controller: Controller, client: Any) -> None:
     if not controller.firmware.is_e_series:
         pytest.skip("remote control came with the e-Series")
     controller.remote_control = False
@@ -130,7 +130,7 @@ def test_local_control_refuses(controller: Controller, client: Any) -> None:
         client.play()
 
 
-def test_it_says_goodbye(client: Any) -> None:
+def test_quit_closes_the_connection(client: Any) -> None:
     client.quit()
     with pytest.raises(RuntimeError):
         client.robotmode()

@@ -1,4 +1,4 @@
-"""One program, `ur_rtde_program.py`, with ur_rtde and with `urlink.compat`: what the arm does is the same."""
+"""One program, `ur_rtde_program.py`, moves the arm in the same way with ur_rtde and with `urlink.compat`."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ pytest.importorskip("rtde_control", reason="ur_rtde is not installed; `nox -s in
 
 pytestmark = pytest.mark.real_time
 
-#: ur_rtde has the standard ports built in; an address for each process of the tests keeps them apart.
+#: ur_rtde always uses the standard ports, so each process of the tests has its own address.
 PROGRAM = Path(__file__).with_name("ur_rtde_program.py")
 HOST = f"127.30.1.{4 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"
-#: By how much may differ what is not computed to the last bit: the path's text has four decimals, the last set-point
-#: of a servo is approached, and a speed of the tool is kept by joints.
+#: Tolerances for values that are not computed exactly: the text of a path has four decimals, a servo approaches its
+#: last set-point asymptotically, and a tool speed is produced by joint speeds.
 WITHIN = {
     "a path": 1e-3,
     "moveJ_IK": 1e-6,
@@ -39,7 +39,7 @@ WITHIN = {
 
 
 def run(firmware: str, prefix: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the program has seen, and what the controller has in the end."""
+    """Run the program; return the values that it has read, and the final values of the controller."""
     with Controller(None, firmware, host=HOST, ports="standard", motion=Still()) as controller:
         done = subprocess.run(
             [sys.executable, str(PROGRAM), HOST, prefix, str(controller.firmware.rate)],
@@ -61,10 +61,10 @@ def run(firmware: str, prefix: str) -> tuple[dict[str, Any], dict[str, Any]]:
         return json.loads(replies[0]), kept
 
 
-# Each run takes 12 s, and several times that on a machine that is busy.
+# Each run takes 12 s, and several times as long on a busy computer.
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("firmware", ["3.15", "5.4", "5.11", "5.25"])
-def test_the_same_program(firmware: str) -> None:
+def test_program_with_compat_equals_ur_rtde(firmware: str) -> None:
     theirs, theirs_kept = run(firmware, "")
     ours, ours_kept = run(firmware, "urlink.compat.")
     assert ours.keys() == theirs.keys()

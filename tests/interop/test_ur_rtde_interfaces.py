@@ -1,6 +1,6 @@
-"""ur_rtde's receive, I/O and control interface, which other people wrote, against the simulator's RTDE.
+"""The receive, I/O and control interfaces of the third-party library ur_rtde with the simulator's RTDE.
 
-What they report and cause is held against the controller itself, and what they compute against the library.
+Their values and effects are compared with the controller itself, and their computations with the library.
 """
 
 from __future__ import annotations
@@ -32,20 +32,17 @@ pytest.importorskip("rtde_control", reason="ur_rtde is not installed; `nox -s in
 
 pytestmark = pytest.mark.real_time
 
-#: ur_rtde has the standard ports built in; an address for each process of the tests keeps them apart.
+#: ur_rtde always uses the standard ports, so each process of the tests has its own address.
 HOST = f"127.30.0.{4 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"
 FLAG_UPLOAD_SCRIPT, FLAG_UPPER_RANGE_REGISTERS = 1, 8
 FIRMWARES = ["3.15", "5.4", "5.11", "5.25", "10.12"]
-#: Without the Robot API: nobody here asks it, and its port 80 may need rights.
+#: The standard ports without the Robot API, which these tests do not use; its port 80 may need special rights.
 STANDARD = {name: number for name, number in PORTS.items() if name != "robot_api"}
 NEAR = [0.1, -1.4, 1.3, -1.5, -1.5, 0.2]
 
 
 class Rtde:
-    """ur_rtde in a process of its own.
-
-    `rtde.control.moveJ(q)` calls that method there.
-    """
+    """ur_rtde in a separate process, in which `call` makes the calls."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
@@ -67,13 +64,13 @@ class Rtde:
                 self._replies.put(json.loads(line[3:]))
             else:
                 self._said.append(line)
-        self._replies.put({"error": f"it has ended, having said: {''.join(self._said[-20:])}"})
+        self._replies.put({"error": f"the process has ended; its last output: {''.join(self._said[-20:])}"})
 
     def call(self, name: str, method: str, *arguments: Any) -> Any:
-        """Call it, and wait for the value.
+        """Call a method in the process, and return its result.
 
         Raises:
-            RuntimeError: that is what it raised, or it has died.
+            RuntimeError: If the method raised an error, or the process has ended.
         """
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps([name, method, arguments]) + "\n")
@@ -84,7 +81,7 @@ class Rtde:
         return reply["value"]
 
     def make(self, name: str, *arguments: Any) -> Interface:
-        """One of the interfaces, connected."""
+        """Make one of the interfaces, which connects."""
         self.call(name, "", HOST, *arguments)
         return Interface(self, name)
 
@@ -98,7 +95,7 @@ class Rtde:
 
 
 class Interface:
-    """One interface; its methods are those of ur_rtde."""
+    """Interface of ur_rtde in the other process, with the methods of ur_rtde."""
 
     def __init__(self, rtde: Rtde, name: str) -> None:
         self._rtde = rtde
@@ -131,7 +128,7 @@ def eventually(read: Callable[[], Any], wanted: Any, within: float = 1e-9) -> No
 
 # -- receive -------------------------------------------------------------------------------------------
 
-# getter -> variable. What moves with noise is compared in a cycle in which nothing is sent.
+# Variables of the getters. Noisy values are compared in a cycle in which nothing is sent.
 GETTERS = {
     "getTargetQ": "target_q",
     "getTargetQd": "target_qd",
@@ -180,7 +177,7 @@ LATER_GETTERS = {
 }
 
 
-def test_what_is_received_is_what_the_controller_sends(controller: Controller, rtde: Rtde) -> None:
+def test_received_values_equal_the_sent_variables(controller: Controller, rtde: Rtde) -> None:
     signals, registers = controller.signals, controller.registers.outputs
     signals.set_digital_input(5, True)
     signals.set_digital_output(17, True)
@@ -191,7 +188,7 @@ def test_what_is_received_is_what_the_controller_sends(controller: Controller, r
     receive = rtde.make("receive")
     assert receive.isConnected()
     assert receive.getActualDigitalInputBits() == 1 << 5
-    # The last package before a silence, which is that of the present cycle when the controller is asked again.
+    # During the stall no further package arrives, so the received values can be compared with the controller.
     controller.faults.stall(1000.0, "rtde")
     time.sleep(0.1)
     last = receive.getTimestamp()
@@ -205,7 +202,7 @@ def test_what_is_received_is_what_the_controller_sends(controller: Controller, r
         assert near(value, sent(controller, name), 1e-12), name
     for name, value in got.items():
         if name.startswith(NOISY):
-            # Rotation vectors of half a turn change their sign with the noise.
+            # The noise changes the sign of rotation vectors near half a turn.
             assert near(np.ravel(value)[:3], np.ravel(sent(controller, name))[:3], 2.0), name
     assert 45.0 < last < controller.time + 45.0
 
@@ -223,19 +220,19 @@ NOISY = (
 
 
 def has(controller: Controller, name: str) -> bool:
-    """The controller has the variable, and ur_rtde asks for it: it goes by the minor release, whatever the major."""
+    """Whether the controller has the variable and ur_rtde asks for it; ur_rtde checks only the minor version."""
     firmware = controller.firmware
     return OUTPUTS[name].is_in(firmware) and not firmware.is_polyscope_x
 
 
 def sent(controller: Controller, name: str) -> Any:
-    """What the controller would send of a variable now."""
+    """Return the value of a variable that the controller would send now."""
     found: list[Any] = []
     controller.call(lambda: found.append(OUTPUT_VALUES[name](controller._state)))
     return found[0]
 
 
-def test_variables_of_ones_own_and_the_upper_registers(controller: Controller, rtde: Rtde) -> None:
+def test_receive_interface_with_selected_variables(controller: Controller, rtde: Rtde) -> None:
     receive = rtde.make("receive", 10.0, ["timestamp", "actual_q"])
     first = receive.getTimestamp()
     until(lambda: receive.getTimestamp() > first)
@@ -246,7 +243,7 @@ def test_variables_of_ones_own_and_the_upper_registers(controller: Controller, r
 # -- inputs and outputs --------------------------------------------------------------------------------
 
 
-def test_outputs_slider_and_registers_take_effect(controller: Controller, rtde: Rtde) -> None:
+def test_outputs_slider_and_registers_are_set(controller: Controller, rtde: Rtde) -> None:
     io = rtde.make("io")
     assert io.setStandardDigitalOut(3, True)
     assert io.setConfigurableDigitalOut(1, True)
@@ -268,7 +265,7 @@ def test_outputs_slider_and_registers_take_effect(controller: Controller, rtde: 
     io.disconnect()
 
 
-def test_the_upper_range_of_registers(controller: Controller, rtde: Rtde) -> None:
+def test_registers_of_the_upper_range_are_set(controller: Controller, rtde: Rtde) -> None:
     io = rtde.make("io", False, True)
     assert io.setInputIntRegister(42, 7)
     assert io.setInputDoubleRegister(46, 0.5)
@@ -276,7 +273,7 @@ def test_the_upper_range_of_registers(controller: Controller, rtde: Rtde) -> Non
     until(lambda: controller.registers.inputs.floats[46] == 0.5)
 
 
-def test_an_input_in_use_is_an_error_there(rtde: Rtde) -> None:
+def test_input_in_use_raises_an_error(rtde: Rtde) -> None:
     with Controller("UR5e", "5.11", host=HOST, ports=STANDARD, motion=Still()) as controller:
         controller.fieldbus = "EtherNet/IP"
         with pytest.raises(RuntimeError, match="in use"):
@@ -293,7 +290,7 @@ def control(controller: Controller, rtde: Rtde) -> Interface:
     return control
 
 
-def test_moves(controller: Controller, control: Interface) -> None:
+def test_moves_reach_their_goals_and_can_be_stopped(controller: Controller, control: Interface) -> None:
     assert control.moveJ(NEAR, 2.0, 4.0)
     assert near(controller.arm.setpoint.q, NEAR)
     pose = controller.arm.sample.pose_target
@@ -317,15 +314,15 @@ def test_moves(controller: Controller, control: Interface) -> None:
     assert not near(controller.arm.sample.pose_target, there, 1e-3)
 
 
-def test_a_path(controller: Controller, control: Interface) -> None:
+def test_path_reaches_its_goal(controller: Controller, control: Interface) -> None:
     first = [*NEAR, 2.0, 4.0, 0.0]
     second = [*HOME, 2.0, 4.0, 0.0]
     assert control.movePath([["J", "joints", first], ["J", "joints", second]])
-    # It is sent as text, with four decimals.
+    # The path is sent as text with four decimals.
     assert near(controller.arm.setpoint.q, HOME, 1e-4)
 
 
-def test_servo_and_speed(controller: Controller, control: Interface) -> None:
+def test_servo_speed_and_jog_move_the_arm(controller: Controller, control: Interface) -> None:
     q = list(HOME)
     period = 1.0 / controller.firmware.rate
     for _ in range(40):
@@ -354,7 +351,7 @@ def test_servo_and_speed(controller: Controller, control: Interface) -> None:
     until(lambda: not controller.arm.is_moving)
 
 
-def test_kinematics_are_those_of_the_library(controller: Controller, control: Interface) -> None:
+def test_kinematics_equal_the_library(controller: Controller, control: Interface) -> None:
     arm = controller.arm.kinematics
     tool = [0.0, 0.01, 0.15, 0.1, 0.0, 0.2]
     assert control.setTcp(tool)
@@ -374,14 +371,14 @@ def test_kinematics_are_those_of_the_library(controller: Controller, control: In
         assert not control.getInverseKinematicsHasSolution([5.0, 0, 0, 0, 0, 0])
 
 
-def test_tool_payload_and_questions(controller: Controller, control: Interface) -> None:
+def test_payload_is_set_and_queries_are_answered(controller: Controller, control: Interface) -> None:
     assert control.setPayload(1.5, [0.0, 0.0, 0.05])
     until(lambda: controller.arm.payload == 1.5)
     assert near(controller.arm.payload_cog, [0, 0, 0.05])
     assert control.isSteady()
     assert control.isProgramRunning()
     assert control.zeroFtSensor()
-    # These it does not wait for: the first call gives what was in the registers before.
+    # ur_rtde does not wait for these results, so the first call returns the previous contents of the registers.
     eventually(control.getJointTorques, controller.arm.sample.M_target, 1e-6)
     assert control.setGravity([0.0, 0.0, 9.82]) or True
     if controller.firmware.is_e_series:
@@ -391,7 +388,7 @@ def test_tool_payload_and_questions(controller: Controller, control: Interface) 
         until(lambda: not control.toolContact([0, 0, 1, 0, 0, 0]))
     if controller.firmware >= (5, 23):
         dynamics = Dynamics(controller.arm.kinematics, payload=1.5, payload_cog=[0, 0, 0.05])
-        # It takes matrices column by column.
+        # ur_rtde reads matrices column by column.
         wanted = controller.arm.kinematics.jacobian(list(HOME), controller.arm.tcp)
         eventually(control.getJacobian, wanted.T.ravel(), 1e-3)
         eventually(control.getMassMatrix, dynamics.mass_matrix(list(HOME)).T.ravel(), 1e-3)
@@ -399,19 +396,19 @@ def test_tool_payload_and_questions(controller: Controller, control: Interface) 
         eventually(control.getJacobianTimeDerivative, [0.0] * 36)
 
 
-def test_more_of_force_and_payload(controller: Controller, rtde: Rtde, control: Interface) -> None:
-    control.triggerProtectiveStop()  # is not told that it is done, since the program waits
+def test_external_force_and_target_payload_are_set(controller: Controller, rtde: Rtde, control: Interface) -> None:
+    control.triggerProtectiveStop()  # gets no confirmation, because the program waits
     until(lambda: controller.modes.safety_mode.name == "PROTECTIVE_STOP")
     controller.faults.clear()
     controller.call(controller.pendant.play)
     until(control.isProgramRunning)
     assert control.servoC(controller.arm.sample.pose_target, 0.1, 0.5, 0.0)
-    # It undoes the command only with the next one, which it gives up after 3 s if the script has seen it till then.
+    # ur_rtde clears a command only when it sends the next one, which can time out after 3 s. So repeat it.
     until(lambda: control.servoStop(2.0))
     is_new = controller.firmware >= (5, 9)
     enable = control.ftRtdeInputEnable if is_new else control.enableExternalFtSensor
     assert enable(True, 0.5, [0.0, 0.0, 0.0], [0.0, 0.0, 0.05])
-    # Its package is too short for its recipe, so nothing comes of it; nor does it end the connection.
+    # The package of ur_rtde is too short for its recipe, so it has no effect, but the connection continues.
     ignored = controller.counters.ignored_packages
     assert control.setExternalForceTorque([1.0, 2.0, 3.0, 0.0, 0.0, 0.0])
     until(lambda: controller.counters.ignored_packages > ignored)
@@ -423,7 +420,7 @@ def test_more_of_force_and_payload(controller: Controller, rtde: Rtde, control: 
 
 
 def table(controller: Controller, below: float) -> float:
-    """A plane so far below the tool, m; its height."""
+    """Add a plane `below` the tool, in m; return its height."""
     x, y, z = controller.arm.kinematics.forward(controller.arm.setpoint.q, controller.arm.tcp)[:3].tolist()
     controller.world.add(Plane((x, y, z - below)))
     return float(z) - below
@@ -450,7 +447,7 @@ def has_gone_on(controller: Controller, cycle: int) -> bool:
     return controller.cycle > cycle
 
 
-def test_force_mode(controller: Controller, rtde: Rtde, control: Interface) -> None:
+def test_force_mode_holds_its_force(controller: Controller, rtde: Rtde, control: Interface) -> None:
     receive = rtde.make("receive")
     table(controller, 0.003)
     assert control.zeroFtSensor()
@@ -460,7 +457,7 @@ def test_force_mode(controller: Controller, rtde: Rtde, control: Interface) -> N
     for force in (10.0, 15.0):
         down = [0.0] * 6, [0, 0, 1, 0, 0, 0], [0.0, 0.0, -force, 0.0, 0.0, 0.0], 2, [0.1] * 6
         assert control.forceMode(*down)
-        # Once it has settled it stays there, and is what the receive interface shows.
+        # The force stays constant once it has settled, and equals the value of the receive interface.
         until(partial(has_settled, controller, force))
         for _ in range(50):
             assert presses(controller, force, 0.5)
@@ -475,7 +472,7 @@ def test_force_mode(controller: Controller, rtde: Rtde, control: Interface) -> N
     controller.push([0.0] * 6)
 
 
-def test_pushed_in_teach_mode_and_in_freedrive(controller: Controller, control: Interface) -> None:
+def test_arm_can_be_pushed_in_teach_mode_and_freedrive(controller: Controller, control: Interface) -> None:
     modes = [(control.teachMode, control.endTeachMode)]
     if controller.firmware >= (5, 10):
         assert control.getFreedriveStatus() == 0
@@ -496,12 +493,12 @@ def test_pushed_in_teach_mode_and_in_freedrive(controller: Controller, control: 
 
 
 @pytest.mark.parametrize("controller", ["10.12"], indirect=True)
-def test_direct_torque(controller: Controller, control: Interface) -> None:
-    """Its script has the call from 5.26 on, which 10.x counts as. Whatever it is told, it makes up for no friction."""
+def test_direct_torque_moves_the_joint(controller: Controller, control: Interface) -> None:
+    """The script has this call since 5.26, and 10.x counts as later. It never compensates for friction."""
     torque, joint = 6.0, 5
-    for _ in range(20):  # the script goes on with the last one until another command comes
+    for _ in range(20):  # the script repeats the last torque until another command arrives
         assert control.directTorque([0, 0, 0, 0, 0, torque], [0.9] * 6, [0.8] * 6)
-    # Friction has 3 Nm, and 5 Nms of speed.
+    # The friction is 3 Nm, plus 5 Nms times the speed.
     until(lambda: controller.arm.setpoint.qd[joint] == pytest.approx((torque - 3.0) / 5.0, rel=0.01))
     assert near(controller.arm.setpoint.qd[:joint], [0.0] * joint, 0.05)
     control.stopJ(4.0)
@@ -510,9 +507,9 @@ def test_direct_torque(controller: Controller, control: Interface) -> None:
     assert control.moveJ(NEAR, 2.0, 4.0)
 
 
-def test_contacts(controller: Controller, control: Interface) -> None:
+def test_contacts_are_detected(controller: Controller, control: Interface) -> None:
     if not controller.firmware.is_e_series:
-        pytest.skip("tool_contact is there from 5.4 on")
+        pytest.skip("tool_contact exists since 5.4")
     at = table(controller, 0.01)
     assert control.moveUntilContact([0, 0, -0.03, 0, 0, 0], [0, 0, -1, 0, 0, 0], 0.5)
     assert height(controller) == pytest.approx(at, abs=5e-4)
@@ -521,13 +518,13 @@ def test_contacts(controller: Controller, control: Interface) -> None:
     controller.push([0.0, 0.0, 20.0, 0.0, 0.0, 0.0])
     until(control.readContactDetection)
     until(lambda: control.toolContact([0, 0, -1, 0, 0, 0]) > 0)
-    # It does not wait for the answer, and may get the last one.
+    # ur_rtde does not wait for the answer, and may return the previous one.
     until(lambda: control.toolContact([0, 0, 1, 0, 0, 0]) == 0)
     assert control.stopContactDetection()
     controller.push([0.0] * 6)
 
 
-def test_the_control_interface_in_the_upper_range(rtde: Rtde) -> None:
+def test_control_interface_can_use_upper_registers(rtde: Rtde) -> None:
     with Controller("UR5e", "5.11", host=HOST, ports=STANDARD, motion=Still()) as controller:
         control = rtde.make("control", -1.0, FLAG_UPLOAD_SCRIPT | FLAG_UPPER_RANGE_REGISTERS)
         assert control.moveJ(NEAR, 2.0, 4.0)
@@ -536,7 +533,7 @@ def test_the_control_interface_in_the_upper_range(rtde: Rtde) -> None:
         assert controller.registers.outputs.integers[0] == 0
 
 
-def test_the_watchdog_stops_the_program(controller: Controller, control: Interface) -> None:
+def test_watchdog_stops_the_program(controller: Controller, control: Interface) -> None:
     assert control.setWatchdog(2.0)
     for _ in range(10):
         assert control.kickWatchdog()
@@ -550,7 +547,7 @@ def test_the_watchdog_stops_the_program(controller: Controller, control: Interfa
     assert control.moveJ(NEAR, 2.0, 4.0)
 
 
-def test_a_protective_stop_and_after_it(controller: Controller, rtde: Rtde, control: Interface) -> None:
+def test_control_works_again_after_a_protective_stop(controller: Controller, rtde: Rtde, control: Interface) -> None:
     receive = rtde.make("receive")
     controller.faults.protective_stop()
     until(receive.isProtectiveStopped)
@@ -559,7 +556,7 @@ def test_a_protective_stop_and_after_it(controller: Controller, rtde: Rtde, cont
     controller.call(controller.pendant.stop)
     until(lambda: controller.program_name is None)
     assert control.reuploadScript()
-    # It returns before the program has begun.
+    # reuploadScript() returns before the program has started.
     until(lambda: controller.program_name == "rtde_control")
     until(control.isProgramRunning)
     assert control.moveJ(NEAR, 2.0, 4.0)
@@ -567,7 +564,7 @@ def test_a_protective_stop_and_after_it(controller: Controller, rtde: Rtde, cont
 
 
 @pytest.mark.parametrize("is_stopped", [False, True], ids=["running", "stopped"])
-def test_the_next_client_after_one_that_was_killed(
+def test_next_client_works_after_a_killed_one(
     controller: Controller, rtde: Rtde, control: Interface, is_stopped: bool
 ) -> None:
     assert control.moveJ(NEAR, 2.0, 4.0)
@@ -586,9 +583,11 @@ def test_the_next_client_after_one_that_was_killed(
         other.close()
 
 
-def test_uploading_again_and_a_script_of_ones_own(controller: Controller, control: Interface, tmp_path: Path) -> None:
+def test_control_script_can_be_uploaded_again_or_replaced(
+    controller: Controller, control: Interface, tmp_path: Path
+) -> None:
     if controller.firmware.is_polyscope_x:
-        pytest.skip("its process dies of reuploadScript() where there is no dashboard server")
+        pytest.skip("the process of ur_rtde crashes in reuploadScript() if there is no dashboard server")
     for is_running in (True, False):
         if not is_running:
             control.stopScript()
@@ -598,7 +597,7 @@ def test_uploading_again_and_a_script_of_ones_own(controller: Controller, contro
         until(control.isProgramRunning)
         assert control.moveJ(NEAR, 2.0, 4.0)
     own = tmp_path / "own.script"
-    # 1 is ready, and 255 the command to end, which it sends before it uploads again.
+    # 1 means ready. 255 is the command to end, which ur_rtde sends before it uploads again.
     own.write_text(
         "def own():\n  while read_input_integer_register(0) != 255:\n    write_output_integer_register(0, 1)\n"
         "    sync()\n  end\nend\n"
@@ -612,15 +611,15 @@ def test_uploading_again_and_a_script_of_ones_own(controller: Controller, contro
     until(lambda: controller.program_name == "rtde_control")
 
 
-def test_forward_kinematics_with_a_tool(controller: Controller, control: Interface) -> None:
-    """For a tool of zeros it sends a package of 104 bytes for a recipe of 56, in which the tool is not."""
+def test_forward_kinematics_with_a_tool_equals_the_library(controller: Controller, control: Interface) -> None:
+    """For a zero tool, ur_rtde sends a package of 104 bytes for a recipe of 56 bytes that has no tool."""
     q = [0.3, -1.3, 1.2, -1.4, -1.4, 0.4]
     for tool in ([0.0] * 6, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]):
         got = control.getForwardKinematics(q, tool)
         assert near(got, controller._state.kinematics.forward(q, tool), 1e-7)
 
 
-def test_it_receives_again_after_a_cut(controller: Controller, rtde: Rtde) -> None:
+def test_receive_interface_reconnects_after_a_cut(controller: Controller, rtde: Rtde) -> None:
     receive = rtde.make("receive")
     controller.faults.cut()
     until(lambda: not receive.isConnected(), 20)
@@ -630,14 +629,14 @@ def test_it_receives_again_after_a_cut(controller: Controller, rtde: Rtde) -> No
     until(lambda: not controller.rtde.sessions)
 
 
-def test_it_controls_again(controller: Controller, rtde: Rtde, control: Interface) -> None:
+def test_control_interface_reconnects(controller: Controller, rtde: Rtde, control: Interface) -> None:
     if controller.firmware.is_polyscope_x:
-        pytest.skip("its process dies of reconnect() where there is no dashboard server")
+        pytest.skip("the process of ur_rtde crashes in reconnect() if there is no dashboard server")
     control.stopScript()
     until(lambda: controller.program_name is None)
     control.disconnect()
     until(lambda: not controller.rtde.sessions)
-    # After a cut it does so by itself, in a thread that its other calls get in the way of: it has died of that here.
+    # After a cut, ur_rtde reconnects in its own thread. Other calls interfere with it and have crashed the process.
     assert control.reconnect()
     until(lambda: controller.program_name == "rtde_control")
     until(lambda: control.moveJ(NEAR, 2.0, 4.0))

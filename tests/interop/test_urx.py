@@ -1,13 +1,14 @@
-"""urx, a client that other people wrote, reads from the simulator what urlink reads, and moves its arm.
+"""The third-party client urx reads the same values from the simulator as urlink, and moves its arm.
 
-urx 0.11 takes its state from the secondary interface and, if asked, from the real-time one, on the standard ports and
-no others; in the states it insists on mode data of 46 bytes, which firmware 3.2 to 3.4 sends.
+urx 0.11 reads states from the secondary interface and, optionally, from the real-time interface. It always uses the
+standard ports. In the states it requires mode data of 46 bytes, which firmware 3.2 to 3.4 sends.
 
-At first the arm moves all the while. Both clients are sent the same packets, so what urx shows is what stands in one of
-those that urlink got, to the last bit, and in no other.
+In the first tests the arm moves continuously. Both clients get the same packets, so each value of urx must equal the
+value in one of the packets of urlink, to the last bit.
 
-Then urx moves it. It sends single lines, each of which is a program, and waits by its own rule: until no program runs
-and the distance to the goal is below a threshold. Its own threshold is most of the way, so the tests give a small one.
+In the later tests, urx moves the arm. It sends single lines, each of which is a program. Then it waits until no program
+runs and the distance to the goal is below a threshold. The default threshold of urx is most of the distance, so the
+tests pass a small one.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ urx = pytest.importorskip("urx", reason="urx is not installed; `nox -s interop` 
 
 pytestmark = pytest.mark.real_time
 
-#: Three of the control box, a configurable one, and one of the tool.
+#: Three inputs of the control box, a configurable one, and one of the tool.
 INPUTS = (0, 2, 7, 9, 17)
-#: rad; elbow up, tool down.
+#: Joint positions with the elbow up and the tool down, in rad.
 READY = [0.0, -1.6, 1.6, -1.6, -1.6, 0.0]
-#: rad, and m, within which urx is to consider a movement ended.
+#: Distance from the goal, in rad or m, at which urx should consider a movement ended.
 NEAR = 1e-3
 
 S = TypeVar("S")
@@ -62,7 +63,7 @@ def ours(controller: Controller) -> Iterator[urlink.Robot]:
 
 @pytest.fixture(scope="module")
 def theirs(controller: Controller) -> Iterator[Any]:
-    """Closed before the simulator is: urx spins on a connection that has ended."""
+    """Robot of urx. It is closed before the simulator, because urx loops forever on an ended connection."""
     logging.getLogger("urx").setLevel(logging.ERROR)
     robot = urx.Robot(controller.host, use_rt=True)
     try:
@@ -72,14 +73,14 @@ def theirs(controller: Controller) -> Iterator[Any]:
 
 
 def agrees(stream: Stream[S], read: Callable[[], Any], agree: Callable[[S, Any], bool], times: int = 5) -> list[Any]:
-    """Read `times` times what the other client has; each time one state of ours must agree with it."""
+    """Read the value of the other client `times` times; each time, one state of urlink must agree with it."""
     states: list[S] = []
     values = []
     with stream.subscribe(states.append, policy=urlink.block):
         stream.wait()
         for _ in range(times):
             value = read()
-            # The other client may be ahead of us; of what it shows nothing may be missing here in the end.
+            # The other client may be ahead of urlink, but in the end each of its values must appear here, too.
             until(partial(is_among, states, agree, value))
             values.append(value)
     return values
@@ -104,7 +105,7 @@ def differ(values: Sequence[Any]) -> bool:
     return len({tuple(value) for value in values}) > 1
 
 
-def test_the_simulator_sends_what_urx_reads(ours: urlink.Robot) -> None:
+def test_simulator_sends_the_firmware_that_urx_reads(ours: urlink.Robot) -> None:
     assert (str(ours.firmware), ours.model) == ("3.2", "UR5")
     state = ours.secondary.wait()
     assert state.robot_mode_data is not None
@@ -116,12 +117,12 @@ def test_joint_positions_are_equal(ours: urlink.Robot, theirs: Any) -> None:
         ours.secondary, lambda: theirs.getj(wait=True), lambda state, read: read == joints_of(state).q_actual.tolist()
     )
     assert all(len(value) == 6 for value in values)
-    assert differ(values), "the arm moves"
+    assert differ(values), "the arm must move during the test"
 
 
 def test_tool_poses_are_equal(ours: urlink.Robot, theirs: Any) -> None:
     def raw() -> Any:
-        # What was received, before `Robot.getl` makes a rotation matrix and a vector again of it.
+        # Read the received pose before `Robot.getl` converts it to a rotation matrix and back to a vector.
         return urx.urrobot.URRobot.getl(theirs, wait=True)
 
     values = agrees(ours.secondary, raw, lambda state, read: list(read) == pose_of(state))
@@ -129,7 +130,7 @@ def test_tool_poses_are_equal(ours: urlink.Robot, theirs: Any) -> None:
     assert differ(values)
 
 
-def test_tool_poses_are_equal_through_its_mathematics(ours: urlink.Robot, theirs: Any) -> None:
+def test_tool_poses_are_equal_after_math3d(ours: urlink.Robot, theirs: Any) -> None:
     agrees(
         ours.secondary,
         lambda: theirs.getl(wait=True),
@@ -152,11 +153,11 @@ def test_digital_inputs_are_equal(controller: Controller, ours: urlink.Robot, th
         ]
 
 
-def test_the_realtime_interface_is_equal(ours: urlink.Robot, theirs: Any) -> None:
+def test_realtime_states_are_equal(ours: urlink.Robot, theirs: Any) -> None:
     monitor = theirs.get_realtime_monitor()
 
     def read() -> dict[str, Any]:
-        # Between two packets, or the parts would be of several.
+        # Read between two packets, because otherwise the parts could belong to different packets.
         monitor.wait()
         with monitor._dataAccess:
             return {"q": monitor._qActual, "target": monitor._qTarget, "force": monitor._tcp_force}
@@ -169,7 +170,7 @@ def test_the_realtime_interface_is_equal(ours: urlink.Robot, theirs: Any) -> Non
     assert differ([value["q"].tolist() for value in values])
 
 
-# -- it moves the arm ------------------------------------------------------------------------------------
+# -- urx moves the arm -----------------------------------------------------------------------------------
 
 
 def stands(ours: urlink.Robot) -> bool:
@@ -177,26 +178,26 @@ def stands(ours: urlink.Robot) -> bool:
 
 
 def goes(ours: urlink.Robot, to: list[float], theirs: Any) -> None:
-    """Let urx move the joints, quickly, and wait as it waits."""
+    """Make urx move the joints quickly, and wait until urx considers the movement ended."""
     read = theirs.movej(to, acc=8.0, vel=2.0, threshold=NEAR)
     assert read == pytest.approx(to, abs=NEAR)
     assert ours.realtime.wait(5).q_target == pytest.approx(to, abs=1e-6)
     assert not theirs.is_program_running()
 
 
-def test_it_moves_the_joints(ours: urlink.Robot, theirs: Any) -> None:
+def test_urx_moves_the_joints(ours: urlink.Robot, theirs: Any) -> None:
     goes(ours, READY, theirs)
     goes(ours, [*READY[:5], 0.4], theirs)
     goes(ours, READY, theirs)
 
 
-def test_it_moves_the_joints_by_a_difference(ours: urlink.Robot, theirs: Any) -> None:
+def test_urx_moves_the_joints_relatively(ours: urlink.Robot, theirs: Any) -> None:
     goes(ours, READY, theirs)
     read = theirs.movej([0.1, 0, 0, 0, 0, -0.1], acc=8.0, vel=2.0, relative=True, threshold=NEAR)
     assert read == pytest.approx([0.1, *READY[1:5], -0.1], abs=NEAR)
 
 
-def test_it_moves_the_tool_in_a_line(ours: urlink.Robot, theirs: Any) -> None:
+def test_urx_moves_the_tool_in_a_line(ours: urlink.Robot, theirs: Any) -> None:
     goes(ours, READY, theirs)
     begin = theirs.getl(wait=True)
     goal = [begin[0] + 0.02, begin[1], begin[2] - 0.05, *begin[3:]]
@@ -208,10 +209,10 @@ def test_it_moves_the_tool_in_a_line(ours: urlink.Robot, theirs: Any) -> None:
     for state in states:
         assert state.tool_vector_target is not None
         here = state.tool_vector_target[:3]
-        assert math.dist(begin[:3], here) + math.dist(here, goal[:3]) == pytest.approx(way, abs=1e-4), "on the line"
+        assert math.dist(begin[:3], here) + math.dist(here, goal[:3]) == pytest.approx(way, abs=1e-4), "not on the line"
 
 
-def test_it_moves_along_several_lines(ours: urlink.Robot, theirs: Any) -> None:
+def test_urx_moves_along_several_lines(ours: urlink.Robot, theirs: Any) -> None:
     goes(ours, READY, theirs)
     begin = theirs.getl(wait=True)
     goal = [begin[0], begin[1] + 0.05, begin[2] + 0.05, *begin[3:]]
@@ -220,7 +221,7 @@ def test_it_moves_along_several_lines(ours: urlink.Robot, theirs: Any) -> None:
     assert theirs.getl(wait=True) == pytest.approx(goal, abs=NEAR)
 
 
-def test_it_stops_a_long_movement(ours: urlink.Robot, theirs: Any) -> None:
+def test_urx_stops_a_long_movement(ours: urlink.Robot, theirs: Any) -> None:
     goes(ours, READY, theirs)
     far = [*READY[:5], 3.0]
     theirs.movej(far, acc=2.0, vel=0.5, wait=False)
@@ -230,14 +231,14 @@ def test_it_stops_a_long_movement(ours: urlink.Robot, theirs: Any) -> None:
     until(lambda: stands(ours))
     until(lambda: not theirs.is_program_running())
     state = ours.realtime.wait(5)
-    assert 0.3 < state.q_actual[5] < 1.5, "somewhere on the way"
+    assert 0.3 < state.q_actual[5] < 1.5, "the joint must stop between start and goal"
     assert theirs.getj(wait=True) == pytest.approx(state.q_actual, abs=1e-3)
     goes(ours, READY, theirs)
 
 
 @pytest.mark.parametrize("output", [0, 5, 8])
-def test_it_switches_outputs(controller: Controller, ours: urlink.Robot, theirs: Any, output: int) -> None:
-    """As `digital_out[n]=True` on a line of its own. Number 8 is the first one of the tool, which is bit 16."""
+def test_urx_switches_outputs(controller: Controller, ours: urlink.Robot, theirs: Any, output: int) -> None:
+    """urx sends `digital_out[n]=True` as a separate line. Number 8 is the first output of the tool, which is bit 16."""
     goes(ours, READY, theirs)
     bit = 1 << (output if output < 8 else output + 8)
     for value in (True, False, True):
@@ -250,9 +251,11 @@ def test_it_switches_outputs(controller: Controller, ours: urlink.Robot, theirs:
     assert controller.signals.digital_outputs == 0
 
 
-def test_a_line_is_a_program_and_ends_the_one_that_runs(ours: urlink.Robot, theirs: Any) -> None:
-    """So a movement stops where urx switches an output in the middle of it. That a real controller does that too is
-    what the documentation of urx says of every line; urlink itself switches outputs in a `sec`, beside the movement.
+def test_line_of_urx_ends_the_running_program(ours: urlink.Robot, theirs: Any) -> None:
+    """A movement stops if urx switches an output while it runs.
+
+    According to the documentation of urx, a real controller does so for every line. urlink switches outputs in a `sec`
+    program, which does not stop the movement.
     """
     goes(ours, READY, theirs)
     theirs.movej([*READY[:5], 3.0], acc=2.0, vel=0.5, wait=False)

@@ -1,4 +1,4 @@
-"""The example of a robot behind HTTP, with FastAPI's own client."""
+"""The example of a robot behind HTTP, tested with the client of FastAPI."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def client(controller: Controller) -> Iterator[Any]:
         yield client
 
 
-def test_state_and_states(client: Any) -> None:
+def test_state_request_and_websocket_return_states(client: Any) -> None:
     assert len(client.get("/state").json()["q"]) == 6
     with client.websocket_connect("ws://localhost:8000/states") as socket:
         ages = [socket.receive_json()["age"] for _ in range(3)]
     assert all(0.0 <= age < 5.0 for age in ages)
 
 
-def test_motions_pass_the_interlock_and_are_stopped(client: Any, controller: Controller) -> None:
+def test_motion_requests_can_be_stopped_and_refused(client: Any, controller: Controller) -> None:
     assert client.post("/move_joints", json={"q": HOME}).json() == {"phase": "done"}
     assert client.get("/state").json()["q"] == pytest.approx(HOME, abs=1e-2)
     assert client.post("/move_joints", json={"q": [1.0]}).status_code == 422
@@ -69,9 +69,7 @@ def test_motions_pass_the_interlock_and_are_stopped(client: Any, controller: Con
 
 
 @pytest.mark.parametrize("origin", ["http://elsewhere.example", "null", "http://localhost:8000.elsewhere.example", ""])
-def test_what_a_browser_sends_for_a_page_of_another_origin_is_refused(
-    client: Any, controller: Controller, origin: str
-) -> None:
+def test_cross_origin_requests_are_rejected(client: Any, controller: Controller, origin: str) -> None:
     from starlette.websockets import WebSocketDisconnect  # type: ignore[import-not-found,unused-ignore]
 
     before = client.get("/state").json()["q"]
@@ -92,7 +90,7 @@ def test_what_a_browser_sends_for_a_page_of_another_origin_is_refused(
     "host", ["elsewhere.example", "elsewhere.example:8000", "localhost.elsewhere.example", "[", ""]
 )
 def test_requests_for_another_host_are_rejected(client: Any, host: str) -> None:
-    """A page whose host name was pointed at this computer sends no origin, and could read the answers."""
+    """A page whose host name resolves to this computer sends no origin, and could read the answers."""
     from starlette.websockets import WebSocketDisconnect  # type: ignore[import-not-found,unused-ignore]
 
     rejected = client.get("/state", headers={"Host": host})
@@ -110,7 +108,7 @@ def test_requests_for_an_address_are_served(client: Any, host: str) -> None:
     assert client.get("/state", headers={"Host": host}).status_code == 200
 
 
-def test_pages_of_this_server_are_served(client: Any) -> None:
+def test_same_origin_requests_are_served(client: Any) -> None:
     own = {"Origin": "http://localhost:8000"}
     assert client.post("/stop", headers=own).json() == {"phase": "done"}
     with client.websocket_connect("ws://localhost:8000/states", headers=own) as socket:

@@ -1,9 +1,9 @@
-"""A program as people write them for ur_rtde: run once with ur_rtde and once with `urlink.compat`.
+"""Typical program for ur_rtde, which runs once with ur_rtde and once with `urlink.compat`.
 
     python ur_rtde_program.py HOST PREFIX RATE
 
-Prints what it has seen as one JSON object: of each step where the arm was led, or what was answered. Like programs in
-the field it servos in a loop that `initPeriod` and `waitPeriod` pace, and reads what it needs by another interface.
+Prints one JSON object with the target position or the answer of each step. Like programs in the field, it runs a servo
+loop paced by `initPeriod` and `waitPeriod`, and reads values with another interface.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TOOL = [0.0, 0.01, 0.15, 0.1, 0.0, 0.2]
 
 def main(host: str, prefix: str, rate: str) -> dict[str, Any]:
     if prefix:
-        # ur_rtde has no limit for how long set-points may stay away; here they do when the machine is busy.
+        # ur_rtde has no time limit for set-points. Raise the limit of urlink, because a busy computer may delay them.
         import_module(f"{prefix}control_blocks")._WATCHDOG = 10.0  # type: ignore[attr-defined]
     control = import_module(f"{prefix}rtde_control").RTDEControlInterface(host)
     receive = import_module(f"{prefix}rtde_receive").RTDEReceiveInterface(host)
@@ -30,7 +30,7 @@ def main(host: str, prefix: str, rate: str) -> dict[str, Any]:
     seen: dict[str, Any] = {}
 
     def note(name: str, read: Any = receive.getTargetQ) -> None:
-        time.sleep(0.1)  # what receives is another connection
+        time.sleep(0.1)  # the values arrive on another connection
         seen[name] = read()
 
     assert control.moveJ(NEAR, 2.0, 4.0)
@@ -46,7 +46,7 @@ def main(host: str, prefix: str, rate: str) -> dict[str, Any]:
     assert control.moveJ([[*NEAR, 2.0, 4.0, 0.01], [*THERE, 2.0, 4.0, 0.0]])
     note("a path")
 
-    # A servo loop, which ends at a place where it stays for a while.
+    # Two servo loops, which stay at their end for a while.
     q = receive.getTargetQ()
     for cycle in range(225):
         begun = control.initPeriod()
@@ -66,7 +66,7 @@ def main(host: str, prefix: str, rate: str) -> dict[str, Any]:
     note("servoL", receive.getTargetTCPPose)
     assert control.servoStop()
 
-    # A speed, again and again as their examples do; and others once, until they are stopped.
+    # A speed that is sent repeatedly, as in the examples of ur_rtde, and speeds that are sent once until a stop.
     for _ in range(int(1.5 * float(rate))):
         begun = control.initPeriod()
         assert control.speedJ([0.0, 0.0, 0.0, 0.0, 0.0, 0.2], 2.0, period)
@@ -122,5 +122,5 @@ def main(host: str, prefix: str, rate: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    # ur_rtde writes messages of its own to the standard output.
+    # ur_rtde writes its own messages to the standard output, so mark the result.
     print(">>>" + json.dumps(main(*sys.argv[1:])), flush=True)

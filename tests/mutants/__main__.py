@@ -1,6 +1,6 @@
-"""How many small changes to the program its tests notice: ``nox -f nightly.py -s mutants``.
+"""Measure how many small changes to the program its tests detect: ``nox -f nightly.py -s mutants``.
 
-Prints a row for each module, and every mutation that no test noticed. ``docs/reliability.md`` says what came of it.
+Prints a row for each module, and every mutation that no test detected. ``docs/reliability.md`` has the results.
 """
 
 from __future__ import annotations
@@ -19,19 +19,25 @@ from tests.mutants.targets import GROUPS, ROOT
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="mutants", description=__doc__)
-    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; all by default")
-    parser.add_argument("--only", metavar="MODULE", help="this module alone, by its name without .py")
-    parser.add_argument("--tests", nargs="+", metavar="PATH", help="instead of all tests that the group names")
-    parser.add_argument("--sample", type=int, metavar="N", help="of each module N mutations at random; all by default")
-    parser.add_argument("--seed", type=int, default=1, help="of that choice (%(default)s)")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes side by side (%(default)s)")
-    parser.add_argument("--budget", type=float, default=60.0, help="seconds of tests for a mutation (%(default)g)")
-    parser.add_argument("--drawn", metavar="FROM:TO", help="of the group drawn, these of the defects of `drawn`")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write every result there, one JSON object a line")
+    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"groups out of {', '.join(GROUPS)} (default: all)")
+    parser.add_argument("--only", metavar="MODULE", help="mutate only this module, named without .py")
+    parser.add_argument("--tests", nargs="+", metavar="PATH", help="run these tests instead of the tests of the group")
+    parser.add_argument("--sample", type=int, metavar="N", help="try N random mutations of each module (default: all)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the random choice (default: %(default)s)")
+    parser.add_argument(
+        "--jobs", type=int, default=os.cpu_count() or 1, help="parallel processes (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--budget", type=float, default=60.0, help="seconds of tests per mutation (default: %(default)g)"
+    )
+    parser.add_argument("--drawn", metavar="FROM:TO", help="try this range of the defects of the group `drawn`")
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="write the results to FILE, one JSON object per line"
+    )
     parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if unknown := [name for name in options.groups if name not in GROUPS]:
-        parser.error(f"no group {', '.join(unknown)}; there are {', '.join(GROUPS)}")
+        parser.error(f"unknown group {', '.join(unknown)}; expected {', '.join(GROUPS)}")
     if options.into is not None:
         (name,) = options.groups
         first, _, last = (options.drawn or ":").partition(":")
@@ -47,7 +53,7 @@ def main() -> int:
     report.parent.mkdir(exist_ok=True)
     report.write_text("")
     for name in options.groups or GROUPS:
-        # A process for each, because every group collects tests and imports what they test.
+        # Run each group in its own process, because every group collects tests and imports the tested modules.
         argv = [argument for argument in sys.argv[1:] if argument not in options.groups]
         command = [sys.executable, "-m", "tests.mutants", name, *argv, "--into", str(report)]
         subprocess.run(command, cwd=ROOT, env={**os.environ, "HYPOTHESIS_PROFILE": "mutants"}, check=True)
@@ -70,8 +76,8 @@ def print_report(report: Path) -> None:
             f"{counts['survived']:7}{counts['uncovered']:10}{alive / max(counts.total(), 1):8.1%}"
         )
     controls = Counter(each["outcome"] for each in results if each["is_control"])
-    print(f"\nof {controls.total()} runs without a mutation {controls.total() - controls['survived']} failed")
-    print("\nnot noticed:")
+    print(f"\n{controls.total() - controls['survived']} of {controls.total()} runs without a mutation failed")
+    print("\nnot detected:")
     for each in results:
         if not each["is_control"] and each["outcome"] in ("survived", "uncovered"):
             mutation = each["mutation"]

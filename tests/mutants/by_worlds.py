@@ -1,8 +1,9 @@
-"""Which of the drawn defects simulated worlds find: ``python -m tests.mutants.by_worlds --report FILE``.
+"""Find the drawn defects with simulated worlds: ``python -m tests.mutants.by_worlds --report FILE``.
 
-Worlds are run once without a defect, to learn which functions each of them calls. For each defect a process is forked,
-in which its function is replaced, and the worlds that call this function are run in the order of their seeds, until one
-fails. A world that fails without a defect is not run, nor one that does not call the function: it would do the same.
+The worlds run once without a defect, to record the functions that each of them calls. For each defect, a forked process
+replaces the function, and runs the worlds that call this function in the order of their seeds, until one fails. Worlds
+that fail without a defect are not run. Worlds that do not call the function are not run either, because their result
+would be the same.
 """
 
 from __future__ import annotations
@@ -27,21 +28,29 @@ from tests.mutants.engine import _functions, codes
 from tests.mutants.operators import Function
 from tests.mutants.targets import GROUPS, ROOT
 
-#: s of real time for one world with a defect; one that takes longer hangs.
+#: Limit of real time for one world with a defect, in s. A world that takes longer counts as hanging.
 _HANGS = 25.0
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants.by_worlds", description=__doc__)
-    parser.add_argument("--drawn", metavar="FROM:TO", default=":", help="these of the defects of `drawn`")
-    parser.add_argument("--only", metavar="NUMBERS", help="of these, those with a number in this list: 3,7,12")
-    parser.add_argument("--seed", type=int, default=SEED, help="by which they are drawn (%(default)s)")
-    parser.add_argument("--worlds", type=int, default=500, help="how many are tried for each")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first")
-    parser.add_argument("--limit", type=float, default=120.0, help="s of processor time for each defect")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--calls", type=Path, help="keep there, or take from there, what worlds call without a defect")
-    parser.add_argument("--report", type=Path, required=True, metavar="FILE", help="one JSON object a line")
+    parser.add_argument("--drawn", metavar="FROM:TO", default=":", help="try this range of the drawn defects")
+    parser.add_argument("--only", metavar="NUMBERS", help="of this range, try only the defects in this list: 3,7,12")
+    parser.add_argument("--seed", type=int, default=SEED, help="seed of the draw (default: %(default)s)")
+    parser.add_argument(
+        "--worlds", type=int, default=500, help="number of worlds for each defect (default: %(default)d)"
+    )
+    parser.add_argument("--first", type=int, default=0, help="seed of the first world (default: %(default)d)")
+    parser.add_argument(
+        "--limit", type=float, default=120.0, help="processor time for each defect, in s (default: 120)"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="parallel processes (default: %(default)d)")
+    parser.add_argument(
+        "--calls", type=Path, help="file to save or load the functions that worlds call without a defect"
+    )
+    parser.add_argument(
+        "--report", type=Path, required=True, metavar="FILE", help="write one JSON object per line to FILE"
+    )
     options = parser.parse_args()
     files = GROUPS["drawn"].files()
     for path in files:
@@ -96,7 +105,7 @@ def _key(each: Drawn) -> tuple[str, Function | None]:
 def _measured(
     drawn: Iterable[Drawn], functions: dict[Any, list[FunctionType]], seeds: range
 ) -> tuple[dict[str, set[str]], list[int]]:
-    """By seed, the functions that its world calls; and the seeds that fail without a defect."""
+    """Return the functions that each world calls, by seed, and the seeds that fail without a defect."""
     read, write = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -128,7 +137,7 @@ def _measured(
 
 
 def _counting(path: Path, function: Function | None) -> ast.Module:
-    """The module, with the function noting that it is called."""
+    """Return the module, with a function that records its calls."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     note = f"__import__('sys').modules['__hits__'].add({str((str(path), function))!r})"
     for node in ast.walk(tree):
@@ -140,7 +149,7 @@ def _counting(path: Path, function: Function | None) -> ast.Module:
 
 
 def _replace(functions: dict[Any, list[FunctionType]], key: tuple[str, Function | None], tree: ast.Module) -> bool:
-    """Give the functions of that name other code; False if that cannot be done."""
+    """Replace the code of the functions with this name; return False if that is not possible."""
     module = compile(tree, key[0], "exec", dont_inherit=True)
     found: list[CodeType] = [each for each in codes(module) if (each.co_name, each.co_firstlineno) == key[1]]
     live = functions.get(key, [])
@@ -152,7 +161,7 @@ def _replace(functions: dict[Any, list[FunctionType]], key: tuple[str, Function 
 
 
 def _try(each: Drawn, functions: dict[Any, list[FunctionType]], seeds: list[int], limit: float, write: int) -> None:
-    """In a child: run worlds until one fails."""
+    """Run worlds until one fails. Called in a forked process."""
     tell: Callable[[dict[str, Any]], int] = lambda what: os.write(write, (json.dumps(what) + "\n").encode())  # noqa: E731
     null = os.open(os.devnull, os.O_WRONLY)
     for descriptor in (1, 2):

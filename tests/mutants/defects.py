@@ -1,6 +1,7 @@
-"""Defects as people make them: a different order, a forgotten call, an expiry or a lock that is missing.
+"""Defects as people make them: a different order, a forgotten call, a missing expiry or a missing lock.
 
-`operators` changes one expression or drops one statement. The operators here change what concurrent programs depend on:
+`operators` changes one expression or drops one statement. The operators in this module change details that concurrent
+programs depend on:
 
     swap      two statements in a row are swapped
     late      a flag is set after the actions that follow it instead of before them
@@ -33,10 +34,10 @@ _ENDING = re.compile(
 )
 _TIME = re.compile(r"timeout|deadline|until|expir|watchdog|lifespan|patience|_age\b|\bage\b|overdue|\bleft\b|_since\b")
 _LOCK = re.compile(r"lock|mutex|condition|changed|turn|guard|critical", re.IGNORECASE)
-#: Names of flags that tell one frame or link from another.
+#: Names of flags that distinguish frames or links.
 _KIND = re.compile(r"is_(linked|reverse|rtde|tool|base)")
 _SIMPLE = (ast.Expr, ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Delete)
-#: Names of frames and links, each with the one that is taken for it.
+#: Names of frames and links, each with the name that replaces it.
 _NAMES = {
     "base": "tool",
     "tool": "base",
@@ -48,31 +49,31 @@ _NAMES = {
     "realtime": "primary",
 }
 
-#: What a defect does, and how to do it to the tree in which it was found.
+#: Description of a defect, and a function that applies it to the tree that was searched.
 _Found = tuple[Mutation, Callable[[], None]]
 
 
 def defects(source: str) -> list[Mutation]:
-    """All defects of a module, in the order of its text."""
+    """Return all defects of a module, in the order of its text."""
     return [mutation for mutation, _ in _found(ast.parse(source))]
 
 
 def with_defect(source: str, number: int) -> ast.Module:
-    """The module with the defect of that number."""
+    """Return the module with the defect of this number."""
     tree = ast.parse(source)
     _found(tree)[number][1]()
     return ast.fix_missing_locations(tree)
 
 
 class Drawn(NamedTuple):
-    """A defect of a module."""
+    """Defect of a module."""
 
     path: Path
     mutation: Mutation
 
 
 def draw(files: Iterable[Path], seed: int, count: int) -> list[Drawn]:
-    """As many defects, in the order in which they are drawn: of each kind in turn, and each from any module."""
+    """Draw `count` defects: one of each kind in turn, each from a random module."""
     chance = random.Random(seed)
     of_kind: dict[str, list[Drawn]] = {kind: [] for kind in KINDS}
     for path in files:
@@ -100,7 +101,7 @@ def _found(tree: ast.Module) -> list[_Found]:
 
 
 def _functions(body: list[ast.stmt]) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
-    """Functions of a module and of its classes, without those inside of others."""
+    """Yield the functions of a module and of its classes, without nested functions."""
     for node in body:
         if isinstance(node, ast.ClassDef):
             yield from _functions(node.body)
@@ -170,7 +171,7 @@ def _late(block: list[ast.stmt], at: int) -> Iterator[_Change]:
         )
 
 
-# -- what is forgotten -----------------------------------------------------------------------
+# -- forgotten calls -------------------------------------------------------------------------
 
 
 def _forget(block: list[ast.stmt], at: int) -> Iterator[_Change]:
@@ -275,7 +276,7 @@ def _crossed(node: ast.stmt, table: ast.Dict) -> Iterator[_Change]:
 
 
 def _in_place(node: ast.expr, other: ast.expr) -> Callable[[], None]:
-    """Turn a node into another one, wherever it is."""
+    """Return a function that turns a node into another one in place."""
 
     def apply() -> None:
         fields = dict(vars(other))
@@ -291,7 +292,7 @@ def _in_place(node: ast.expr, other: ast.expr) -> Callable[[], None]:
 
 
 def _expressions(node: ast.stmt) -> Iterator[ast.expr]:
-    """Of one statement, without those of the statements in it, and without texts."""
+    """Yield the expressions of one statement, without nested statements, log calls and f-strings."""
     waiting: list[ast.AST] = list(ast.iter_child_nodes(node))
     while waiting:
         each = waiting.pop(0)
@@ -316,7 +317,7 @@ def _calls(node: ast.stmt) -> bool:
 
 
 def _changes(node: ast.stmt) -> bool:
-    """It calls something, or changes an attribute or an element."""
+    """Whether a statement calls something, or changes an attribute or an element."""
     targets = (ast.Attribute, ast.Subscript)
     return isinstance(node, ast.Expr) or any(
         isinstance(each, targets) and isinstance(each.ctx, (ast.Store, ast.Del)) for each in ast.walk(node)
@@ -332,7 +333,7 @@ def _used(node: ast.stmt) -> set[str]:
 
 
 def _is_named(node: ast.Compare) -> bool:
-    """It compares with a text or with a member of an enumeration, or with several."""
+    """Whether a comparison is with one or several texts or members of an enumeration."""
     if not isinstance(node.ops[0], (ast.Eq, ast.NotEq, ast.In, ast.Is)):
         return False
     other = node.comparators[0]

@@ -1,6 +1,6 @@
-"""The defects that are drawn from `defects`: by which seed, how many, and from which packages.
+"""Random draw of defects from `defects`: its seed, its number of defects, and its packages.
 
-The seed was committed before the operators of `defects` were written, so nobody could choose what it draws.
+The seed was committed before the operators of `defects` were written, so the drawn defects could not be chosen.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ __all__ = ["COUNT", "MODULES", "SECOND_SEED", "SEED"]
 
 #: Seed of the random choice.
 SEED = 20_261_128
-#: Seed of a second draw, for what was learned from the first one. It was committed before anything of it was looked at.
+#: Seed of a second draw, to test the lessons from the first one. It was committed before its defects were looked at.
 SECOND_SEED = 31_415_926
-#: Number of defects that are drawn.
+#: Number of drawn defects.
 COUNT = 200
-#: Patterns of the modules below src/ from which they are drawn.
+#: Patterns of the modules below src/ that contain the drawn defects.
 MODULES = (
     "urlink/command/*.py",
     "urlink/motion/**/*.py",

@@ -1,17 +1,18 @@
-"""Runs the tests of one group once for each mutation, in a process of its own that is forked after collecting.
+"""Run the tests of one group once for each mutation, each in its own process that is forked after the collection.
 
-Tests are collected once. For a mutation a child is forked, in which the function's code is replaced by the mutated one,
-so that it costs milliseconds and not a new interpreter. What is evaluated on import (constants of a module, default
-values, class bodies) cannot be replaced so: for such a mutation a new interpreter imports the mutated module.
+Tests are collected once. For each mutation, a forked child replaces the code of the function by the mutated code. This
+costs milliseconds, instead of a new interpreter. Values that are evaluated on import (constants of a module, default
+values, class bodies) cannot be replaced in this way. For such a mutation, a new interpreter imports the mutated module.
 
-Of the tests that execute the mutated lines the fastest are run, until one fails: first those that noticed another
-mutation of the same function, then of the same file. Which tests execute a line is measured beforehand on the program
-as it is.
+The fastest tests that execute the mutated lines are run, until one fails. Tests that detected another mutation of the
+same function come first, then tests that detected another mutation of the same file. The lines that each test executes
+are measured beforehand, without a mutation.
 
-Why not mutmut, which is kept by others: 3.8.1 runs these tests (``-p pytest_urlink``, 1 s of processor time a change),
-but changes the bodies of functions only, no constant, default or class; runs no control; and has no list of changes
-that no user can see, with the reason: of its first 92 changes to `silence` and `interlock` 9 were not noticed, 5 of
-them texts of the log. Cosmic Ray starts an interpreter, and all tests, for each change.
+Why not mutmut, which others maintain? Version 3.8.1 can run these tests (``-p pytest_urlink``, 1 s of processor time
+for each change), but it changes only the bodies of functions, not constants, defaults or classes. It runs no controls,
+and it has no list of changes that no user can see, with the reason. Of its first 92 changes to `silence` and
+`interlock`, 9 were not detected, and 5 of these were texts of the log. Cosmic Ray starts an interpreter and all tests
+for each change.
 """
 
 from __future__ import annotations
@@ -46,18 +47,18 @@ from tests.mutants.equivalent import Equivalent, equivalents
 from tests.mutants.operators import Function, Mutation, mutated, mutations
 from tests.mutants.targets import GROUPS, ROOT
 
-#: Seconds that a test may take with a mutation, besides ten times what it took without. Many mutants loop for ever.
+#: Time limit of a test with a mutation, in seconds, in addition to ten times its usual time. Many mutants loop forever.
 LENIENCE = 5.0
 
-#: Written into the folder of a child: the test that it runs.
+#: Name of the file in the folder of a child that contains the test that it runs.
 RUNNING = "running"
 
-#: Children without a mutation in each group. That their tests fail says how many kills are the machine's doing.
+#: Number of children without a mutation in each group. Their failures show how many kills the computer causes.
 CONTROLS = 10
 
 
 class Job(NamedTuple):
-    """A mutation of a file; without one it is a control."""
+    """Mutation of a file, or a control that runs the same tests without the mutation."""
 
     path: Path
     mutation: Mutation
@@ -68,11 +69,11 @@ class Result(NamedTuple):
     path: str
     mutation: Mutation
     is_control: bool
-    #: killed, survived, or uncovered where no test executes it. A test that does not end has killed it.
+    #: "killed", "survived", or "uncovered" if no test executes it. A test that does not end kills the mutation, too.
     outcome: str
-    #: how many tests were chosen
+    #: Number of chosen tests.
     tests: int
-    #: the test that failed or did not end
+    #: Test that failed or did not end.
     killer: str | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -80,23 +81,23 @@ class Result(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What the tests do without a mutation."""
+    """Measurements of the tests without a mutation."""
 
-    #: test -> seconds, of those that pass
+    #: Duration of each passing test, in seconds.
     seconds: dict[str, float]
-    #: file -> line -> tests
+    #: Tests that execute each line of each file.
     lines: dict[str, dict[int, list[str]]]
 
     def choose(self, job: Job, budget: float, killers: Killers) -> list[str]:
-        """The fastest tests that execute the mutated lines, for `budget` seconds at most; `killers` first.
+        """Choose the fastest tests that execute the mutated lines, up to `budget` seconds; `killers` come first.
 
-        Outside of functions, those that execute any line of the file, or are in the test file of its name.
+        For a mutation outside of functions, choose tests that execute any line of the file, or are in its test file.
         """
         lines = self.lines.get(str(job.path), {})
         numbers = range(job.mutation.line, job.mutation.end + 1) if job.mutation.function else lines
         names = {name for number in numbers for name in lines.get(number, ())} & self.seconds.keys()
         if not job.mutation.function:
-            # What reads a constant of a module need not execute a line of it.
+            # A test can read a constant of a module without executing a line of it.
             own = f"/test_{job.path.stem}.py::"
             names |= {name for name in self.seconds if own in name}
         chosen: list[str] = []
@@ -110,7 +111,7 @@ class Measured(NamedTuple):
 
 
 class Killers:
-    """Which tests noticed mutations so far, of each function and of each file."""
+    """Tests that have detected mutations so far, by function and by file."""
 
     def __init__(self) -> None:
         self._of: dict[object, Counter[str]] = {}
@@ -120,22 +121,22 @@ class Killers:
             self._of.setdefault(place, Counter())[test] += 1
 
     def rank(self, job: Job, test: str) -> tuple[int, int]:
-        """The lower, the more mutations of the same function, then of the same file, the test has noticed."""
+        """Return the rank of a test, which is lower if it detected more mutations of the function, then of the file."""
         function, file = (self._of.get(place) for place in ((job.path, job.mutation.function), job.path))
         return -function[test] if function else 0, -file[test] if file else 0
 
 
 class Child:
-    """A process that runs tests, and the group of those that they start."""
+    """Process that runs tests, with the group of processes that the tests start."""
 
     def __init__(self, pid: int, folder: Path) -> None:
         self._pid = pid
         self._folder = folder
-        #: the test that it ran last, once it has ended
+        #: Last test of the process, once the process has ended.
         self.last: str | None = None
 
     def outcome(self) -> str | None:
-        """None while it runs."""
+        """Return the outcome, or None while the process runs."""
         pid, status = os.waitpid(self._pid, os.WNOHANG)
         if not pid:
             return None
@@ -148,7 +149,7 @@ class Child:
 
 
 def alone(folder: Path) -> None:
-    """In a child: a session of its own, silent, and with its own folder for temporary files."""
+    """Isolate a child: give it its own session, no output, and its own folder for temporary files."""
     os.setsid()
     os.environ["PYTEST_DEBUG_TEMPROOT"] = str(folder)
     tempfile.tempdir = str(folder)
@@ -158,7 +159,7 @@ def alone(folder: Path) -> None:
 
 
 class Engine:
-    """The plugin that replaces pytest's loop over the tests."""
+    """Plugin that replaces the loop of pytest over the tests."""
 
     def __init__(
         self,
@@ -182,7 +183,7 @@ class Engine:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        # Children have a deadline of their own, and what they write goes nowhere.
+        # Children have their own deadline, and their output is discarded.
         session.config.pluginmanager.unregister(name="watchdog")
         self._items = {item.nodeid: item for item in session.items}
         self._functions = dict(_functions(set(map(str, self._files))))
@@ -225,7 +226,7 @@ class Engine:
             print(f"{where}: {outcome}: {mutation.before}  ->  {mutation.after}", file=sys.stderr, flush=True)
 
     def _jobs(self) -> list[Job]:
-        """In the reverse of the order in which they are done: controls are first."""
+        """Return the jobs in reverse order of execution, so controls run first."""
         jobs: list[Job] = []
         if self._drawn is not None:
             drawn = [Job(path, mutation) for path, mutation in draw(self._files, SEED, COUNT)][self._drawn]
@@ -265,7 +266,7 @@ class Engine:
         return Child(pid, folder)
 
     def _code(self, job: Job) -> tuple[Function, CodeType] | None:
-        """The function to replace and its mutated code; None if the module has to be imported anew."""
+        """Return the function to replace and its mutated code, or None if the module must be imported again."""
         function = job.mutation.function
         if function is None or (str(job.path), function) not in self._functions:
             return None
@@ -277,7 +278,7 @@ class Engine:
         )
         (code,) = (each for each in codes(module) if (each.co_name, each.co_firstlineno) == function)
         for each in self._functions[str(job.path), function]:
-            # Without the only use of a variable of an outer function, the two do not fit each other.
+            # If the mutation removes the only use of a variable of an outer function, the code cannot be replaced.
             if each.__code__.co_freevars != code.co_freevars:
                 return None
         return function, code
@@ -315,11 +316,11 @@ class Engine:
 
 
 class First:
-    """Ends the process at the first test that fails, or does not end.
+    """Plugin that exits the process at the first test that fails or does not end.
 
     Args:
-        seconds: what each test took without a mutation.
-        folder: takes the name of the test that runs.
+        seconds: Duration of each test without a mutation, in seconds.
+        folder: Folder for a file with the name of the running test.
     """
 
     def __init__(self, seconds: dict[str, float], folder: Path) -> None:
@@ -330,7 +331,7 @@ class First:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
         self._running.write_text(item.nodeid)
-        # A C thread: it ends a loop that keeps the interpreter lock as well.
+        # The timer is a C thread, so it also ends a loop that keeps the interpreter lock.
         faulthandler.dump_traceback_later(LENIENCE + 10 * self._seconds[item.nodeid], exit=True, file=self._null)
         return (yield)
 
@@ -340,7 +341,7 @@ class First:
 
 
 class Stopwatch:
-    """Measures each test, and tells the tracer which one runs."""
+    """Plugin that measures each test, and sets the context of the tracer to the running test."""
 
     def __init__(self, tracer: coverage.Coverage) -> None:
         self._tracer = tracer
@@ -363,9 +364,9 @@ class Stopwatch:
 
 
 def _functions(files: set[str]) -> Iterator[tuple[tuple[str, Function], list[FunctionType]]]:
-    """File and function -> what was made of it: one function, or as many as its class has clones."""
+    """Yield (file, function) and the function objects for it; a function has several if its class has clones."""
     found: dict[tuple[str, Function], list[FunctionType]] = {}
-    gc.unfreeze()  # what is frozen, as tests/conftest.py does after the collection of tests, is not among the objects
+    gc.unfreeze()  # tests/conftest.py freezes objects after the collection, and frozen objects are not listed
     for each in gc.get_objects():
         if isinstance(each, FunctionType) and each.__code__.co_filename in files:
             code = each.__code__
@@ -374,7 +375,7 @@ def _functions(files: set[str]) -> Iterator[tuple[tuple[str, Function], list[Fun
 
 
 def codes(code: CodeType) -> Iterator[CodeType]:
-    """Those of all classes and functions in it, outer ones first."""
+    """Yield the code objects of all classes and functions in a code object, outer ones first."""
     for each in code.co_consts:
         if isinstance(each, CodeType):
             yield each
@@ -406,12 +407,12 @@ def _interpreter(job: Job, seconds: dict[str, float], folder: Path) -> int:
     assert process.stdin is not None
     with process.stdin as stdin:
         json.dump(order, stdin)
-    process.returncode = 0  # it is waited for by its number
+    process.returncode = 0  # the engine waits for the process by its id
     return process.pid
 
 
 def changed(source: str, number: int, kind: str) -> ast.Module:
-    """The module with one mutation, or with one defect if there is a kind."""
+    """Return the module with one mutation, or with one defect if `kind` is not empty."""
     return with_defect(source, number) if kind else mutated(source, number)
 
 
@@ -422,14 +423,14 @@ class MutatedLoader(importlib.machinery.SourceFileLoader):
         self._kind = kind
 
     def get_code(self, fullname: str) -> CodeType:
-        # Not that of the base, which takes bytecode from the cache: that is the program as it is.
+        # Do not call the base class, because it takes the bytecode of the original program from the cache.
         return compile(
             changed(self.get_data(self.path).decode(), self._number, self._kind), self.path, "exec", dont_inherit=True
         )
 
 
 class Finder(importlib.abc.MetaPathFinder):
-    """Finds one module as it is, and gives it a loader that mutates it."""
+    """Finder that gives one module a loader that mutates it."""
 
     def __init__(self, path: str, number: int, kind: str) -> None:
         self._path = path
@@ -445,15 +446,15 @@ class Finder(importlib.abc.MetaPathFinder):
 
 
 def options() -> list[str]:
-    """Of pytest, for every process of ours."""
+    """Return the options of pytest for every process."""
     return ["-q", "-s", "-p", "no:cacheprovider", "-p", "no:xdist", "-c", str(ROOT / "pyproject.toml")]
 
 
 def run_order() -> int:
-    """A new interpreter's work: import the mutated module, run the tests."""
+    """Import the mutated module and run the tests, in a new interpreter."""
     order = json.load(sys.stdin)
     sys.meta_path.insert(0, Finder(order["path"], order["number"], order["kind"]))
-    # A test that cannot be collected has noticed as well.
+    # A test that cannot be collected has detected the mutation, too.
     return int(pytest.main([*options(), *order["seconds"]], plugins=[First(order["seconds"], Path(order["folder"]))]))
 
 

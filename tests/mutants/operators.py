@@ -1,8 +1,8 @@
-"""Small changes to a program that its tests should notice: the mutations of a module, and the module with one of them.
+"""Mutations: small changes to a module that its tests should detect, and the module with one of them.
 
-The operators are the usual ones: a comparison moved by one, a condition negated, `and` for `or`, another arithmetic
-operator, another number, a statement left out, `None` returned. Texts, log calls, annotations, decorators, assertions
-and `__repr__` are left alone: a change there is one of words.
+The operators are the usual ones: a comparison moved by one, a negated condition, `and` instead of `or`, another
+arithmetic operator, another number, an omitted statement, `None` returned. Texts, log calls, annotations, decorators,
+assertions and `__repr__` are not changed, because such a change affects only wording.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import ast
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-#: Moved by one element, for what may be equal.
+#: Comparisons that differ only for equal values.
 BOUNDARIES: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE,
     ast.LtE: ast.Lt,
@@ -44,15 +44,15 @@ ARITHMETIC: dict[type[ast.operator], type[ast.operator]] = {
     ast.MatMult: ast.Mult,
 }
 
-#: Functions whose result is for people.
+#: Functions with a result that is only for people.
 WORDS = {"__repr__", "_repr_html_", "__rich__"}
 
-#: Names of loggers and of what warns, by the first part of a call.
+#: Names of loggers and of the module for warnings, which are the first part of a call.
 LOGGERS = {"log", "_log", "logger", "_logger", "LOG", "logging", "warnings"}
 
 
 class Function(NamedTuple):
-    """A function in the body of a module or class, by what its code object says of it."""
+    """Function in the body of a module or class, identified by its code object."""
 
     name: str
     line: int
@@ -62,16 +62,16 @@ class Mutation(NamedTuple):
     number: int
     line: int
     end: int
-    #: None where the change is outside every function, in a default value included
+    #: Function that contains the change; None outside of all functions, and for a default value.
     function: Function | None
     before: str
     after: str
-    #: which operator of `defects`; empty for those of this module
+    #: Operator of `defects`; empty for the operators of this module.
     kind: str = ""
 
 
 class _Mutator(ast.NodeTransformer):
-    """Numbers the mutations as it meets them, and makes the one that was chosen."""
+    """Transformer that numbers the mutations as it finds them, and makes the chosen one."""
 
     def __init__(self, chosen: int | None) -> None:
         self._chosen = chosen
@@ -87,7 +87,7 @@ class _Mutator(ast.NodeTransformer):
             number = len(self.found)
             statement = self._statement or node
             line = getattr(statement, "lineno", 0)
-            # Of a compound statement only the head, where the change is.
+            # For a compound statement, use only the head, which contains the change.
             end = max(getattr(node, "end_lineno", None) or line, line)
             ast.copy_location(other, node)
             ast.fix_missing_locations(other)
@@ -105,7 +105,7 @@ class _Mutator(ast.NodeTransformer):
         finally:
             self._statement = before
 
-    # -- what is left alone ------------------------------------------------------------------
+    # -- unchanged nodes ---------------------------------------------------------------------
 
     def _leave(self, node: ast.AST) -> ast.AST:
         return node
@@ -144,7 +144,7 @@ class _Mutator(ast.NodeTransformer):
     def visit_Call(self, node: ast.Call) -> ast.AST:
         node.func = self.visit(node.func)
         node.args = [self.visit(each) for each in node.args]
-        # ``strict`` of zip asserts that lengths are equal, and asserts are left alone.
+        # ``strict`` of zip asserts that lengths are equal, and asserts are not changed.
         if not (isinstance(node.func, ast.Name) and node.func.id == "zip"):
             node.keywords = [self.visit(each) for each in node.keywords]
         return node
@@ -152,7 +152,7 @@ class _Mutator(ast.NodeTransformer):
     # -- conditions --------------------------------------------------------------------------
 
     def _condition(self, test: ast.expr) -> ast.expr:
-        # The opposite of a comparison and of `not x` is the negation of the whole, so these are offered once.
+        # The opposite of a comparison or of `not x` equals its negation, so it is offered only once.
         self._is_condition = isinstance(test, (ast.Compare, ast.UnaryOp))
         return self._offer(self.visit(test), [_negated(test)])  # type: ignore[return-value]
 
@@ -280,19 +280,19 @@ def _is_logging(node: ast.expr) -> bool:
 
 
 def _text(node: ast.AST) -> str:
-    """The first line of what it reads as."""
+    """Return the first line of the source of a node."""
     return ast.unparse(node).partition("\n")[0][:100]
 
 
 def mutations(source: str) -> list[Mutation]:
-    """All mutations of a module, in the order of its text."""
+    """Return all mutations of a module, in the order of its text."""
     mutator = _Mutator(None)
     mutator.visit(ast.parse(source))
     return mutator.found
 
 
 def mutated(source: str, number: int) -> ast.Module:
-    """The module with the mutation of that number."""
+    """Return the module with the mutation of this number."""
     tree = ast.parse(source)
     _Mutator(number).visit(tree)
     return tree

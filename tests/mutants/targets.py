@@ -1,4 +1,4 @@
-"""What is mutated, and which tests are to notice."""
+"""Groups of modules to mutate, with the tests that should detect the mutations."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class Group(NamedTuple):
     """Modules whose mutations are tried on the same tests.
 
     Args:
-        modules: patterns of files under src/.
-        tests: folders and files under tests/. Those that start commands are not among them: a mutation is made in the
-            process that runs the tests, so the processes that they start do not have it.
+        modules: Patterns of files below src/.
+        tests: Folders and files below tests/. Tests that start commands are not included, because a mutation exists
+            only in the process that runs the tests, and not in processes that they start.
     """
 
     modules: tuple[str, ...]
@@ -27,7 +27,7 @@ class Group(NamedTuple):
         return [path for path in found if path.name != "__init__.py"]
 
     def missing(self) -> list[str]:
-        """What finds nothing."""
+        """Return the patterns and paths that match nothing."""
         modules = [pattern for pattern in self.modules if not list((ROOT / "src").glob(pattern))]
         return modules + [path for path in self.tests if not (ROOT / path).exists()]
 
@@ -58,7 +58,7 @@ GROUPS = {
             "tests/urlink/test_public_names.py",
         ),
     ),
-    # Of these the defects are drawn: `--drawn`.
+    # The drawn defects (`--drawn`) are in these modules.
     "drawn": Group(
         MODULES,
         (

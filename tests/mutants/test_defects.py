@@ -1,4 +1,4 @@
-"""Defects are of the kinds that they should be, can be made one by one, and are drawn in one order."""
+"""Defects of all kinds are found, can be made one at a time, and are drawn in a fixed order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.mutants.targets import GROUPS
 
 
 def _changed(source: str, kind: str) -> list[str]:
-    """The function `f` with each defect of a kind."""
+    """Return the source of a module with each of its defects of a kind."""
     found = [each for each in defects(source) if each.kind == kind]
     return [ast.unparse(with_defect(source, each.number)) for each in found]
 
@@ -32,7 +32,7 @@ def _changed(source: str, kind: str) -> list[str]:
         ("branch", "g(link='rtde')", "g(link='reverse')"),
     ],
 )
-def test_defects_are_made(kind: str, before: str, after: str) -> None:
+def test_defect_makes_the_expected_change(kind: str, before: str, after: str) -> None:
     source, expected = (f"def f(self):\n{_indented(text)}" for text in (before, after))
     assert ast.unparse(ast.parse(expected)) in _changed(source, kind)
 
@@ -48,13 +48,13 @@ def _indented(text: str) -> str:
         "def f(self):\n    log.warning(a)\n    log.info(b)",
         "def __init__(self):\n    self.a = b()\n    self.c = d()",
     ],
-    ids=["needs the first", "logs", "makes"],
+    ids=["dependent statements", "log calls", "constructor"],
 )
-def test_order_that_matters_to_nobody_is_kept(source: str) -> None:
+def test_swap_skips_statements_without_a_visible_order(source: str) -> None:
     assert _changed(source, "swap") == []
 
 
-def test_draw_is_the_same_each_time() -> None:
+def test_draw_is_reproducible() -> None:
     files = GROUPS["drawn"].files()
     first = draw(files, SEED, COUNT)
     assert first == draw(files, SEED, COUNT)

@@ -1,4 +1,4 @@
-"""Mutations are of the kinds that they should be, and can be made one by one."""
+"""Mutations of all kinds are found, and can be made one at a time."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def changes(source: str) -> list[tuple[str, str]]:
         ("def f():\n    return None", []),
     ],
 )
-def test_mutations(source: str, expected: list[tuple[str, str]]) -> None:
+def test_mutations_of_a_source_are_the_expected_ones(source: str, expected: list[tuple[str, str]]) -> None:
     assert changes(source) == expected
 
 
@@ -69,8 +69,8 @@ class C:
 """
 
 
-def test_they_say_in_which_function_they_are() -> None:
-    """By the line of the first decorator, as code objects have it. Defaults are evaluated outside."""
+def test_mutations_have_the_name_and_line_of_their_function() -> None:
+    """A function is named by the line of its first decorator, as in code objects. Defaults are evaluated outside."""
     f = Function("f", 4)
     assert [(each.line, each.function) for each in mutations(SOURCE)] == [
         (1, None),
@@ -81,7 +81,7 @@ def test_they_say_in_which_function_they_are() -> None:
     assert [(code.co_name, code.co_firstlineno) for code in codes(compile(SOURCE, "", "exec"))][1:2] == [f]
 
 
-def test_each_is_the_only_change() -> None:
+def test_mutated_module_differs_in_one_line() -> None:
     original = ast.unparse(ast.parse(SOURCE)).splitlines()
     for each in mutations(SOURCE):
         changed = ast.unparse(mutated(SOURCE, each.number)).splitlines()
@@ -89,14 +89,14 @@ def test_each_is_the_only_change() -> None:
 
 
 @pytest.mark.parametrize("name", GROUPS)
-def test_what_is_mutated_is_there(name: str) -> None:
-    """A pattern that finds nothing after a module was renamed would leave it out without a word."""
+def test_group_patterns_match_files(name: str) -> None:
+    """A pattern that matches nothing after a module was renamed would silently leave out the module."""
     assert GROUPS[name].missing() == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GROUPS)
-def test_what_is_not_tried_is_still_there(name: str) -> None:
+def test_equivalent_rows_match_the_source(name: str) -> None:
     found = {
         path.relative_to(ROOT / "src").as_posix(): (defects if name == "drawn" else mutations)(
             path.read_text(encoding="utf-8")

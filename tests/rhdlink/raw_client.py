@@ -44,7 +44,7 @@ class RawClient:
         return handshake
 
     def raw(self) -> bytes:
-        """Return the bytes of the next batch, none of which may have arrived yet."""
+        """Return the bytes of the next batch, which must not have arrived yet."""
         parts: list[bytes] = []
         feed = self.stream.feed
 

@@ -85,7 +85,7 @@ HOSTILE_WRITES = {
     "id 2^31-1": int32(1, 2**31 - 1, 0, 0, 5),
     "id -2^31": int32(1, -(2**31), 0, 0, 5),
     "id is the number of variables": int32(1, 2, 0, 0, 5),
-    "a good entry before a hostile one": int32(2) + ENTRY + int32(77, 0, 0, 5),
+    "a valid entry before a hostile entry": int32(2) + ENTRY + int32(77, 0, 0, 5),
     "count -1": int32(-1),
     "count -2^31": int32(-(2**31)),
     "count 2^31-1": int32(2**31 - 1),
@@ -140,9 +140,9 @@ def test_2_refused_writer_cannot_move_the_robot(host: Host, robot: Robot) -> Non
 HALVES = {
     "one byte": b"r",
     "ready without an end": b"rr",
-    "a count and no entries": b"rrdw" + int32(2),
+    "a count without entries": b"rrdw" + int32(2),
     "half an entry": b"rrdw" + int32(1, 0, 0),
-    "everything but the last byte": b"rrdw" + int32(1) + ENTRY + b"e",
+    "all bytes except the last": b"rrdw" + int32(1) + ENTRY + b"e",
 }
 
 

@@ -61,7 +61,7 @@ def test_four_word_time_stamps_are_signed_64_bit_numbers(words: tuple[int, ...],
 
 
 def test_variable_without_words_is_shown() -> None:
-    """No server has such a variable, and the decoders reject it, but the dissection shows it."""
+    """The decoders reject such a variable, which servers never have, but the dissection shows it."""
     table = b"tw" + int32(1, 0) + b"none".ljust(33, b"\0")
     (_, piece) = dissect(table + b"dw" + int32(1, 0, 1, 2), "server")
     assert (piece.error, piece.parts[1].content["words"]) == (None, [])

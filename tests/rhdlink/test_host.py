@@ -394,7 +394,7 @@ def test_tick_variable_wraps_at_32_bits() -> None:
 
 
 def test_lockstep_readers_continue_after_the_master_leaves() -> None:
-    """In this test, the host notices the closed connection only when it replies to a request of the master."""
+    """The host notices the closed connection only when it replies to a request of the master."""
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
         reader.greeting()
         for _ in range(20):

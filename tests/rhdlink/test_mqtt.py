@@ -1,4 +1,4 @@
-"""Robots over MQTT: the table, a robot and its master, and a real broker (mosquitto), where there is one."""
+"""Robots over MQTT: the table of topics, a robot and its master, and a real broker (mosquitto) if available."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.waiting import until
 # -- the table -------------------------------------------------------------------------------------------------
 
 
-def test_the_table_is_a_file_that_can_be_edited(tmp_path: Path) -> None:
+def test_table_is_read_from_an_edited_file(tmp_path: Path) -> None:
     path = tmp_path / "topics.txt"
     path.write_text(ROBOBOT_TABLE.replace("robobot/drive", "mine/drive") + "read mine/battery battery time volts\n")
     topics = read_topics(path)
@@ -53,7 +53,7 @@ def test_the_table_is_a_file_that_can_be_edited(tmp_path: Path) -> None:
         (ROBOBOT_TABLE.replace("ti/rc ", "ti/alive "), "is listed twice"),
     ],
 )
-def test_what_is_no_table_says_so(text: str, said: str) -> None:
+def test_invalid_table_raises_the_reason(text: str, said: str) -> None:
     with pytest.raises(BadValue, match=said):
         parse_topics(text)
 
@@ -70,20 +70,20 @@ def test_what_is_no_table_says_so(text: str, said: str) -> None:
         (b"", None),
     ],
 )
-def test_a_payload_is_numbers_or_nothing(payload: bytes, values: tuple[float, ...] | None) -> None:
+def test_payload_is_parsed_as_numbers_or_rejected(payload: bytes, values: tuple[float, ...] | None) -> None:
     assert ROBOBOT.pose.parse(payload) == values
 
 
 @pytest.mark.property
 @given(st.binary(max_size=80))
-def test_any_payload_is_survived(payload: bytes) -> None:
+def test_any_payload_is_parsed_or_rejected(payload: bytes) -> None:
     values = ROBOBOT.pose.parse(payload)
     assert values is None or len(values) == 4
 
 
 @pytest.mark.property
 @given(linear=st.floats(-9, 9), angular=st.floats(-9, 9))
-def test_what_is_written_is_read_again(linear: float, angular: float) -> None:
+def test_written_command_is_read_back(linear: float, angular: float) -> None:
     payload = ROBOBOT.command.write({"linear": linear, "angular": angular}).encode()
     assert ROBOBOT.command.parse(payload) == pytest.approx((linear, angular), abs=1e-4)
 
@@ -92,7 +92,7 @@ def test_what_is_written_is_read_again(linear: float, angular: float) -> None:
 
 
 def until_synced(robot: Variables, condition: Callable[[], object]) -> None:
-    """Sync until it is true."""
+    """Sync the robot until the condition is true."""
 
     def is_true() -> bool:
         robot.sync()
@@ -108,7 +108,7 @@ class Robobot(VelocityOmega):
 @pytest.mark.slow
 @needs_broker
 @pytest.mark.real_time
-def test_a_mission_drives_a_robot_behind_a_broker(broker: int) -> None:
+def test_mission_drives_a_robot_behind_a_broker(broker: int) -> None:
     world = World(1000.0)
     with (
         Host([MqttTurtle(port=broker, world=world)], port=0),
@@ -118,7 +118,7 @@ def test_a_mission_drives_a_robot_behind_a_broker(broker: int) -> None:
         until_synced(robot, lambda: robot.pose[0] > 0.0)
         Mission("fwd 0.2\nturn 45\n", robot).run(30.0)
         robot.sync()
-        # Each pose is some ticks old, so it goes a little further than in one process.
+        # Each pose is several ticks old, so the robot drives slightly further than in a single process.
         x, _, heading = world.odometry
         assert x == pytest.approx(0.2, abs=0.05)
         assert heading == pytest.approx(0.785, abs=0.15)
@@ -127,8 +127,8 @@ def test_a_mission_drives_a_robot_behind_a_broker(broker: int) -> None:
 
 @needs_broker
 @pytest.mark.real_time
-def test_a_robot_whose_master_has_gone_stands(broker: int) -> None:
-    """The master's host is killed without a word: nothing is sent any more."""
+def test_robot_stops_when_its_master_disappears(broker: int) -> None:
+    """Simulate a host of the master that is killed: it sends no more messages."""
     now = [0.0]
     world = World(1000.0)
     turtle = MqttTurtle(port=broker, world=world, clock=lambda: now[0])
@@ -149,7 +149,7 @@ def test_a_robot_whose_master_has_gone_stands(broker: int) -> None:
 
 @needs_broker
 @pytest.mark.real_time
-def test_a_program_that_leaves_has_the_robot_stand_at_once(broker: int) -> None:
+def test_robot_stops_immediately_when_its_program_leaves(broker: int) -> None:
     world = World(1000.0)
     turtle = MqttTurtle(port=broker, world=world)
     with Host([turtle], port=0), Host([MqttRobot(port=broker)], port=0) as host:
@@ -157,12 +157,12 @@ def test_a_program_that_leaves_has_the_robot_stand_at_once(broker: int) -> None:
             robot.cmdtransvel = 0.3
             until_synced(robot, lambda: world.odometry.x > 0.05)
         until(lambda: turtle._command.get("linear") == 0.0)
-        assert turtle.has_master  # it is not the 2 s that have stopped it
+        assert turtle.has_master  # the timeout of 2 s has not expired yet
 
 
 @needs_broker
 @pytest.mark.real_time
-def test_a_robot_that_tells_no_pose_is_told_to_stand(broker: int) -> None:
+def test_robot_without_a_pose_is_commanded_to_stop(broker: int) -> None:
     now = [0.0]
     world = World(1000.0)
     bridge = MqttRobot(port=broker, clock=lambda: now[0])
@@ -176,22 +176,22 @@ def test_a_robot_that_tells_no_pose_is_told_to_stand(broker: int) -> None:
                 return world.odometry.x > 0.05
 
             until(drives)
-            told: list[float] = []
+            speeds: list[float] = []
 
             def send(topic: MqttTopic, values: Mapping[str, float]) -> None:
-                told.append(values.get("linear", -1.0))
+                speeds.append(values.get("linear", -1.0))
 
             assert bridge._broker is not None
             bridge._broker.take = lambda topic: None  # type: ignore[method-assign]
             bridge._broker.send = send  # type: ignore[method-assign]
             now[0] += 1.1
-            until(lambda: told[-1:] == [0.0])  # after the next that it is alive
+            until(lambda: speeds[-1:] == [0.0])  # after the next alive message
         assert robot_host.tick > 0
 
 
 @needs_broker
 @pytest.mark.real_time
-def test_a_second_master_has_to_wait(broker: int) -> None:
+def test_second_master_has_to_wait(broker: int) -> None:
     now = [0.0]
     turtle = MqttTurtle(clock=lambda: now[0])
     for alive, moment, master in (
@@ -208,7 +208,7 @@ def test_a_second_master_has_to_wait(broker: int) -> None:
 
 @needs_broker
 @pytest.mark.real_time
-def test_a_broker_that_comes_back_is_used_again_and_nothing_is_sent_late(broker: int, tmp_path: Path) -> None:
+def test_bridge_reconnects_to_a_broker_and_sends_nothing_late(broker: int, tmp_path: Path) -> None:
     bridge = MqttRobot(port=broker)
     with Host([bridge], port=0) as host, connect(host.address, VelocityOmega, access="w") as robot:
         until_synced(robot, lambda: bridge.mqtt is not None and bridge.mqtt.sent > 0)
@@ -218,7 +218,7 @@ def test_a_broker_that_comes_back_is_used_again_and_nothing_is_sent_late(broker:
         client.disconnect()
         until(lambda: not client.is_connected())
         assert bridge.mqtt is not None
-        # One may have been on its way while the connection ended: counted from the first that was dropped.
+        # One message might have been in transit when the connection ended, so count from the first dropped message.
         dropped = bridge.mqtt.dropped
         until_synced(robot, lambda: bridge.mqtt is not None and bridge.mqtt.dropped > dropped)
         sent, dropped = bridge.mqtt.sent, bridge.mqtt.dropped
@@ -227,7 +227,7 @@ def test_a_broker_that_comes_back_is_used_again_and_nothing_is_sent_late(broker:
 
 
 @pytest.mark.real_time
-def test_no_broker_is_an_error() -> None:
+def test_missing_broker_or_invalid_arguments_raise() -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
     with pytest.raises(PluginFailed, match=f"no MQTT broker at 127.0.0.1:{port}"):

@@ -1,4 +1,4 @@
-"""The public names of rhdlink. A change here is a change for users, and stands in the changelog."""
+"""The public names of rhdlink. A change here affects users, and must be in the changelog."""
 
 from __future__ import annotations
 
@@ -72,9 +72,9 @@ NAMES = [
 ]
 
 
-#: The file that the messages name.
+#: This file, as named in the messages.
 HERE = "tests/rhdlink/test_public_names.py"
-#: Modules that users import names from.
+#: Modules with further public names.
 MODULES = ["host", "robots", "smrcl", "variables"]
 
 
@@ -84,7 +84,7 @@ def test_public_names() -> None:
     assert sorted(set(NAMES)) == NAMES
 
 
-def test_a_name_is_in_one_place() -> None:
+def test_public_name_is_in_only_one_module() -> None:
     places = [rhdlink, *(getattr(rhdlink, module) for module in MODULES)]
     names = Counter(name for place in places for name in vars(place)["__all__"])
     twice = [name for name, count in names.items() if count > 1]
@@ -96,20 +96,20 @@ def errors(*places: object) -> list[str]:
     return [name for name, each in held.items() if inspect.isclass(each) and issubclass(each, BaseException)]
 
 
-def test_every_error_is_in_rhdlink_and_on_the_page() -> None:
+def test_every_error_is_public_and_documented() -> None:
     assert errors(*(getattr(rhdlink, module) for module in MODULES)) == []
     page = (Path(__file__).parents[2] / "docs" / "errors.md").read_text(encoding="utf-8")
     assert [name for name in errors(rhdlink) if name not in page] == []
 
 
-def test_each_is_there_and_says_what_it_is() -> None:
+def test_every_public_name_has_a_docstring() -> None:
     for name in NAMES:
         value = getattr(rhdlink, name)
         if inspect.isclass(value) or inspect.isfunction(value):
             assert inspect.getdoc(value), f"{name} has no docstring"
 
 
-#: The attributes and methods of what users hold, as tab completion shows them; declared variables come on top.
+#: The attributes and methods of public objects, as tab completion shows them; declared variables are listed as well.
 VARIABLES = """access address background changed close connection declared discarded fresh received reconnects stamp
     subscribe subscribe_connection sync updated variables width"""
 PLUGIN = "declared init is_critical is_updated name periodic safety terminate"
@@ -139,7 +139,7 @@ SURFACES: list[tuple[object, str]] = [
 
 
 @pytest.mark.parametrize(("held", "names"), SURFACES)
-def test_the_surface_of_what_users_hold(held: object, names: str) -> None:
+def test_public_attributes_of_each_class(held: object, names: str) -> None:
     there = [name for name in dir(held) if not name.startswith("_")]
     assert_listed(there, names.split(), f"the row of {held!r} of SURFACES in {HERE}")
 
@@ -158,7 +158,7 @@ print(json.dumps({
 
 
 @pytest.mark.real_time
-def test_importing_it_starts_nothing_and_brings_in_nothing_that_is_not_needed() -> None:
+def test_import_starts_no_thread_and_loads_no_extra_module() -> None:
     done = subprocess.run([sys.executable, "-W", "error", "-c", PROGRAM], capture_output=True, text=True, check=True)
     told = json.loads(done.stdout)
     assert (told["threads"], told["events"]) == (1, [])
@@ -172,6 +172,6 @@ def test_importing_it_starts_nothing_and_brings_in_nothing_that_is_not_needed() 
 @pytest.mark.parametrize(
     "robot", [rhdlink.robots.Smr, rhdlink.robots.VelocityOmega, rhdlink.robots.Ackerman, rhdlink.robots.Gps]
 )
-def test_the_ready_made_robots_say_what_their_variables_are(robot: type[rhdlink.Variables]) -> None:
+def test_predefined_robots_are_documented_and_declared(robot: type[rhdlink.Variables]) -> None:
     assert inspect.getdoc(robot)
     assert robot.declared()

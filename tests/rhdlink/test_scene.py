@@ -1,4 +1,4 @@
-"""Tape on the floor and walls: what sensors see of them, and how they are read from a drawing."""
+"""Tape on the floor and walls: the readings of sensors, and the import of drawings."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ def seen(scene: Scene, *points: tuple[float, float]) -> list[float]:
     return [round(float(value), 3) for value in scene.brightness(np.array(points))]
 
 
-def test_tape_is_as_dark_and_as_wide_as_it_is() -> None:
+def test_tape_has_its_brightness_and_width() -> None:
     scene = Scene([Tape(((0.0, 0.0), (1.0, 0.0)), width=0.04), Tape(((0.5, -1.0), (0.5, 1.0)), brightness=0.5)])
     assert seen(scene, (0.2, 0.0), (0.2, 0.014), (0.2, 0.1), (-0.1, 0.0)) == [0.0, 0.0, 1.0, 1.0]
-    # Its edge is as wide as the spot that a sensor sees.
+    # The edge of the tape is as wide as the spot that a sensor sees.
     assert seen(scene, (0.2, 0.02)) == [0.5]
-    # What was laid last lies on top.
+    # The tape laid last covers the others.
     assert seen(scene, (0.5, 0.0)) == [0.5]
 
 
-def test_a_floor_may_be_dark() -> None:
+def test_floor_may_be_dark() -> None:
     scene = Scene([Tape(((0.0, 0.0), (1.0, 0.0)), brightness=1.0)], floor=0.2)
     assert seen(scene, (0.5, 0.0), (0.5, 0.5)) == [1.0, 0.2]
 
@@ -40,7 +40,7 @@ def test_a_floor_may_be_dark() -> None:
 WALL = Scene(walls=[[(2.0, -1.0), (2.0, 1.0), (5.0, 1.0)]])
 
 
-def test_walls_are_met_where_they_are() -> None:
+def test_wall_is_detected_at_its_distance() -> None:
     assert WALL.wall(0.0, 0.0, 0.0) == pytest.approx(2.0)
     assert WALL.wall(0.0, 0.0, math.pi / 4 - 0.5) == pytest.approx(2.0 / math.cos(math.pi / 4 - 0.5))
     assert WALL.wall(0.0, 0.0, math.pi) == math.inf
@@ -52,8 +52,8 @@ def test_walls_are_met_where_they_are() -> None:
     x=st.floats(-5, 5), y=st.floats(-5, 5), angle=st.floats(-4, 4), walls=st.integers(1, 60), seed=st.integers(0, 999)
 )
 @pytest.mark.property
-def test_few_walls_and_many_are_met_alike(x: float, y: float, angle: float, walls: int, seed: int) -> None:
-    """Few are tried one after the other, many at once."""
+def test_wall_distance_does_not_depend_on_their_number(x: float, y: float, angle: float, walls: int, seed: int) -> None:
+    """Few walls are checked one by one, many walls all at once."""
     ends = np.random.default_rng(seed).uniform(-4, 4, (walls, 2, 2))
     scene = Scene(walls=[[(a[0], a[1]), (b[0], b[1])] for a, b in ends])
     nearest = min(Scene(walls=[[(a[0], a[1]), (b[0], b[1])]]).wall(x, y, angle) for a, b in ends)
@@ -71,7 +71,7 @@ def test_few_walls_and_many_are_met_alike(x: float, y: float, angle: float, wall
         lambda: Scene(walls=[[(0.0, float(n)) for n in range(5001)]]),
     ],
 )
-def test_what_cannot_lie_anywhere_is_refused(make: object) -> None:
+def test_scene_rejects_invalid_tape_and_walls(make: object) -> None:
     with pytest.raises(BadValue):
         make()  # type: ignore[operator]
 
@@ -103,11 +103,11 @@ def points(scene: Scene) -> list[tuple[float, float]]:
     ],
 )
 def test_shapes_become_tape(tmp_path: Path, shape: str, expected: list[tuple[float, float]]) -> None:
-    """The view box becomes the world: 20 wide to 10 m, with y upward from its lower edge."""
+    """The view box becomes the world: a width of 20 becomes 10 m, and y points up from the lower edge."""
     assert points(drawn(tmp_path, shape)) == expected
 
 
-def test_curves_are_cut_into_straight_pieces(tmp_path: Path) -> None:
+def test_curves_become_straight_segments(tmp_path: Path) -> None:
     scene = drawn(tmp_path, '<circle cx="10" cy="5" r="2"/>')
     assert all(math.hypot(x - 5.0, y - 2.5) == pytest.approx(1.0) for x, y in scene.tapes[0].points)
     scene = drawn(tmp_path, '<path d="M0 10 C0 6, 4 2, 8 2"/>')
@@ -116,7 +116,7 @@ def test_curves_are_cut_into_straight_pieces(tmp_path: Path) -> None:
     assert len(scene.tapes[0].points) > 10
 
 
-def test_strokes_say_how_wide_and_how_dark(tmp_path: Path) -> None:
+def test_strokes_define_width_brightness_and_walls(tmp_path: Path) -> None:
     scene = drawn(
         tmp_path,
         '<line x1="0" y1="0" x2="9" y2="0" stroke="#fff" stroke-width="0.2"/>'
@@ -139,12 +139,12 @@ def test_strokes_say_how_wide_and_how_dark(tmp_path: Path) -> None:
         ('<path d="' + "M0 0 L1 1 " * 3000 + '"/>', "0 0 9 9", "the maximum is 5000"),
     ],
 )
-def test_a_drawing_that_cannot_be_read_says_why(tmp_path: Path, shapes: str, box: str, said: str) -> None:
+def test_invalid_drawing_raises_the_reason(tmp_path: Path, shapes: str, box: str, said: str) -> None:
     with pytest.raises(BadValue, match=said):
         drawn(tmp_path, shapes, box)
 
 
-def test_what_is_no_drawing_is_refused(tmp_path: Path) -> None:
+def test_file_that_is_not_an_svg_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "page.svg"
     path.write_text("<html/>")
     with pytest.raises(BadValue, match="must be <svg>"):
@@ -165,11 +165,11 @@ def test_any_drawing_is_a_scene_or_an_error(tmp_path_factory: pytest.TempPathFac
         Scene.from_svg(path)
 
 
-# -- a robot in it ---------------------------------------------------------------------------------------------
+# -- a robot in a scene ----------------------------------------------------------------------------------------
 
 
-def test_a_turtle_sees_the_line_on_its_left() -> None:
-    """The sensors count from the right, and are 2 cm apart."""
+def test_turtle_detects_the_line_on_its_left() -> None:
+    """The sensors are numbered from the right, 2 cm apart."""
     robot = SmrTurtle(World(11.0, (5.0, 5.0, 0.0), Scene([Tape(((0.0, 5.03), (11.0, 5.03)))])))
     PluginLink([robot])
     brightness = robot.linesensor.tolist()
@@ -178,7 +178,7 @@ def test_a_turtle_sees_the_line_on_its_left() -> None:
     assert (min(brightness), max(brightness)) == (25, 230)
 
 
-def test_a_turtle_stands_before_a_wall() -> None:
+def test_turtle_stops_in_front_of_a_wall() -> None:
     world = World(11.0, (5.0, 5.0, 0.0), Scene(walls=[[(6.0, 4.0), (6.0, 6.0)]]))
     robot = SmrTurtle(world)
     link = PluginLink([robot])
@@ -187,4 +187,4 @@ def test_a_turtle_stands_before_a_wall() -> None:
     assert world.pose.x == pytest.approx(6.0, abs=0.001)
     assert world.pose.x < 6.0
     assert world.blocked > 0
-    assert robot.irsensor[2] == 255  # as near as it can tell
+    assert robot.irsensor[2] == 255  # the nearest distance that the sensor can report

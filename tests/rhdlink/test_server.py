@@ -1,4 +1,4 @@
-"""The connections of a host: back-pressure, slots, and the time that a client has, on a clock that the tests move."""
+"""Connections of a host: back-pressure, slots and deadlines of clients, on a clock that the tests move."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ pytestmark = pytest.mark.real_time
 
 TIMEOUT = 5.0
 INACTIVITY = 10.0
-#: Words of a variable that is in every reply: some 60 replies fill the buffers of the kernel.
+#: Words of a variable that is in every reply: about 60 replies fill the buffers of the kernel.
 WORDS = 4000
 
 
 class Stand:
-    """A server without a host: rounds come when the test says so, and time goes on when the test says so."""
+    """Server without a host: the test controls the rounds and the clock."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock = Clock()
@@ -47,7 +47,7 @@ class Stand:
         self.server.close()
 
     def serve(self, condition: Callable[[], object] = lambda: True) -> None:
-        """Serve what comes until the condition is met."""
+        """Serve connections until the condition is true."""
 
         def serve_and_look() -> object:
             self.server.serve(self.clock.now, lambda: False)
@@ -56,7 +56,7 @@ class Stand:
         until(serve_and_look)
 
     def sleep(self, seconds: float) -> None:
-        """Time goes on, and what is due then happens."""
+        """Let time pass, and serve the connections that are due."""
         self.clock.sleep(seconds)
         self.serve()
 
@@ -69,7 +69,7 @@ class Stand:
         self.server.resume()
 
     def connect(self, access: bytes = b"", *, receive_buffer: int | None = None) -> RawClient:
-        """A client that has said this much."""
+        """Return a client that has sent these bytes."""
         client = self._exits.enter_context(RawClient(self.server.port, b""))
         if receive_buffer is not None:
             client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
@@ -77,7 +77,7 @@ class Stand:
         return client
 
     def join(self, access: bytes = b"ar", *, receive_buffer: int | None = None) -> RawClient:
-        """A client that has been granted access."""
+        """Return a client that has been granted access."""
         client = self.connect(access, receive_buffer=receive_buffer)
         port = client.socket.getsockname()[1]
         self.serve(lambda: any(each.name.endswith(f":{port}") for each in self.service.clients))
@@ -85,21 +85,21 @@ class Stand:
         return client
 
     def say(self, client: RawClient, data: bytes) -> None:
-        """The client sends this, and the server has read it."""
+        """Send bytes of the client, and wait until the server has read them."""
         ours = self._client(client)
         before = ours.decoder.offset + ours.decoder.waiting
         client.send(data)
         self.serve(lambda: ours.decoder.offset + ours.decoder.waiting >= before + len(data))
 
     def sync(self, client: RawClient) -> int:
-        """The client asks and is answered; the tick that it is told."""
+        """Let the client send a request and receive the reply; return the tick in the reply."""
         self.say(client, b"rree")
         self.tick()
         client.batch()
         return client.value("tick")
 
     def is_open(self, client: RawClient) -> bool:
-        """Whether the connection stands; the client has read all that was sent."""
+        """Whether the connection is open, provided that the client has read all data."""
         client.socket.setblocking(False)
         try:
             return client.socket.recv(1, socket.MSG_PEEK) != b""
@@ -129,7 +129,7 @@ def stand(monkeypatch: pytest.MonkeyPatch) -> Iterator[Stand]:
 # -- how long it serves ------------------------------------------------------------------------
 
 
-def test_serves_until_it_is_enough(stand: Stand) -> None:
+def test_serve_returns_when_its_condition_is_true(stand: Stand) -> None:
     answers = [False, False, True]
 
     def is_enough() -> bool:
@@ -140,16 +140,16 @@ def test_serves_until_it_is_enough(stand: Stand) -> None:
     assert answers == []
 
 
-def test_a_port_that_is_taken(stand: Stand) -> None:
+def test_server_raises_when_its_port_is_in_use(stand: Stand) -> None:
     with pytest.raises(BadAddress, match="cannot listen"):
         Server(stand.service, "127.0.0.1", stand.server.port, client_timeout=1.0, inactivity_timeout=1.0)
 
 
-# -- the time that a client has ----------------------------------------------------------------
+# -- deadlines of clients ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("said", [b"", b"a"])
-def test_a_handshake_has_to_be_complete_in_time(stand: Stand, said: bytes) -> None:
+def test_handshake_must_be_complete_in_time(stand: Stand, said: bytes) -> None:
     client = stand.connect(said)
     stand.serve(lambda: len(stand.server._handlers) == 1)
     stand.sleep(TIMEOUT - 0.1)
@@ -158,8 +158,8 @@ def test_a_handshake_has_to_be_complete_in_time(stand: Stand, said: bytes) -> No
     assert client.is_closed()
 
 
-def test_the_bytes_of_a_request_do_not_buy_it_more_time(stand: Stand) -> None:
-    """A client that sends one byte now and then would hold its connection for ever otherwise."""
+def test_partial_request_does_not_extend_the_deadline(stand: Stand) -> None:
+    """Otherwise a client that sends single bytes could keep its connection forever."""
     client = stand.join()
     for byte in (b"r", b"r", b"r"):
         stand.say(client, byte)
@@ -172,12 +172,12 @@ def test_the_bytes_of_a_request_do_not_buy_it_more_time(stand: Stand) -> None:
     assert not stand.service.clients
 
 
-def test_a_complete_request_does(stand: Stand) -> None:
+def test_complete_request_extends_the_deadline(stand: Stand) -> None:
     client = stand.join()
     stand.say(client, b"r")
     for _ in range(5):
         stand.sleep(TIMEOUT - 0.1)
-        # It completes one request and begins the next.
+        # The bytes complete a request and begin the next one.
         stand.say(client, b"reer")
         stand.tick()
         client.batch()
@@ -187,7 +187,7 @@ def test_a_complete_request_does(stand: Stand) -> None:
     assert client.is_closed()
 
 
-def test_who_has_begun_nothing_may_be_silent_for_ever(stand: Stand) -> None:
+def test_client_between_requests_may_be_silent_forever(stand: Stand) -> None:
     client = stand.join(b"aw")
     stand.say(client, b"rw")
     stand.say(client, b"ee")
@@ -199,7 +199,7 @@ def test_who_has_begun_nothing_may_be_silent_for_ever(stand: Stand) -> None:
     assert stand.sync(client) == 2
 
 
-def test_handshakes_that_are_begun_are_bounded_and_the_oldest_goes(stand: Stand) -> None:
+def test_pending_handshakes_are_bounded_and_the_oldest_closed(stand: Stand) -> None:
     granted = stand.join()
     new = []
     for number in range(MOST_NEW):
@@ -214,14 +214,14 @@ def test_handshakes_that_are_begun_are_bounded_and_the_oldest_goes(stand: Stand)
     new[2].greeting()
 
 
-def test_a_newcomer_gets_an_idle_slot_also_beside_all_the_handshakes_there_may_be(stand: Stand) -> None:
+def test_new_client_gets_an_idle_slot_despite_handshakes(stand: Stand) -> None:
     idle, busy = stand.join(), stand.join()
     stand.sleep(INACTIVITY)
     stand.sync(busy)
     for number in range(MOST_NEW):
         stand.connect()
         stand.serve(lambda number=number: len(stand.server._handlers) == number + 3)  # type: ignore[misc]
-    stand.join()  # of the handshakes the oldest goes for it, and then no slot is free
+    stand.join()  # the oldest handshake is closed for this client, and then no slot is free
     assert stand.is_open(idle)
     stand.join()
     assert not stand.is_open(idle)
@@ -232,23 +232,23 @@ def test_a_newcomer_gets_an_idle_slot_also_beside_all_the_handshakes_there_may_b
 
 
 def deaf(stand: Stand) -> RawClient:
-    """A client that asks and does not read, until the kernel takes no more for it."""
+    """Return a client that sends requests without reading, until the kernel accepts no more data for it."""
     client = stand.join(receive_buffer=1 << 16)
     for _ in range(1000):
         if not stand.is_reading(client):
             return client
         stand.say(client, b"rree")
         stand.tick()
-    raise AssertionError("the kernel takes any amount")
+    raise AssertionError("the kernel accepts any amount of data")
 
 
-def test_a_client_that_does_not_read_is_asked_for_no_more_and_loses_nothing(stand: Stand) -> None:
+def test_server_stops_reading_from_a_client_that_does_not_read(stand: Stand) -> None:
     client, other = deaf(stand), stand.join()
     asked = int(stand.database.read.value(0)[0])
     stand.say(client, b"rree")
     for number in range(1, 11):
         assert stand.sync(other) == asked + number
-    # What was taken for it before waits, at most one reply beside what the kernel has.
+    # The requests read earlier are pending: at most one reply exceeds the buffers of the kernel.
     (handler,) = (each for each in stand.server._handlers.values() if not each.client.is_reading)
     assert 0 < handler.connection.pending <= 12 + 4 * WORDS + 100
     ticks: list[int] = []
@@ -259,20 +259,20 @@ def test_a_client_that_does_not_read_is_asked_for_no_more_and_loses_nothing(stan
             client.batch()
             ticks.append(client.value("tick"))
         except BlockingIOError:
-            continue  # the rest is on its way
+            continue  # the rest has not arrived yet
     client.socket.settimeout(10.0)
     assert ticks == list(range(1, asked + 1))
-    # It reads again, so the request that waited is answered in the next round.
+    # The server reads again, so the pending request is answered in the next round.
     stand.serve(lambda: stand.is_reading(client))
     stand.tick()
     client.batch()
     assert client.value("tick") == asked + 11
 
 
-def test_a_client_that_does_not_read_in_time_is_closed(stand: Stand) -> None:
+def test_client_that_does_not_read_in_time_is_closed(stand: Stand) -> None:
     client = deaf(stand)
     stand.sleep(TIMEOUT - 0.1)
-    # Reading a little does not buy it more time: a reply has to be taken as a whole.
+    # Reading a few bytes does not extend the deadline: the client has to receive the whole reply.
     client.socket.recv(1000)
     stand.serve()
     assert len(stand.service.clients) == 1
@@ -280,7 +280,7 @@ def test_a_client_that_does_not_read_in_time_is_closed(stand: Stand) -> None:
     assert not stand.service.clients
 
 
-def test_a_client_that_has_read_all_in_time_is_given_no_deadline(stand: Stand) -> None:
+def test_client_that_has_read_everything_has_no_deadline(stand: Stand) -> None:
     client = deaf(stand)
     stand.sleep(TIMEOUT - 0.1)
     client.socket.setblocking(False)
@@ -288,12 +288,12 @@ def test_a_client_that_has_read_all_in_time_is_given_no_deadline(stand: Stand) -
         with contextlib.suppress(BlockingIOError):
             client.socket.recv(1 << 16)
         stand.serve()
-    # No tick comes, as in lockstep where nobody asks.
+    # No tick occurs, as in lockstep when no client sends a request.
     stand.sleep(1e6)
     assert len(stand.service.clients) == 1
 
 
-def test_in_lockstep_who_does_not_read_is_not_waited_for(stand: Stand) -> None:
+def test_lockstep_does_not_wait_for_a_client_that_does_not_read(stand: Stand) -> None:
     client = deaf(stand)
     stand.say(client, b"rree")
     assert not stand.service.is_asked
@@ -302,7 +302,7 @@ def test_in_lockstep_who_does_not_read_is_not_waited_for(stand: Stand) -> None:
     assert stand.service.is_asked
 
 
-def test_what_a_client_sends_ahead_is_bounded(stand: Stand) -> None:
+def test_queued_requests_of_a_client_are_bounded(stand: Stand) -> None:
     client = stand.join()
     client.socket.setblocking(False)
     sent = 0
@@ -318,7 +318,7 @@ def test_what_a_client_sends_ahead_is_bounded(stand: Stand) -> None:
     (ours,) = stand.service.clients
     assert ours.decoder.waiting <= AHEAD + CHUNK
     assert sent > 2 * CHUNK
-    # It is answered all the same, one request in each round, and read from again as it is.
+    # The requests are still answered, one in each round, and the server reads more as it answers.
     for tick in range(1, 40):
         stand.tick()
         stand.serve()
@@ -329,14 +329,14 @@ def test_what_a_client_sends_ahead_is_bounded(stand: Stand) -> None:
 # -- ends --------------------------------------------------------------------------------------
 
 
-def test_who_is_thrown_out_is_a_warning_and_who_leaves_is_not(stand: Stand, caplog: pytest.LogCaptureFixture) -> None:
+def test_only_rejected_clients_are_logged_as_warnings(stand: Stand, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     stand.join().close()
     stand.serve(lambda: not stand.service.clients)
     client = stand.join()
     client.send(b"nonsense")
     stand.serve(lambda: not stand.service.clients)
-    # Reset, so that nothing that it does not read is kept for it.
+    # The connection is reset, so the host keeps no data that the client does not read.
     with pytest.raises(ConnectionResetError):
         client.batch()
     levels = [record.levelname for record in caplog.records if record.name == "rhdlink.host.server"]
@@ -344,19 +344,19 @@ def test_who_is_thrown_out_is_a_warning_and_who_leaves_is_not(stand: Stand, capl
     assert "'no' cannot begin a package here" in caplog.text
 
 
-def test_a_client_that_resets_while_it_is_answered_is_gone(stand: Stand) -> None:
+def test_client_that_resets_during_its_reply_is_removed(stand: Stand) -> None:
     client, other = stand.join(b"aw"), stand.join()
     stand.say(client, b"rwee")
     client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.close()
-    stand.tick()  # to a connection that has been reset, and that nobody has looked at since
-    # What it sent before is read first, and then it is gone: in lockstep the host waits for no request of it.
+    stand.tick()  # the connection has been reset, but the server has not noticed it yet
+    # Data sent before the reset is read first. Then the client is removed, so that lockstep does not wait for it.
     stand.serve(lambda: stand.service.writers == 0)
     assert len(stand.service.clients) == 1
     stand.sync(other)
 
 
-def test_nonsense_sent_ahead_is_found_after_the_request_before_it_was_answered(stand: Stand) -> None:
+def test_queued_nonsense_is_found_after_the_previous_reply(stand: Stand) -> None:
     client = stand.join()
     stand.say(client, b"rreexx")
     assert stand.service.bad_clients == 0
@@ -366,7 +366,7 @@ def test_nonsense_sent_ahead_is_found_after_the_request_before_it_was_answered(s
     assert not stand.service.clients
 
 
-def test_the_end_of_the_server_is_seen_by_all_and_is_no_warning(stand: Stand, caplog: pytest.LogCaptureFixture) -> None:
+def test_close_ends_all_connections_without_a_warning(stand: Stand, caplog: pytest.LogCaptureFixture) -> None:
     clients = [stand.join(b"aw"), stand.join(), stand.connect(b"a")]
     stand.server.close()
     assert all(client.is_closed() for client in clients)
@@ -376,7 +376,7 @@ def test_the_end_of_the_server_is_seen_by_all_and_is_no_warning(stand: Stand, ca
     stand.server.wake()
 
 
-def test_a_wait_ends_when_the_server_is_woken_and_it_is_enough(stand: Stand) -> None:
+def test_wake_ends_a_wait_when_the_condition_is_true(stand: Stand) -> None:
     asked, is_enough = threading.Event(), threading.Event()
 
     def look() -> bool:
@@ -395,14 +395,14 @@ def test_a_wait_ends_when_the_server_is_woken_and_it_is_enough(stand: Stand) -> 
 # -- slots -------------------------------------------------------------------------------------
 
 
-def test_the_slot_of_the_reader_that_is_idle_for_longest_goes_to_a_newcomer(stand: Stand) -> None:
+def test_slot_of_the_longest_idle_reader_is_reused(stand: Stand) -> None:
     master = stand.join(b"aw")
     stand.sleep(1.0)
     first = stand.join()
     stand.sleep(1.0)
     second = stand.join()
     stand.sleep(INACTIVITY - 2.0)
-    # The first asks for something, so now the second is the one that is idle for longest, with INACTIVITY - 2 s.
+    # The first reader syncs, so the second has now been idle for the longest time, INACTIVITY - 2 s.
     stand.sync(first)
     refused = stand.connect(b"ar")
     assert refused_by(stand, refused)
@@ -413,7 +413,7 @@ def test_the_slot_of_the_reader_that_is_idle_for_longest_goes_to_a_newcomer(stan
     newcomer = stand.join()
     assert not stand.is_open(second)
     assert stand.is_open(first)
-    # The master has asked for nothing for longer than anybody.
+    # The master has been idle for longer than any reader.
     assert stand.service.writers == 1
     stand.sync(newcomer)
     stand.sync(first)
@@ -423,11 +423,11 @@ def test_the_slot_of_the_reader_that_is_idle_for_longest_goes_to_a_newcomer(stan
     assert (stand.service.refused_clients, stand.server.evicted) == (2, 1)
 
 
-def test_the_first_request_and_the_handshake_count_like_any_request(stand: Stand) -> None:
+def test_handshake_and_first_request_reset_the_idle_time(stand: Stand) -> None:
     slow = stand.connect(b"a")
     stand.serve(lambda: len(stand.server._handlers) == 1)
     stand.sleep(TIMEOUT - 1.0)
-    slow.send(b"r")  # granted now, and not when it connected
+    slow.send(b"r")  # access is granted now, not at the time of the connection
     stand.serve(lambda: len(stand.service.clients) == 1)
     first, second = stand.join(), stand.join()
     stand.sleep(INACTIVITY - 1.0)
@@ -440,7 +440,7 @@ def test_the_first_request_and_the_handshake_count_like_any_request(stand: Stand
     assert stand.is_open(second)
     slow.greeting()
     assert not stand.is_open(slow)
-    # Nobody else has been idle for so long: their first requests count.
+    # No other client has been idle for that long, because their first requests count.
     assert refused_by(stand, stand.connect(b"ar"))
 
 
@@ -454,7 +454,7 @@ def test_only_complete_requests_keep_a_slot(stand: Stand) -> None:
     assert not stand.is_open(clients[0])
 
 
-def test_a_writer_among_idle_readers_gets_in(stand: Stand) -> None:
+def test_writer_replaces_an_idle_reader(stand: Stand) -> None:
     for _ in range(3):
         stand.join()
     stand.sleep(INACTIVITY)

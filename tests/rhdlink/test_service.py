@@ -1,7 +1,8 @@
-"""The host's bytes are those of the original server, for the same tables and the same events.
+"""The bytes of the host must equal those of the original server, for the same tables and the same events.
 
-What the original's threads and clocks decided is taken from the recording: the values and stamps of read variables, and
-in which round a request was read. Everything else, who is sent which table, what is in it and in which order, is ours.
+Details that the threads and clocks of the original decided come from the recording: the values and stamps of read
+variables, and the round in which a request was read. The host decides the rest: the recipients of each table, its
+content and its order.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def recorded() -> Path:
 
 
 class Connection(NamedTuple):
-    """One recorded connection, both directions cut at their batches."""
+    """Recorded connection, with both directions split into batches."""
 
     width: int
     handshake: Handshake
@@ -62,7 +63,7 @@ def connection(folder: Path, name: str) -> Connection:
 
 
 class Original:
-    """Our service, brought into the state in which the original was when the connection began."""
+    """Service in the state that the original server had at the start of the connection."""
 
     def __init__(self, recording: Connection, allwriters: bool = False) -> None:
         self.handshake = recording.handshake
@@ -78,7 +79,7 @@ class Original:
         return client, self.service.receive(client, access)
 
     def happens(self, batch: Batch) -> None:
-        """The robot sets what has another stamp or value in this batch than before, and that only."""
+        """Set the read variables whose stamp or value in this batch differs from before, and no others."""
         for data in batch.data:
             if data.direction == "r":
                 for identity, stamp, words in entries(data):
@@ -87,7 +88,7 @@ class Original:
                         table.set(identity, words, stamp)  # type: ignore[arg-type]
 
     def writes(self, master: Client, batch: Batch) -> None:
-        """The master writes what this batch says that it wrote."""
+        """Let the master write the values that this batch contains."""
         for data in batch.data:
             if data.direction == "w":
                 values = np.zeros(self.database.write.layout.words, np.int32)
@@ -97,7 +98,7 @@ class Original:
                 self.service.receive(master, b"rw" + encode_data("w", data.selection, values, stamps) + b"ee")
 
     def mark_what_was_set(self, batch: Batch) -> None:
-        """What the original had set before this connection began shows in its first batch."""
+        """Mark the variables that the original had set before this connection; they appear in its first batch."""
         for data in batch.data:
             if data.direction == "r":
                 self.database.read.updated[data.ids] = True
@@ -108,7 +109,7 @@ WRITERS = ("writer64", "writer64naive", "writer32", "writer_orig2014")
 
 
 @pytest.mark.parametrize("name", [*READERS, *WRITERS])
-def test_handshake_and_every_reply_are_the_original_s(recorded: Path, name: str) -> None:
+def test_handshake_and_replies_equal_those_of_the_original(recorded: Path, name: str) -> None:
     recording = connection(recorded, name)
     ours = Original(recording)
     client, greeting = ours.connect(recording.greeting[:2])
@@ -123,7 +124,7 @@ def test_handshake_and_every_reply_are_the_original_s(recorded: Path, name: str)
     assert client.failure is None
 
 
-def test_a_reader_beside_a_master_is_sent_what_the_master_wrote(recorded: Path) -> None:
+def test_reader_receives_the_values_of_the_master(recorded: Path) -> None:
     recording = connection(recorded, "reader64_with_master")
     ours = Original(recording)
     master, _ = ours.connect(b"aw")
@@ -136,11 +137,11 @@ def test_a_reader_beside_a_master_is_sent_what_the_master_wrote(recorded: Path) 
         ours.happens(batch)
         replies = dict(ours.service.sync())
         assert replies[client] == raw
-        # The sole writer is not sent the write table.
+        # The write table is not sent to a sole writer.
         assert replies[master] == b"dr" + raw.partition(b"dr")[2]
 
 
-def test_with_allwriters_each_writer_is_sent_its_own_values_too(recorded: Path) -> None:
+def test_allwriters_sends_each_writer_its_own_values_too(recorded: Path) -> None:
     recordings = [connection(recorded, f"allwriters64_{letter}") for letter in "AB"]
     ours = Original(recordings[0], allwriters=True)
     clients = []
@@ -148,7 +149,7 @@ def test_with_allwriters_each_writer_is_sent_its_own_values_too(recorded: Path) 
         client, greeting = ours.connect(b"aw")
         assert greeting[:2] == recording.greeting[:2] == b"aw"
         clients.append(client)
-        # The batch that the original sends without being asked, and ours does not.
+        # The original sends this batch unsolicited; rhdlink does not.
         ours.mark_what_was_set(recording.batches[0][0])
     rounds: dict[int, list[tuple[Client, bytes, Batch, bytes]]] = {}
     for client, recording in zip(clients, recordings, strict=True):
@@ -164,18 +165,18 @@ def test_with_allwriters_each_writer_is_sent_its_own_values_too(recorded: Path) 
 
 
 def tick(batch: Batch) -> int:
-    """In which round of the server it was sent."""
+    """Return the round of the server in which the batch was sent."""
     return next(int(data.values[0]) for data in batch.data if data.direction == "r")
 
 
 @pytest.mark.parametrize("name", ["second_writer64", "second_writer_continues64"])
-def test_a_second_writer_is_told_that_it_may_only_read(recorded: Path, name: str) -> None:
+def test_second_writer_is_granted_read_access(recorded: Path, name: str) -> None:
     recording = connection(recorded, name)
     assert recording.handshake.granted is None
     ours = Original(recording)
     master, _ = ours.connect(b"aw")
     client, greeting = ours.connect(b"aw")
-    # The one difference: the original leaves the answer out, and librhd takes the server for broken (defect 7).
+    # The only difference: the original omits the answer, so librhd considers the server broken (defect 7).
     assert greeting == b"ar" + recording.greeting
     for request, (batch, raw) in zip(recording.requests, recording.batches[1:], strict=False):
         ours.mark_what_was_set(batch)

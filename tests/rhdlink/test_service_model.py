@@ -1,4 +1,4 @@
-"""The service against a simple model: several clients come, write, read, misbehave and go, in any order."""
+"""The service compared with a simple model: clients connect, write, read, misbehave and leave in any order."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def int32(*values: int) -> bytes:
 
 @dataclass
 class Peer:
-    """A peer's side: what it knows, and what it has to be told."""
+    """State of a client: the values that it knows, and the variables that it still has to receive."""
 
     client: Client
     access: str
@@ -75,7 +75,7 @@ class Rounds(RuleBasedStateMachine):
     def writers(self) -> list[Peer]:
         return [peer for peer in self.peers if peer.access == "w"]
 
-    # -- what may happen --------------------------------------------------------------------------
+    # -- events ---------------------------------------------------------------------------------------
 
     @rule(access=st.sampled_from("rw"), cut=st.booleans())
     def comes(self, access: str, cut: bool) -> None:
@@ -99,7 +99,7 @@ class Rounds(RuleBasedStateMachine):
             tables.table(data.direction).receive(data)
         peer = Peer(client, granted, stream, tables)
         self.peers.append(peer)
-        # The handshake holds everything that was set before it.
+        # The handshake contains all values that were set before it.
         self.check_values(peer, set(self.values))
 
     @rule(name=st.sampled_from(sorted(READ)), data=st.data())
@@ -155,7 +155,7 @@ class Rounds(RuleBasedStateMachine):
     last_words: list[dict[str, list[int]]]
 
     @initialize()
-    def nobody_has_left(self) -> None:
+    def no_client_has_left(self) -> None:
         self.last_words = []
 
     @rule()
@@ -171,7 +171,7 @@ class Rounds(RuleBasedStateMachine):
             written |= set(writes)
             for peer in self.peers:
                 if peer is author and [peer] == self.writers:
-                    # It is not told what it wrote itself.
+                    # A sole writer does not receive its own values.
                     for name, value in writes.items():
                         identity = peer.tables.write.find(name)
                         assert identity is not None
@@ -196,21 +196,21 @@ class Rounds(RuleBasedStateMachine):
         assert peer.stream.waiting == 0
         is_sole = [peer] == self.writers
         assert [data.direction for data in batch.data] == (["r"] if is_sole else ["w", "r"])
-        told = {
+        sent = {
             data.direction: {list(WRITE if data.direction == "w" else READ)[number] for number in data.ids.tolist()}
             for data in batch.data
         }
-        assert told["r"] == (self.ever if self.original else peer.dirty_read)
+        assert sent["r"] == (self.ever if self.original else peer.dirty_read)
         if not is_sole:
-            assert told["w"] == peer.dirty_write
+            assert sent["w"] == peer.dirty_write
         for data in batch.data:
             assert data.ids.tolist() == sorted(data.ids.tolist())
             peer.tables.table(data.direction).receive(data)
         peer.dirty_read = set()
         if not is_sole:
             peer.dirty_write = set()
-        # Whatever was said when: after a reply a peer knows all, but for what others wrote before one became the
-        # sole writer, which is not sent the write table.
+        # After a reply a client knows all values, with one exception: values that others wrote before it became the
+        # sole writer, because a sole writer does not receive the write table.
         self.check_values(peer, set(self.values) - peer.dirty_write)
 
     def check_values(self, peer: Peer, names: set[str]) -> None:
@@ -236,7 +236,7 @@ TestRounds.settings = settings(stateful_step_count=40, deadline=None)
 
 @pytest.mark.property
 @given(st.lists(st.one_of(st.binary(max_size=60), st.sampled_from([b"aw", b"ar", b"rwee", b"rree", b"dw", b"ee"]))))
-def test_arbitrary_bytes_give_a_value_or_a_closed_connection(pieces: list[bytes]) -> None:
+def test_any_bytes_are_served_or_close_the_connection(pieces: list[bytes]) -> None:
     service = Service(Database([SymbolRow("tick", 1)], [SymbolRow("speed", 1), SymbolRow("arm", 3)]))
     client = service.connect("stranger")
     assert client is not None
@@ -263,7 +263,7 @@ def granted(served: Service, access: bytes = b"ar") -> Client:
 
 
 def asked(served: Service, *clients: Client) -> list[bytes]:
-    """The replies of a round in which these clients ask."""
+    """Return the replies of a round in which these clients send requests."""
     for client in clients:
         assert served.receive(client, b"rree") == b""
     replies = dict(served.sync())
@@ -271,11 +271,11 @@ def asked(served: Service, *clients: Client) -> list[bytes]:
 
 
 def speed(value: int) -> bytes:
-    """A request that sets the first write variable."""
+    """Return a request that sets the first write variable."""
     return b"rwdw" + int32(1, 0, 7, 7, value) + b"ee"
 
 
-def test_each_client_is_told_what_it_does_not_know() -> None:
+def test_each_client_receives_only_new_values() -> None:
     served, database = service()
 
     def package(direction: str, *ids: int) -> bytes:
@@ -285,19 +285,19 @@ def test_each_client_is_told_what_it_does_not_know() -> None:
     database.read.set(0, 1)
     assert asked(served, often) == [package("w") + package("r", 0) + b"ee"]
     database.read.set(1, [2, 3])
-    newcomer = granted(served)  # told of all that by its handshake
+    newcomer = granted(served)  # its handshake contains all these values
     clients = (master, often, seldom, newcomer)
     news = [package("r", *ids) + b"ee" for ids in ((0, 1), (1,), (0, 1), ())]
     assert asked(served, *clients) == [news[0], *(package("w") + each for each in news[1:])]
     served.receive(master, speed(5))
     served.receive(often, b"rree")
     nothing = package("r") + b"ee"
-    # The sole writer knows what it wrote.
+    # The sole writer knows its own values.
     assert dict(served.sync()) == {master: nothing, often: package("w", 0) + nothing}
     assert asked(served, often, seldom) == [package("w") + nothing, package("w", 0) + nothing]
 
 
-def test_what_several_are_told_is_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_equal_replies_are_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
     served, database = service()
     readers = [granted(served) for _ in range(5)]
     database.read.set(0, 1)
@@ -312,7 +312,7 @@ def test_what_several_are_told_is_encoded_once(monkeypatch: pytest.MonkeyPatch) 
     assert encoded == ["w", "r"]
 
 
-def test_a_reader_s_values_are_counted_and_not_taken(caplog: pytest.LogCaptureFixture) -> None:
+def test_values_of_a_reader_are_counted_but_ignored(caplog: pytest.LogCaptureFixture) -> None:
     served, database = service()
     assert (served.refused_writes, served.refused_clients, served.bad_clients) == (0, 0, 0)
     reader = granted(served)
@@ -325,18 +325,18 @@ def test_a_reader_s_values_are_counted_and_not_taken(caplog: pytest.LogCaptureFi
     assert not database.write.updated.any()
     assert database.write.value(0)[0] == 0
     assert caplog.text.count("may only read") == 1
-    # To ask as a writer is another thing: it would wait for what it is never sent.
+    # A request as a writer is rejected, because the client would wait for a reply that never comes.
     served.receive(reader, b"rwee")
     assert reader.failure == "requests as a writer without permission to write"
     assert served.bad_clients == 1
 
 
-def test_what_comes_with_the_access_request_is_a_request() -> None:
+def test_data_after_the_access_request_is_a_request() -> None:
     served, _ = service()
     assert granted(served, b"arrree").is_asking
 
 
-def test_the_last_words_of_a_writer_count_once_up_to_what_is_none() -> None:
+def test_last_requests_of_a_writer_are_applied_once() -> None:
     served, database = service()
     writer = granted(served, b"aw" + speed(5) + speed(6) + b"xx")
     served.disconnect(writer)
@@ -355,7 +355,7 @@ def test_four_kilobytes_are_read_ahead_of_the_reply() -> None:
     assert not client.may_send
 
 
-def test_a_service_has_its_slots_and_variables_for_good() -> None:
+def test_service_fixes_its_slots_and_variables() -> None:
     database = Database([SymbolRow("tick", 1)])
     assert Service(database, clients=10_000).slots == 10_000
     with pytest.raises(BadValue, match="clients"):
@@ -364,7 +364,7 @@ def test_a_service_has_its_slots_and_variables_for_good() -> None:
         database.read.add("late")
 
 
-def test_unless_it_is_told_otherwise_there_are_ten_slots_and_one_writer() -> None:
+def test_default_is_ten_slots_and_one_writer() -> None:
     served = Service(Database())
     assert served.slots == 10
     for _ in range(2):
@@ -372,18 +372,18 @@ def test_unless_it_is_told_otherwise_there_are_ten_slots_and_one_writer() -> Non
     assert served.writers == 1
 
 
-def test_a_client_that_is_gone_gives_its_slot_back_once() -> None:
+def test_disconnected_client_frees_its_slot_only_once() -> None:
     served, _ = service(clients=1)
     first = granted(served)
     served.disconnect(first)
     second = granted(served)
-    # Its connection may be told of its end by more than one side.
+    # The end of a connection might be reported more than once.
     served.disconnect(first)
     assert served.clients == [second]
     assert served.is_full
 
 
-def test_a_slot_that_is_taken_during_a_handshake_is_not_given_twice() -> None:
+def test_slot_taken_during_a_handshake_is_not_reused() -> None:
     served, _ = service(clients=1)
     slow = served.connect("slow")
     assert slow is not None
@@ -395,7 +395,7 @@ def test_a_slot_that_is_taken_during_a_handshake_is_not_given_twice() -> None:
 
 
 @pytest.mark.parametrize("width", [2, 4])
-def test_a_client_may_set_all_variables_at_once_and_a_kilobyte_more(width: int) -> None:
+def test_request_may_exceed_all_variables_by_a_kilobyte(width: int) -> None:
     served, database = service(width=width)
     every = database.write.encode(np.arange(len(database.write)), width)
     fill = b"rw" * ((1024 - 6 - 2) // 2)  # without the head of the package and the end
@@ -406,7 +406,7 @@ def test_a_client_may_set_all_variables_at_once_and_a_kilobyte_more(width: int) 
         served.disconnect(writer)
 
 
-def test_limits_that_are_given_are_kept() -> None:
+def test_given_limits_are_applied() -> None:
     generous = Service(Database(write=[SymbolRow("speed", 1)]), limits=Limits(batch=1 << 20))
     writer = granted(generous, b"aw")
     generous.receive(writer, b"rw" * 10_000 + b"ee")

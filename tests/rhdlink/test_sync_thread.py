@@ -1,4 +1,4 @@
-"""The thread that keeps a robot in sync: how it goes on, gives up, fails and ends."""
+"""The thread that keeps a robot in sync: how it continues, gives up, fails and ends."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def leaves_no_thread() -> Iterator[None]:
 @pytest.mark.parametrize(
     "seed", [pytest.param(seed, marks=pytest.mark.simulated_time(seed=seed)) for seed in range(40)]
 )
-def test_one_of_two_threads_keeps_it_in_sync(seed: int, simulated_time: Simulation) -> None:
+def test_only_one_of_two_sync_threads_starts(seed: int, simulated_time: Simulation) -> None:
     simulated_time.preempt("rhdlink")
     with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
         robot.sync()
@@ -57,7 +57,7 @@ def test_one_of_two_threads_keeps_it_in_sync(seed: int, simulated_time: Simulati
         assert errors == [f"{server.address} already has a sync thread"]
 
 
-def test_the_sync_thread_keeps_it_in_sync_and_tells_what_is_new() -> None:
+def test_sync_thread_delivers_updates_of_changed_variables() -> None:
     with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
         updates: list[Update] = []
         everything: list[Update] = []
@@ -77,14 +77,14 @@ def test_the_sync_thread_keeps_it_in_sync_and_tells_what_is_new() -> None:
         assert [each["encl"] for each in updates] == [tick // 2 for tick in range(1, syncs + 1)]
         assert all(list(each.changes) == ["encl"] for each in updates)
         assert "tick" not in updates[0]
-        # Fresh by its time stamp, changed by its value.
+        # A variable is fresh because of its time stamp, and changed because of its value.
         assert [each.changes["encl"].changed for each in updates[:4]] == [False, True, False, True]
         assert updates[1].changes["encl"].stamp == (1000, 20_000)
         robot.sync()
         assert robot.tick == syncs + 1
 
 
-def test_the_sync_thread_reconnects() -> None:
+def test_sync_thread_reconnects() -> None:
     side = Robot()
 
     def fails(peer: Peer) -> None:
@@ -99,7 +99,7 @@ def test_the_sync_thread_reconnects() -> None:
         assert sync_thread.failures >= 2
 
 
-def test_the_sync_thread_gives_up_when_it_is_told_to() -> None:
+def test_sync_thread_gives_up_after_the_allowed_tries() -> None:
     def fails(peer: Peer) -> None:
         Robot().greet(peer)
 
@@ -111,7 +111,7 @@ def test_the_sync_thread_gives_up_when_it_is_told_to() -> None:
         robot.close()
 
 
-def test_the_sync_thread_takes_its_time() -> None:
+def test_sync_thread_keeps_its_period() -> None:
     with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
         with robot.background(period=0.001) as sync_thread:
             until(lambda: sync_thread.syncs >= 5)
@@ -122,7 +122,7 @@ def test_the_sync_thread_takes_its_time() -> None:
 
 
 class Timed:
-    """Notes when it is synced; each sync takes as many seconds as the test says."""
+    """Object that notes the times of its syncs; each sync takes the duration that the test defines."""
 
     def __init__(self, *durations: float) -> None:
         self.times: list[float] = []
@@ -134,8 +134,8 @@ class Timed:
 
 
 @pytest.mark.parametrize("late", [0.015, 0.055, 1.0])
-def test_sync_thread_does_not_make_up_for_missed_periods(late: float) -> None:
-    """After a sync that took longer than its period the next one follows at once, and then one for each period."""
+def test_sync_thread_does_not_catch_up_missed_periods(late: float) -> None:
+    """After a sync that exceeded the period, the next sync starts immediately, and then one per period."""
     timed = Timed(0.0, 0.0, late)
     with SyncThread(timed.sync, 0.01, name="sync"):
         until(lambda: len(timed.times) >= 12)
@@ -143,8 +143,8 @@ def test_sync_thread_does_not_make_up_for_missed_periods(late: float) -> None:
     assert gaps == pytest.approx([0.01, 0.01, late, *[0.01] * 8], abs=1e-3)
 
 
-def test_after_a_success_the_back_off_begins_anew() -> None:
-    """With two tries it survives any number of losses, as long as each is made good by the second try."""
+def test_backoff_restarts_after_a_successful_sync() -> None:
+    """With two tries, the thread survives any number of losses if the second try succeeds each time."""
     side = Robot()
 
     def answers_once(peer: Peer) -> None:
@@ -160,17 +160,17 @@ def test_after_a_success_the_back_off_begins_anew() -> None:
         with robot.background(backoff=Backoff(first=0, tries=2)) as sync_thread:
             until(lambda: sync_thread.syncs > 10)
         assert sync_thread.failure is None
-        # Each loss fails twice: once when it is noticed, and once when the first new connection ends at once.
+        # Each loss causes two failures: one when it is noticed, and one when the first new connection ends immediately.
         assert sync_thread.failures == 8
         assert robot.reconnects == 4
 
 
 class Boom(BaseException):
-    """What no code expects."""
+    """Exception that no code expects."""
 
 
 @pytest.mark.parametrize("error", [ValueError("boom"), SystemExit(3), Boom()])
-def test_whatever_ends_it_is_its_failure(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
+def test_unexpected_exception_becomes_the_failure(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
     class Broken(Smr):
         def sync(self, timeout: float | None = None) -> None:
             raise error
@@ -184,7 +184,7 @@ def test_whatever_ends_it_is_its_failure(error: BaseException, caplog: pytest.Lo
     assert "sync ended because of an exception" in caplog.text
 
 
-def test_a_robot_that_is_dropped_is_collected_with_a_warning_and_its_thread_ends() -> None:
+def test_dropped_robot_is_collected_with_a_warning() -> None:
     def drop_in_use(address: str) -> SyncThread:
         robot = rhdlink.connect(address, Smr)
         robot.subscribe(lambda update: None)
@@ -202,7 +202,7 @@ def no_thread(self: threading.Thread) -> None:
     raise RuntimeError("can't start new thread")
 
 
-def test_without_a_thread_left_it_says_so_and_the_robot_can_be_used_and_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_robot_stays_usable_when_no_thread_can_start(monkeypatch: pytest.MonkeyPatch) -> None:
     with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
         with monkeypatch.context() as patched:
             patched.setattr(threading.Thread, "start", no_thread)
@@ -214,7 +214,7 @@ def test_without_a_thread_left_it_says_so_and_the_robot_can_be_used_and_closed(m
 
 
 @pytest.mark.parametrize("period", [0, -1, float("nan"), float("inf"), "fast"])
-def test_periods_that_cannot_be(period: Any) -> None:
+def test_background_rejects_invalid_periods(period: Any) -> None:
     with (
         ScriptedServer(lambda peer: Robot().greet(peer)) as server,
         rhdlink.connect(server.address, Smr) as robot,

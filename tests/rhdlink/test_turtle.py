@@ -1,4 +1,4 @@
-"""The turtle drives as the robots did that the original MRC drove, to the last digit that was recorded."""
+"""The turtle must drive exactly as the robots that the original MRC drove, to the last recorded digit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def drives() -> Path:
 
 
 class Watched(Plugin):
-    """Notes where the robot is when clients are told."""
+    """Plugin that notes the pose of the robot in each round."""
 
     safety = 1
 
@@ -52,14 +52,14 @@ LOCKSTEP = (
 @pytest.mark.slow
 @pytest.mark.captures("mrc")
 @pytest.mark.parametrize("drive", [f"{kind}_{name}" for kind in ("vw", "smr") for name in LOCKSTEP])
-def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> None:
+def test_recorded_commands_reproduce_the_recorded_drive(drives: Path, drive: str) -> None:
     with (drives / f"{drive}.csv").open() as file:
         columns, *rows = csv.reader(file)
-    # Some of the drives go further than 11 m.
+    # Some drives are longer than 11 m.
     world = World(1000.0)
     turtle = Turtle(world) if drive.startswith("vw") else SmrTurtle(world)
     commands = columns[5 : columns.index("tick", 5)]
-    told = columns[columns.index("tick", 5) :]
+    reported = columns[columns.index("tick", 5) :]
     watched = Watched(world)
     with Host([turtle, watched], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         master.greeting()
@@ -67,7 +67,7 @@ def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> 
         for row in rows:
             written = dict(zip(commands, map(int, row[5:]), strict=False))
             master.sync(written)
-            found.append([str(master.value(name)) for name in told])
+            found.append([str(master.value(name)) for name in reported])
     assert found == [row[5 + len(commands) :] for row in rows]
     assert watched.poses[: len(rows)] == [tuple(row[2:5]) for row in rows]
     assert len(rows) > 600
@@ -76,8 +76,8 @@ def test_recorded_commands_give_the_recorded_drive(drives: Path, drive: str) -> 
 @pytest.mark.slow
 @pytest.mark.captures("mrc")
 @pytest.mark.parametrize("drive", ["vw_arc", "vw_spiral", "smr_arc", "smr_spiral"])
-def test_every_byte_that_mrc_sent_is_served(drives: Path, drive: str) -> None:
-    """MRC's own bytes, sent as fast as replies come, move the robot as they moved that of the original server."""
+def test_recorded_bytes_of_mrc_move_the_turtle_identically(drives: Path, drive: str) -> None:
+    """The bytes are sent as fast as replies arrive, and must move the robot exactly as in the recording."""
     asked = (drives / f"{drive}_rhd64.c2s.bin").read_bytes()
     with (drives / f"{drive}_rhd64.csv").open() as file:
         rows = list(csv.reader(file))[1:]
@@ -89,9 +89,9 @@ def test_every_byte_that_mrc_sent_is_served(drives: Path, drive: str) -> None:
         for request in requests(asked, host):
             master.send(request)
             batch = master.batch()
-            # As the original answers its only master: read variables and nothing else.
+            # The original server replies to its only master with read variables only.
             assert [data.direction for data in batch.data] == ["r"]
-    # The original ticked for longer, before and after: what the robot did while it moved is the same.
+    # The original made more ticks before and after the drive, so only the poses during the motion are compared.
     theirs = [tuple(row[1:4]) for row in rows]
     moved = sorted(set(theirs), key=theirs.index)
     ours = sorted(set(watched.poses), key=watched.poses.index)
@@ -100,7 +100,7 @@ def test_every_byte_that_mrc_sent_is_served(drives: Path, drive: str) -> None:
 
 
 def requests(asked: bytes, host: Host) -> list[bytes]:
-    """What MRC sent after its access request, cut at the ends of its requests."""
+    """Return the bytes of MRC after its access request, split into requests."""
     stream = ClientDecoder(host.database.write.layout)
     stream.feed(asked)
     assert stream.take_access() == "w"
@@ -116,7 +116,7 @@ def lockstep(turtle: Plugin) -> Host:
     return Host([turtle], port=0, pacing="lockstep")
 
 
-def test_a_wall_stops_the_counters_too() -> None:
+def test_wall_also_stops_the_counters() -> None:
     turtle = Turtle(World(1.0), linear_scale=1000.0)
     with lockstep(turtle) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
@@ -129,7 +129,7 @@ def test_a_wall_stops_the_counters_too() -> None:
     assert turtle.world.blocked > 0
 
 
-def test_wheels_at_a_wall_turn_as_far_as_the_robot_goes() -> None:
+def test_wheels_at_a_wall_turn_only_as_far_as_the_robot_moves() -> None:
     turtle = SmrTurtle(World(1.0), tick_length=0.001)
     with lockstep(turtle) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
@@ -139,7 +139,7 @@ def test_wheels_at_a_wall_turn_as_far_as_the_robot_goes() -> None:
         assert master.words("irsensor") == [108, 255, 255, 255, 108, 0]
 
 
-def test_counters_of_16_bits_wrap() -> None:
+def test_16_bit_counters_wrap() -> None:
     turtle = SmrTurtle(World(100.0), tick_length=0.00001, encoder_bits=16)
     with lockstep(turtle) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
@@ -153,7 +153,7 @@ def test_counters_of_16_bits_wrap() -> None:
     [(Turtle(), {"cmdtransvel": 50000}), (SmrTurtle(), {"speedl": 50, "speedr": 50})],
     ids=["velocity-omega", "smr"],
 )
-def test_it_stops_when_its_master_goes_and_waits_for_a_new_command(turtle: Any, command: dict[str, int]) -> None:
+def test_turtle_stops_without_a_master_until_a_new_command(turtle: Any, command: dict[str, int]) -> None:
     with lockstep(turtle) as host, RawClient(host.port) as reader:
         reader.greeting()
         with RawClient(host.port, b"aw") as master:
@@ -162,31 +162,31 @@ def test_it_stops_when_its_master_goes_and_waits_for_a_new_command(turtle: Any, 
                 master.sync(command)
             moving = turtle.world.odometry.x
             assert moving > 0.0
-        # Without a writer readers make the ticks; the first may come before the master's end was noticed.
+        # Without a writer, readers cause the ticks; the first tick might come before the host notices the master's end.
         while host.writers:
             reader.sync()
         reader.sync()
         reader.sync()
-        stands = turtle.world.odometry
+        at_rest = turtle.world.odometry
         for _ in range(5):
             reader.sync()
-        assert turtle.world.odometry == stands
+        assert turtle.world.odometry == at_rest
         with RawClient(host.port, b"aw") as other:
             other.greeting()
-            # The old command is still in the database: nobody has given it again.
+            # The old command is still in the database, but no client has sent it again.
             assert all(other.value(name) == value for name, value in command.items())
             other.send(b"rwee")
             other.batch()
             other.send(b"rwee")
             other.batch()
-            assert turtle.world.odometry == stands
+            assert turtle.world.odometry == at_rest
             other.sync(command)
             other.sync(command)
             other.sync(command)
-            assert turtle.world.odometry.x > stands.x
+            assert turtle.world.odometry.x > at_rest.x
 
 
-def test_it_can_be_told_to_go_on_without_a_master() -> None:
+def test_turtle_can_keep_moving_without_a_master() -> None:
     turtle = Turtle(needs_master=False)
     with lockstep(turtle) as host, RawClient(host.port) as reader:
         reader.greeting()
@@ -202,7 +202,7 @@ def test_it_can_be_told_to_go_on_without_a_master() -> None:
         assert reader.value("transpos") >= before + 1000
 
 
-def test_the_world_is_described_in_the_file() -> None:
+def test_world_is_configured_in_the_host_file() -> None:
     text = """<rhd><server><port value="0"/></server><plugins>
       <robot enable="true" lib="rhdlink.host.plugins.turtle:SmrTurtle" critical="true" size="4">
         <x value="1"/><theta value="0.5"/></robot></plugins></rhd>"""
@@ -214,24 +214,24 @@ def test_the_world_is_described_in_the_file() -> None:
         assert (turtle.world.size, tuple(turtle.world.start)) == (4.0, (1.0, 2.0, 0.5))
 
 
-def test_a_world_that_is_given_has_the_last_word() -> None:
+def test_given_world_overrides_the_file() -> None:
     turtle = Turtle(World(3.0))
     turtle.init(Element("turtle", {"size": "5"}))
     assert turtle.world.size == 3.0
 
 
 @pytest.mark.parametrize("wrong", [{"linear_scale": 0.0}, {"angular_scale": math.nan}])
-def test_scales_that_cannot_be(wrong: dict[str, float]) -> None:
+def test_turtle_rejects_invalid_scales(wrong: dict[str, float]) -> None:
     with pytest.raises(BadValue):
         Turtle(**wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("wrong", [{"width": 0.0}, {"tick_length": -1.0}, {"encoder_bits": 8}])
-def test_wheels_that_cannot_be(wrong: dict[str, Any]) -> None:
+def test_smr_turtle_rejects_invalid_wheels(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadValue):
         SmrTurtle(**wrong)
 
 
-def test_what_is_no_world_is_said() -> None:
+def test_turtle_rejects_an_object_that_is_not_a_world() -> None:
     with pytest.raises(BadValue, match=r"world=3; expected rhdlink.host.world.World\(...\)"):
         Turtle(3)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What words mean: held against `struct`, which packs as a C compiler does."""
+"""Meaning of words, compared with `struct`, which packs values in the same way as a C compiler."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NUMBERS: list[tuple[ValueType[Any, Any, Any], str, st.SearchStrategy[Any]]] = [
 
 
 def memory(words: Sequence[int] | np.ndarray[Any, Any], order: Order) -> bytes:
-    """The bytes in a machine that has these words: each as that machine holds an int."""
+    """Return the bytes of these words in the memory of a machine with this byte order."""
     return struct.pack(f"{'<' if order == 'little' else '>'}{len(words)}i", *words)
 
 
@@ -51,7 +51,7 @@ def same(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("value_type", "letter", "values"), NUMBERS)
 @given(st.data())
-def test_numbers_are_in_memory_as_a_c_program_has_them(
+def test_numbers_have_the_memory_layout_of_c(
     value_type: ValueType[Any, Any, Any], letter: str, values: st.SearchStrategy[Any], order: Order, data: st.DataObject
 ) -> None:
     mark = "<" if order == "little" else ">"
@@ -86,7 +86,7 @@ def test_numbers_are_in_memory_as_a_c_program_has_them(
     ],
 )
 @given(st.data())
-def test_a_value_is_read_from_the_memory_of_a_table_as_from_its_words(
+def test_reader_equals_unpacking_the_words(
     value_type: ValueType[Any, Any, Any], order: Order, data: st.DataObject
 ) -> None:
     for count in (1, data.draw(st.integers(2, 4))):
@@ -99,7 +99,7 @@ def test_a_value_is_read_from_the_memory_of_a_table_as_from_its_words(
         (value,) = value_type.reader(count, order)(memory, 4 * before)
         expected = value_type.unpack(words, order) if count == 1 else value_type.unpack_many(words, count, order)
         assert type(value) is type(expected)
-        # Compared as text, so that one NaN is like another.
+        # The values are compared as text, so that NaN equals NaN.
         assert repr(value) == repr(expected)
         memory[:] = bytes(len(memory))
         assert repr(value) == repr(expected)
@@ -108,7 +108,7 @@ def test_a_value_is_read_from_the_memory_of_a_table_as_from_its_words(
             assert value.dtype == expected.dtype
 
 
-#: What somebody may set, of which little fits.
+#: Values that a user might set, of which few are valid.
 ANYTHING = st.one_of(
     st.integers(-(2**33), 2**33),
     st.floats(),
@@ -124,7 +124,7 @@ ANYTHING = st.one_of(
 @pytest.mark.property
 @pytest.mark.parametrize("value_type", [Int32, UInt32, Float64, Bool, Scaled(0.01), Scaled(1 / 40000)], ids=repr)
 @given(value=ANYTHING, count=st.sampled_from([1, 3]))
-def test_what_packs_quickly_packs_the_same_and_refuses_the_same(
+def test_packer_gives_the_same_words_and_errors_as_pack(
     value_type: ValueType[Any, Any, Any], value: Any, count: int
 ) -> None:
     def packed(pack: Callable[[], Any]) -> Any:
@@ -140,7 +140,7 @@ def test_what_packs_quickly_packs_the_same_and_refuses_the_same(
         assert quickly == packed(lambda: value_type.pack_many(value, count, "little"))
 
 
-def test_a_double_is_low_word_first_unless_its_machine_is_big() -> None:
+def test_float64_word_order_follows_the_byte_order() -> None:
     assert Float64.pack(1.0, "little").tolist() == [0, 0x3FF00000]
     assert Float64.pack(1.0, "big").tolist() == [0x3FF00000, 0]
 
@@ -187,7 +187,7 @@ def test_a_double_is_low_word_first_unless_its_machine_is_big() -> None:
     ],
 )
 @pytest.mark.parametrize("order", ORDERS)
-def test_values_that_cannot_be(value_type: ValueType[Any, Any, Any], value: Any, order: Order) -> None:
+def test_value_types_reject_invalid_values(value_type: ValueType[Any, Any, Any], value: Any, order: Order) -> None:
     with pytest.raises(BadValue):
         value_type.pack(value, order)
     with pytest.raises(BadValue):
@@ -198,12 +198,12 @@ def test_values_that_cannot_be(value_type: ValueType[Any, Any, Any], value: Any,
     "value_type", [Int32, Int64, Float32, Float64, Bool, Scaled(0.1), Millionths, Text(4), Structure([("a", "i4")])]
 )
 @pytest.mark.parametrize("values", [[], [0], [0, 0, 0], 0, [[0, 0]], [[0], [0, 0]]])
-def test_as_many_as_it_is_long(value_type: ValueType[Any, Any, Any], values: Any) -> None:
+def test_pack_many_rejects_a_wrong_number_of_values(value_type: ValueType[Any, Any, Any], values: Any) -> None:
     with pytest.raises(BadValue):
         value_type.pack_many(values, 2, "little")
 
 
-def test_whole_numbers_of_any_type() -> None:
+def test_integers_of_any_type_are_packed() -> None:
     assert Int32.pack(np.int64(5), "little").tolist() == [5]
     assert Int32.pack(True, "little").tolist() == [1]
     assert Int32.pack_many(np.array([1, 2], np.uint64), 2, "little").tolist() == [1, 2]
@@ -214,7 +214,7 @@ def test_whole_numbers_of_any_type() -> None:
         Int64.pack_many([0, 2**64], 2, "little")
 
 
-def test_flags() -> None:
+def test_bool_is_packed_and_unpacked() -> None:
     assert Bool.pack(True, "little").tolist() == [1]
     assert Bool.pack_many([True, False], 2, "little").tolist() == [1, 0]
     assert Bool.unpack(np.array([-5], np.int32), "little") is True
@@ -223,7 +223,7 @@ def test_flags() -> None:
 
 @pytest.mark.property
 @given(st.integers(-(2**31), 2**31 - 1), st.sampled_from([1e-5, 1 / 40000, 0.01, 1.0, 3.0]))
-def test_every_step_of_a_fixed_point_number_is_itself_again(steps: int, scale: float) -> None:
+def test_scaled_step_survives_a_round_trip(steps: int, scale: float) -> None:
     value_type = Scaled(scale)
     value = value_type.unpack(np.array([steps], np.int32), "little")
     assert value == steps * scale
@@ -236,7 +236,7 @@ def test_every_step_of_a_fixed_point_number_is_itself_again(steps: int, scale: f
     ]
 
 
-def test_a_fixed_point_number_is_rounded_to_its_nearest_step() -> None:
+def test_scaled_value_is_rounded_to_the_nearest_step() -> None:
     assert Scaled(1e-5, unit="m/s").pack(0.3, "little").tolist() == [30000]
     assert Scaled(0.01).pack_many([0.126, -0.126], 2, "little").tolist() == [13, -13]
     assert Scaled(1e-5, unit="m/s").unit == "m/s"
@@ -244,7 +244,7 @@ def test_a_fixed_point_number_is_rounded_to_its_nearest_step() -> None:
 
 
 @pytest.mark.parametrize("scale", [0, -1, math.inf, math.nan])
-def test_scales_that_cannot_be(scale: float) -> None:
+def test_scaled_rejects_invalid_scales(scale: float) -> None:
     with pytest.raises(BadValue, match="expected a positive number"):
         Scaled(scale)
 
@@ -264,7 +264,7 @@ def test_millionths_have_the_sign_in_both_words() -> None:
         st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=5), min_size=1, max_size=3
     )
 )
-def test_text_is_in_memory_as_it_is(order: Order, texts: list[str]) -> None:
+def test_text_is_packed_as_its_bytes(order: Order, texts: list[str]) -> None:
     value_type = Text(21)
     raw = b"".join(text.encode().ljust(21, b"\0") for text in texts)
     words = value_type.pack_many(texts, len(texts), order)
@@ -274,7 +274,7 @@ def test_text_is_in_memory_as_it_is(order: Order, texts: list[str]) -> None:
     assert value_type.unpack(value_type.pack(texts[0], order), order) == texts[0]
 
 
-def test_text_that_is_none() -> None:
+def test_invalid_text_is_replaced_and_zero_length_rejected() -> None:
     assert Text(4).unpack(np.array([-1], np.int32), "little") == "\ufffd" * 4
     assert Text(3).unpack(np.array([0x64636261], np.int32), "little") == "abc"
     with pytest.raises(BadValue):
@@ -284,7 +284,7 @@ def test_text_that_is_none() -> None:
 @pytest.mark.property
 @pytest.mark.parametrize("order", ORDERS)
 @given(st.integers(0, 255), st.integers(-(2**15), 2**15 - 1), st.floats(allow_nan=False))
-def test_a_structure_is_in_memory_as_a_compiler_pads_it(order: Order, flag: int, count: int, value: float) -> None:
+def test_structure_is_padded_like_in_c(order: Order, flag: int, count: int, value: float) -> None:
     dtype = np.dtype([("flag", "u1"), ("count", "i2"), ("value", "f8")], align=True)
     value_type = Structure(dtype)
     mark = "<" if order == "little" else ">"
@@ -299,7 +299,7 @@ def test_a_structure_is_in_memory_as_a_compiler_pads_it(order: Order, flag: int,
     )
 
 
-def test_the_padding_of_a_structure_inside_a_structure_is_zero() -> None:
+def test_padding_of_a_nested_structure_is_zero() -> None:
     inner = np.dtype([("flag", "u1"), ("value", "f8")], align=True)
     value_type = Structure(np.dtype([("one", inner), ("two", inner, 2)], align=True))
     value = np.frombuffer(b"\xff" * value_type.dtype.itemsize, value_type.dtype)[0]
@@ -308,7 +308,7 @@ def test_the_padding_of_a_structure_inside_a_structure_is_zero() -> None:
 
 
 @pytest.mark.parametrize("dtype", ["i4", [("a", "O")], []])
-def test_structures_that_cannot_be(dtype: Any) -> None:
+def test_structure_rejects_invalid_types(dtype: Any) -> None:
     with pytest.raises(BadValue):
         Structure(dtype)
 
@@ -316,7 +316,7 @@ def test_structures_that_cannot_be(dtype: Any) -> None:
 @pytest.mark.property
 @pytest.mark.parametrize("order", ORDERS)
 @given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=6, max_size=6))
-def test_any_words_are_a_value(order: Order, numbers: list[int]) -> None:
+def test_any_words_can_be_unpacked(order: Order, numbers: list[int]) -> None:
     words = np.array(numbers, np.int32)
     for value_type in (
         Int32,

@@ -1,4 +1,4 @@
-"""The bridge: velocities are handed over, poses are told, and no tick waits for either."""
+"""The bridge: velocities are delivered, poses are reported, and no tick waits for either."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def lockstep(bridge: VelocityBridge) -> Host:
     return Host([bridge], port=0, pacing="lockstep")
 
 
-def test_a_velocity_is_handed_over_when_it_changes() -> None:
+def test_velocity_is_delivered_when_it_changes() -> None:
     twists: list[Twist] = []
     bridge = VelocityBridge(twists.append, own_thread=False)
     with lockstep(bridge) as host, RawClient(host.port, b"aw") as master:
@@ -29,7 +29,7 @@ def test_a_velocity_is_handed_over_when_it_changes() -> None:
         for linear, angular in ((30000, 0), (30000, 0), (30000, -20000), (0, -20000), (0, -20000)):
             master.sync({"cmdtransvel": linear, "cmdrotvel": angular})
         master.sync({})
-        # Forward is forward however quickly it turns: the original multiplied by the cosine of the turn rate.
+        # The forward speed does not depend on the turn rate: the original multiplied it by the cosine of the turn rate.
         assert twists == [(0.3, 0.0), (0.3, -0.5), (0.0, -0.5)]
 
 
@@ -37,7 +37,7 @@ def test_a_velocity_is_handed_over_when_it_changes() -> None:
     ("commanded", "linear"),
     [(499, 0.0), (-499, 0.0), (500, 0.005), (-500, -0.005), (1, 0.0)],
 )
-def test_the_dead_band_is_of_the_forward_velocity_only(commanded: int, linear: float) -> None:
+def test_dead_band_applies_only_to_the_forward_velocity(commanded: int, linear: float) -> None:
     twists: list[Twist] = []
     with lockstep(VelocityBridge(twists.append, own_thread=False)) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
@@ -68,7 +68,7 @@ def test_scales_are_settings() -> None:
         assert (master.value("transpos"), master.value("rotpos")) == (2000, 3)
 
 
-def test_poses_are_told_at_the_next_tick_and_only_if_there_are_new_ones() -> None:
+def test_new_poses_are_reported_at_the_next_tick() -> None:
     bridge = VelocityBridge(lambda twist: None, own_thread=False)
     with lockstep(bridge) as host, RawClient(host.port) as reader:
         reader.greeting()
@@ -83,23 +83,23 @@ def test_poses_are_told_at_the_next_tick_and_only_if_there_are_new_ones() -> Non
 
 
 @pytest.mark.parametrize("pose", [(math.nan, 0, 0), (0, math.inf, 0), (0, 0, -2e6)])
-def test_what_is_no_pose_is_refused_where_it_is_said(pose: tuple[float, float, float]) -> None:
+def test_update_pose_rejects_an_invalid_pose(pose: tuple[float, float, float]) -> None:
     with pytest.raises(BadValue):
         VelocityBridge(lambda twist: None).update_pose(*pose)
 
 
 @pytest.mark.parametrize("wrong", [{"command_linear_scale": 0.0}, {"angular_scale": math.nan}, {"dead_band": -1.0}])
-def test_settings_that_cannot_be(wrong: dict[str, Any]) -> None:
+def test_bridge_rejects_invalid_settings(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadValue):
         VelocityBridge(lambda twist: None, **wrong)
 
 
-def test_what_is_no_function_is_said() -> None:
+def test_bridge_rejects_an_argument_that_is_not_a_function() -> None:
     with pytest.raises(BadValue, match="on_twist=3; expected a function"):
         VelocityBridge(3)  # type: ignore[arg-type]
 
 
-def test_a_slow_function_holds_up_no_tick_and_is_given_the_newest() -> None:
+def test_slow_function_delays_no_tick_and_gets_the_newest() -> None:
     twists: list[Twist] = []
     entered, go_on = threading.Event(), threading.Event()
 
@@ -114,7 +114,7 @@ def test_a_slow_function_holds_up_no_tick_and_is_given_the_newest() -> None:
         master.sync({"cmdtransvel": 10000})
         master.sync({})
         assert entered.wait(10.0)
-        # The function does not return, and thirty ticks pass.
+        # Thirty ticks pass before the function returns.
         for number in range(30):
             master.sync({"cmdtransvel": 20000 + 1000 * number})
         master.sync({})
@@ -123,11 +123,11 @@ def test_a_slow_function_holds_up_no_tick_and_is_given_the_newest() -> None:
         assert twists == [(0.1, 0.0), (0.49, 0.0)]
         assert bridge.stats is not None
         assert bridge.stats.dropped == 29
-    # At the end it is told to stop.
+    # At the end, the function receives a stop.
     assert twists[-1] == (0.0, 0.0)
 
 
-def test_a_function_that_raises_is_called_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_function_that_raises_is_called_again(caplog: pytest.LogCaptureFixture) -> None:
     twists: list[Twist] = []
 
     def failing(twist: Twist) -> None:
@@ -146,7 +146,7 @@ def test_a_function_that_raises_is_called_again(caplog: pytest.LogCaptureFixture
     assert "no wheels" in caplog.text
 
 
-def test_without_a_master_it_is_told_to_stop_and_the_same_command_starts_it_again() -> None:
+def test_bridge_stops_without_a_master_and_restarts() -> None:
     twists: list[Twist] = []
     with lockstep(VelocityBridge(twists.append, own_thread=False)) as host, RawClient(host.port) as reader:
         reader.greeting()

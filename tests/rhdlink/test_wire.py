@@ -1,4 +1,4 @@
-"""The byte format: any bytes give a value or a documented error, and what is encoded is decoded again."""
+"""The byte format: any bytes give a value or a documented error, and encoded data is decoded to the same values."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def plain(found: Batch | Request | Handshake) -> object:
 
 
 def read_server(pieces: Sequence[bytes], width: int | None = None, limits: Limits | None = None) -> list[object]:
-    """All that comes out of it, an error as the last."""
+    """Return all values that the decoder produces; an error is the last element."""
     stream = ServerDecoder(width=width, limits=limits)
     found: list[object] = []
     for piece in pieces:
@@ -98,12 +98,12 @@ def read_client(pieces: Sequence[bytes], layout: TableLayout, width: int, limits
     return found
 
 
-# -- there and back ----------------------------------------------------------------------------
+# -- round trips -------------------------------------------------------------------------------
 
 
 @pytest.mark.property
 @given(databases(), st.sampled_from([None, "r", "w"]), widths, st.lists(st.integers(0, 10_000), max_size=6))
-def test_a_handshake_there_and_back(database: Database, granted: str | None, width: int, cuts: list[int]) -> None:
+def test_handshake_survives_a_round_trip(database: Database, granted: str | None, width: int, cuts: list[int]) -> None:
     data = database.encode_handshake(granted, width)
     (found,) = read_server(cut(data, cuts), width)
     tables = (database.write, database.read)
@@ -115,7 +115,7 @@ def test_a_handshake_there_and_back(database: Database, granted: str | None, wid
 
 @pytest.mark.property
 @given(databases(), widths)
-def test_the_width_is_found_by_structure(database: Database, width: int) -> None:
+def test_width_is_inferred_from_the_structure(database: Database, width: int) -> None:
     (found,) = read_server([database.encode_handshake("r", width)])
     if database.read.rows or database.write.rows:
         assert found == read_server([database.encode_handshake("r", width)], width)[0]
@@ -123,14 +123,14 @@ def test_the_width_is_found_by_structure(database: Database, width: int) -> None
 
 @pytest.mark.property
 @given(lengths, widths, st.data())
-def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: int, data: st.DataObject) -> None:
+def test_packages_survive_a_round_trip_and_match_construct(sizes: list[int], width: int, data: st.DataObject) -> None:
     layout = TableLayout(sizes)
     values = np.array(data.draw(st.lists(words, min_size=layout.words, max_size=layout.words)), np.int32)
     times = np.array([data.draw(stamps) for _ in sizes], np.int64).reshape(-1, 2)
     stream = ClientDecoder(layout, width=width)
     stream.feed(b"aw")
     stream.take_access()
-    # Several packages through one stream: later ones are taken by what is remembered of earlier ones.
+    # Several packages use one decoder, because later packages are decoded with data remembered from earlier ones.
     for _ in range(4):
         ids = data.draw(st.lists(st.integers(0, len(sizes) - 1), max_size=len(sizes)))
         raw = encode_data("w", Selection(layout, np.array(ids, np.int64), width), values, times)
@@ -159,20 +159,20 @@ def test_packages_there_and_back_as_construct_has_them(sizes: list[int], width: 
 
 @pytest.mark.property
 @given(rows)
-def test_tables_as_construct_has_them(table: tuple[SymbolRow, ...]) -> None:
+def test_tables_match_construct(table: tuple[SymbolRow, ...]) -> None:
     declared = schema("table", "server")
     parsed = declared.parse(encode_table("r", table))
     assert [(row.name.rstrip(b"\0").decode("latin-1"), row.length) for row in parsed["items"]] == list(table)
     assert declared.build(parsed) == encode_table("r", table)
 
 
-def test_small_packages_as_construct_has_them() -> None:
+def test_small_packages_match_construct() -> None:
     assert schema("access", "client").build({"second": b"w"}) == encode_access("w")
     assert schema("ready", "client").build({"second": b"r"}) == encode_ready("r")
     assert schema("end", "server").parse(END).second == ord("e")
 
 
-def test_stamps_of_64_bits() -> None:
+def test_64_bit_time_stamps_are_decoded() -> None:
     database = Database(read=[SymbolRow("tick", 1)])
     late = TimeStamp(2**33 + 5, 7)
     database.read.set(0, 1, late)
@@ -180,7 +180,7 @@ def test_stamps_of_64_bits() -> None:
     assert found[1][1][2] == [list(late)]  # type: ignore[index]
 
 
-def test_of_a_variable_that_is_there_twice_the_last_counts() -> None:
+def test_last_entry_of_a_repeated_variable_wins() -> None:
     database = Database(write=[SymbolRow("a", 1), SymbolRow("b", 2)])
     stream = ClientDecoder(database.write.layout)
     entry = struct.Struct(">iiii")
@@ -201,10 +201,10 @@ def test_of_a_variable_that_is_there_twice_the_last_counts() -> None:
         ([0, 3], True, [10, 0, 0, 0, 11]),
         ([2, 1], False, [0, 11, 12, 10, 0]),
         ([1, 1], False, [0, 12, 13, 0, 0]),
-        ([0, 0, 2], False, [11, 0, 0, 12, 0]),  # as far from first to last as three in a row
+        ([0, 0, 2], False, [11, 0, 0, 12, 0]),  # first and last are as far apart as in three consecutive ids
     ],
 )
-def test_values_are_those_of_their_variables(ids: list[int], is_ordered: bool, values: list[int]) -> None:
+def test_values_are_assigned_to_their_variables(ids: list[int], is_ordered: bool, values: list[int]) -> None:
     database = Database(write=[SymbolRow("a", 1), SymbolRow("b", 2), SymbolRow("c", 1), SymbolRow("d", 1)])
     table = database.write
     found = Selection(table.layout, np.array(ids, np.int64), 2)
@@ -223,8 +223,8 @@ def test_values_are_those_of_their_variables(ids: list[int], is_ordered: bool, v
 @pytest.mark.parametrize("ids", [[], [0], [0, 1, 2], [1, 2], [2, 0]])
 @pytest.mark.parametrize("sizes", [[2, 2, 2], [1, 3, 2]])
 @pytest.mark.parametrize("width", [2, 4])
-def test_entries_there_and_back(ids: list[int], sizes: list[int], width: int) -> None:
-    """Of variables of one length, which are moved as a table, and of others."""
+def test_entries_survive_a_round_trip(ids: list[int], sizes: list[int], width: int) -> None:
+    """Variables of equal length are packed as a table, others one by one."""
     layout = TableLayout(sizes)
     values = np.arange(-3, layout.words - 3, dtype=np.int32)
     high = 7 << 32 if width == 4 else 0
@@ -244,17 +244,17 @@ def _int32(values: Iterator[int], count: int) -> Iterator[bytes]:
     return (struct.pack(">i", next(values)) for _ in range(count))
 
 
-def test_no_more_than_there_are_variables_in_one_package() -> None:
+def test_package_must_not_have_more_entries_than_variables() -> None:
     raw = b"awdw" + struct.pack(">i", 2) + 2 * struct.pack(">iiii", 0, 0, 0, 0) + b"ee"
     assert "counts 2; expected 0 to 1" in str(read_client([raw], TableLayout([1]), 2)[-1])
 
 
-# -- what cannot be ----------------------------------------------------------------------------
+# -- invalid data ------------------------------------------------------------------------------
 
 HANDSHAKE = Database(
     read=[SymbolRow("tick", 1), SymbolRow("line", 8)], write=[SymbolRow("speed", 1), SymbolRow("arm", 3)]
 ).encode_handshake("r")
-#: Where what begins in it: ar, tw and its rows, tr and its rows, dw, dr.
+#: Offsets of packages in the handshake, which consists of ar, tw and its rows, tr and its rows, dw, and dr.
 TW, TR, DW, DR = 2, 2 + 80, 2 + 160, 2 + 160 + 6 + 12 + 12 + 12 + 4
 
 
@@ -282,14 +282,14 @@ def changed(at: int, what: bytes) -> bytes:
         (changed(len(HANDSHAKE) - 2, b"xx"), "expected b'e'", len(HANDSHAKE) - 2),
     ],
 )
-def test_a_handshake_that_cannot_be_says_where(data: bytes, reason: str, offset: int) -> None:
+def test_invalid_handshake_raises_reason_and_offset(data: bytes, reason: str, offset: int) -> None:
     stream = ServerDecoder(width=2)
     stream.feed(data)
     with pytest.raises(PacketError) as caught:
         stream.take_handshake()
     assert reason in str(caught.value)
     assert caught.value.offset == offset
-    # It stays that way, and what comes is no longer kept.
+    # The decoder keeps its error, and no longer stores received data.
     stream.feed(HANDSHAKE)
     with pytest.raises(PacketError) as again:
         stream.take_handshake()
@@ -312,7 +312,7 @@ def test_a_handshake_that_cannot_be_says_where(data: bytes, reason: str, offset:
         (encode_table("r", [SymbolRow("tick", 2)]), "table 'tr' differs from the table in the handshake", 0),
     ],
 )
-def test_a_batch_that_cannot_be_says_where(data: bytes, reason: str, offset: int) -> None:
+def test_invalid_batch_raises_reason_and_offset(data: bytes, reason: str, offset: int) -> None:
     stream = ServerDecoder()
     stream.feed(HANDSHAKE + data)
     stream.take_handshake()
@@ -336,7 +336,7 @@ def test_a_batch_that_cannot_be_says_where(data: bytes, reason: str, offset: int
         (b"dw" + struct.pack(">i", 2**31 - 1), "counts 2147483647"),
     ],
 )
-def test_a_request_that_cannot_be(data: bytes, reason: str) -> None:
+def test_invalid_request_raises_the_reason(data: bytes, reason: str) -> None:
     for pieces in ([b"aw" + data], [bytes([byte]) for byte in b"aw" + data]):
         found = read_client(pieces, TableLayout([1, 3]), 2)
         assert found[0] == "w"
@@ -344,11 +344,11 @@ def test_a_request_that_cannot_be(data: bytes, reason: str) -> None:
 
 
 @pytest.mark.parametrize("data", [b"x", b"ax", b"ww", b"ra"])
-def test_an_access_request_that_cannot_be(data: bytes) -> None:
+def test_invalid_access_request_is_rejected(data: bytes) -> None:
     assert "expected 'ar' or 'aw'" in str(read_client([data], TableLayout([1]), 2)[-1])
 
 
-def test_limits() -> None:
+def test_limits_of_a_handshake_are_enforced() -> None:
     for limits, reason in (
         (Limits(variables=1), "counts 2; expected 0 to 1"),
         (Limits(length=7), "variable 1 has 8 words; expected 1 to 7"),
@@ -357,7 +357,7 @@ def test_limits() -> None:
         (Limits(batch=100), "no end within 100 bytes"),
     ):
         assert reason in str(read_server([HANDSHAKE], limits=limits)[-1])
-    # By its tables a handshake is too large before its values have come.
+    # The tables alone show that the handshake is too large, before its values have arrived.
     assert "no end within" in str(read_server([HANDSHAKE[:DW]], limits=Limits(batch=len(HANDSHAKE) - 1))[-1])
     assert read_server([HANDSHAKE[:DW]], limits=Limits(batch=len(HANDSHAKE))) == []
     assert Limits() == Limits(variables=8192, length=4096, words=1_048_576, batch=16_777_216)
@@ -365,16 +365,16 @@ def test_limits() -> None:
     assert not isinstance(found, str)
 
 
-def test_the_largest_batch_that_is_taken() -> None:
+def test_largest_allowed_batch_is_accepted() -> None:
     batch = b"dr\0\0\0\0" * 100 + b"ee"
     for pieces in ([HANDSHAKE, batch], [HANDSHAKE, *(batch[at : at + 1] for at in range(len(batch)))]):
         assert read_server(pieces, limits=Limits(batch=len(batch)))[-1] == [("r", [], [], [])] * 100
-        # Also where only its end is beyond the limit.
+        # The batch is also rejected if only its end exceeds the limit.
         for size in (len(batch) - 1, len(batch) - 2):
             assert f"no end within {size} bytes" in str(read_server(pieces, limits=Limits(batch=size))[-1])
 
 
-def test_a_package_that_is_going_to_be_too_large_is_refused_before_it_has_come() -> None:
+def test_too_large_package_is_rejected_before_it_arrives() -> None:
     limits = Limits(batch=1000)
     layout = TableLayout([1, 300])
     announced = b"dw" + struct.pack(">ii", 2, 1)
@@ -385,10 +385,10 @@ def test_a_package_that_is_going_to_be_too_large_is_refused_before_it_has_come()
         assert ("no end within" in str(found[-1])) == (len(rows) > 1000)
 
 
-def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_before(
+def test_package_with_known_variables_reuses_its_selection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Eleven kinds of packages, the empty one among them: the first is forgotten when the eleventh comes."""
+    """With eleven kinds of packages, including an empty one, the first is forgotten when the eleventh arrives."""
     layout = TableLayout([1] * 10)
     decoder = ClientDecoder(layout)
     decoder.feed(b"aw")
@@ -403,7 +403,7 @@ def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_be
 
     kinds = [send(count) for count in range(10)]
     with monkeypatch.context() as patched:
-        patched.setattr(decoder_module, "Cursor", None)  # nobody looks at single entries
+        patched.setattr(decoder_module, "Cursor", None)  # single entries must not be read
         assert [send(count) for count in range(10)] == kinds
     send(10)
     assert send(0) is not kinds[0]
@@ -411,12 +411,12 @@ def test_a_package_of_the_same_variables_is_taken_by_what_is_known_of_the_one_be
 
 
 @pytest.mark.parametrize("name", ["variables", "length", "words", "batch"])
-def test_limits_that_cannot_be(name: str) -> None:
+def test_limits_must_be_positive(name: str) -> None:
     with pytest.raises(BadValue, match=f"Limits.{name} is 0"):
         Limits(**{name: 0})
 
 
-def test_a_batch_without_an_end_is_refused() -> None:
+def test_batch_without_an_end_is_rejected() -> None:
     limits = Limits(batch=1000)
     for endless in (b"dr\0\0\0\0" * 300, encode_table("r", [SymbolRow("tick", 1), SymbolRow("line", 8)]) * 30):
         assert "no end within 1000 bytes" in str(read_server([HANDSHAKE, endless], limits=limits)[-1])
@@ -425,32 +425,32 @@ def test_a_batch_without_an_end_is_refused() -> None:
 
 
 @pytest.mark.parametrize("width", [0, 1, 3, 8])
-def test_widths_that_cannot_be(width: int) -> None:
+def test_decoders_reject_invalid_widths(width: int) -> None:
     with pytest.raises(BadValue, match="expected 2 or 4"):
         ServerDecoder(width=width)
     with pytest.raises(BadValue, match="expected 2 or 4"):
         ClientDecoder(TableLayout([1]), width=width)
 
 
-def test_the_largest_row() -> None:
+def test_largest_row_is_encoded() -> None:
     assert encode_table("r", [SymbolRow("n" * 32, 2**31 - 1)]) == b"tr\0\0\0\1\x7f\xff\xff\xff" + b"n" * 32 + b"\0"
 
 
 @pytest.mark.parametrize(
     "row", [SymbolRow("n" * 33, 1), SymbolRow("a\0b", 1), SymbolRow("€", 1), SymbolRow("a", 0), SymbolRow("a", 1 << 31)]
 )
-def test_rows_that_cannot_be(row: SymbolRow) -> None:
+def test_invalid_rows_are_rejected(row: SymbolRow) -> None:
     with pytest.raises(BadValue):
         encode_table("r", [row])
 
 
 @pytest.mark.parametrize("encode", [encode_access, encode_ready, lambda letter: encode_table(letter, [])])
-def test_directions_that_cannot_be(encode: Callable[[str], bytes]) -> None:
+def test_invalid_directions_are_rejected(encode: Callable[[str], bytes]) -> None:
     with pytest.raises(BadValue, match="expected 'r' or 'w'"):
         encode("x")
 
 
-def test_taken_in_the_wrong_order() -> None:
+def test_decoders_require_the_handshake_first() -> None:
     with pytest.raises(BadValue, match="before take_handshake"):
         ServerDecoder().take_batch()
     with pytest.raises(BadValue, match="before take_access"):
@@ -461,12 +461,12 @@ def bytewise(data: bytes) -> list[bytes]:
     return [data[at : at + 1] for at in range(len(data))]
 
 
-def test_it_does_not_matter_how_a_connection_is_cut() -> None:
+def test_decoding_does_not_depend_on_chunking() -> None:
     table = encode_table("r", [SymbolRow("tick", 1), SymbolRow("line", 8)])
     one = b"dr" + struct.pack(">i4i", 1, 0, 5, 6, 7)
     server = HANDSHAKE + one + b"ee" + table + one + b"dw\0\0\0\0ex" + b"ee"
-    told = ("r", [0], [[5, 6]], [7])
-    found = [[told], [told, ("w", [], [], [])], []]
+    data = ("r", [0], [[5, 6]], [7])
+    found = [[data], [data, ("w", [], [], [])], []]
     for width in (2, None):
         assert read_server([server], width)[1:] == read_server(bytewise(server), width)[1:] == found
     two = b"dw" + struct.pack(">i4i6i", 2, 0, 1, 2, 3, 1, 4, 5, 6, 7, 8)
@@ -478,7 +478,7 @@ def test_it_does_not_matter_how_a_connection_is_cut() -> None:
     assert read_client([b"ar"], TableLayout([1]), 2) == ["r"]
 
 
-def test_what_comes_in_pieces_is_appended_and_not_copied_for_each() -> None:
+def test_received_pieces_are_appended_without_copies() -> None:
     decoder = ClientDecoder(TableLayout([1]))
     decoder.feed(b"aw")
     decoder.take_access()
@@ -488,7 +488,7 @@ def test_what_comes_in_pieces_is_appended_and_not_copied_for_each() -> None:
     for _ in range(100):
         decoder.feed(b"dw\0\0\0\0")
         assert decoder._buffer is buffer
-    # What was taken makes room when more comes.
+    # Decoded data is removed when more data arrives.
     decoder.feed(b"eer")
     assert decoder.take_request() is not None
     decoder.feed(b"r")
@@ -506,27 +506,29 @@ places = st.lists(st.integers(0, 10_000), max_size=8)
 
 @pytest.mark.property
 @given(noise, places, st.sampled_from([None, 2, 4]))
-def test_any_bytes_of_a_server(data: bytes, cuts: list[int], width: int | None) -> None:
+def test_any_server_bytes_do_not_depend_on_chunking(data: bytes, cuts: list[int], width: int | None) -> None:
     assert read_server(cut(data, cuts), width) == read_server([data], width)
 
 
 @pytest.mark.property
 @given(noise, places)
-def test_any_bytes_after_a_handshake(data: bytes, cuts: list[int]) -> None:
+def test_bytes_after_a_handshake_do_not_depend_on_chunking(data: bytes, cuts: list[int]) -> None:
     limits = Limits(batch=4096)
     assert read_server([HANDSHAKE, *cut(data, cuts)], None, limits) == read_server([HANDSHAKE, data], None, limits)
 
 
 @pytest.mark.property
 @given(noise, places, widths, lengths)
-def test_any_bytes_of_a_client(data: bytes, cuts: list[int], width: int, sizes: list[int]) -> None:
+def test_any_client_bytes_do_not_depend_on_chunking(data: bytes, cuts: list[int], width: int, sizes: list[int]) -> None:
     layout = TableLayout(sizes)
     assert read_client(cut(data, cuts), layout, width) == read_client([data], layout, width)
 
 
 @pytest.mark.property
 @given(databases(), st.integers(0, 10_000), st.integers(0, 255), places)
-def test_a_handshake_with_one_byte_changed(database: Database, at: int, byte: int, cuts: list[int]) -> None:
+def test_corrupted_handshake_result_does_not_depend_on_chunking(
+    database: Database, at: int, byte: int, cuts: list[int]
+) -> None:
     data = bytearray(database.encode_handshake("r"))
     data[at % len(data)] = byte
     assert read_server(cut(bytes(data), cuts)) == read_server([bytes(data)])
@@ -534,8 +536,8 @@ def test_a_handshake_with_one_byte_changed(database: Database, at: int, byte: in
 
 @pytest.mark.property
 @given(st.data())
-def test_many_entries_of_a_package_cut_anywhere(data: st.DataObject) -> None:
-    """What is remembered of the last package helps with the next, and never decides it."""
+def test_many_entries_can_be_cut_anywhere(data: st.DataObject) -> None:
+    """Data remembered from the last package speeds up the next one, but must never change it."""
     count = data.draw(st.integers(2, 40))
     sizes = data.draw(st.lists(st.integers(1, 3), min_size=count, max_size=count))
     layout = TableLayout(sizes)

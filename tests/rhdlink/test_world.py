@@ -1,4 +1,4 @@
-"""The world: the midpoint step, the walls, the path and its pictures."""
+"""The world: the midpoint step, the walls, the path and its plots."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from linkcore.errors import BadValue
 from rhdlink.host.world import Moved, Pose, World, save, svg
 
 
-def test_it_begins_in_the_middle() -> None:
+def test_world_starts_in_the_middle() -> None:
     world = World()
     assert world.pose == (5.5, 5.5, 0.0)
     assert world.odometry == (0.0, 0.0, 0.0)
     assert world.path.tolist() == [[5.5, 5.5]]
 
 
-def test_a_step_goes_along_the_heading_half_way_through_the_turn() -> None:
+def test_step_moves_along_the_mean_heading() -> None:
     world = World()
     assert world.step(1.0, math.pi / 2, 1.0) == Moved(1.0, math.pi / 2, False)
     assert world.odometry == pytest.approx((math.sqrt(0.5), math.sqrt(0.5), math.pi / 2))
 
 
-def test_the_heading_is_not_wrapped() -> None:
+def test_heading_is_not_wrapped() -> None:
     world = World()
     for _ in range(8):
         world.step(0.0, math.pi / 2, 1.0)
@@ -38,7 +38,7 @@ def test_the_heading_is_not_wrapped() -> None:
 @pytest.mark.parametrize(
     ("theta", "end"), [(0.0, (11.0, 5.5)), (math.pi / 2, (5.5, 11.0)), (math.pi, (0.0, 5.5)), (-math.pi / 2, (5.5, 0))]
 )
-def test_a_wall_stops_it_and_lets_it_turn(theta: float, end: tuple[float, float]) -> None:
+def test_wall_stops_the_robot_but_lets_it_turn(theta: float, end: tuple[float, float]) -> None:
     world = World(start=(5.5, 5.5, theta))
     assert not world.step(5.0, 0.0, 1.0).is_blocked
     assert world.step(1.0, 0.0, 1.0) == pytest.approx((0.5, 0.0, 1.0))
@@ -49,26 +49,26 @@ def test_a_wall_stops_it_and_lets_it_turn(theta: float, end: tuple[float, float]
     assert world.blocked == 2
 
 
-def test_it_does_not_slide_along_a_wall() -> None:
+def test_robot_does_not_slide_along_a_wall() -> None:
     world = World(start=(10.5, 1.0, math.pi / 4))
     assert world.step(2.0, 0.0, 1.0).distance == pytest.approx(0.5 * math.sqrt(2))
     assert world.pose[:2] == pytest.approx((11.0, 1.5))
 
 
-def test_it_can_drive_along_a_wall() -> None:
+def test_robot_can_drive_along_a_wall() -> None:
     world = World(start=(11.0, 1.0, math.pi / 2))
     assert math.cos(math.pi / 2) > 0.0
     assert not world.step(1.0, 0.0, 1.0).is_blocked
     assert world.pose[:2] == pytest.approx((11.0, 2.0))
 
 
-def test_backwards_too() -> None:
+def test_wall_also_stops_the_robot_when_reversing() -> None:
     world = World(start=(0.5, 5.5, 0.0))
     assert world.step(-1.0, 0.0, 1.0) == pytest.approx((-0.5, 0.0, 1.0))
     assert world.pose.x == 0.0
 
 
-def test_distance_to_the_walls() -> None:
+def test_wall_returns_the_distance_in_a_direction() -> None:
     world = World(start=(2.0, 3.0, math.pi / 2))
     assert world.wall(0.0) == pytest.approx(8.0)
     assert world.wall(math.pi / 2) == pytest.approx(2.0)
@@ -79,7 +79,7 @@ def test_distance_to_the_walls() -> None:
 
 @pytest.mark.property
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-20, 20), st.floats(0, 1)), max_size=40))
-def test_it_never_leaves_the_square(steps: list[tuple[float, float, float]]) -> None:
+def test_robot_never_leaves_the_square(steps: list[tuple[float, float, float]]) -> None:
     world = World()
     for linear, angular, seconds in steps:
         world.step(linear, angular, seconds)
@@ -88,7 +88,7 @@ def test_it_never_leaves_the_square(steps: list[tuple[float, float, float]]) -> 
 
 
 @pytest.mark.slow
-def test_the_path_is_bounded_and_keeps_both_ends() -> None:
+def test_path_is_bounded_and_keeps_both_ends() -> None:
     world = World(1e6)
     for _ in range(70_000):
         world.step(251.0, 0.01, 1.0)
@@ -101,12 +101,12 @@ def test_the_path_is_bounded_and_keeps_both_ends() -> None:
 @pytest.mark.parametrize(
     ("size", "start"), [(0.0, None), (math.inf, None), (math.nan, None), (1.0, (2, 0, 0)), ("11", None), (1.0, 3)]
 )
-def test_a_world_that_cannot_be(size: Any, start: Any) -> None:
+def test_world_rejects_invalid_sizes_and_starts(size: Any, start: Any) -> None:
     with pytest.raises(BadValue):
         World(size, start)
 
 
-def test_no_start_without_a_heading() -> None:
+def test_world_rejects_a_start_without_a_heading() -> None:
     with pytest.raises(BadValue):
         World(start=(1.0, 1.0, math.nan))
 
@@ -118,7 +118,7 @@ def driven() -> World:
     return world
 
 
-def test_the_picture_is_an_svg_of_the_way() -> None:
+def test_svg_contains_the_path_and_the_title() -> None:
     world = driven()
     text = svg(world, "a <way> & more")
     assert text == svg(driven(), "a <way> & more")
@@ -130,13 +130,13 @@ def test_the_picture_is_an_svg_of_the_way() -> None:
     points = [tuple(map(float, point.split(","))) for point in line.attrib["points"].split()]
     assert len(points) == len(world.path)
     assert points[0] == (264.0, 264.0)
-    # y points up in the world, and down in the picture.
+    # y points up in the world, and down in the plot.
     assert world.pose.y > 5.5
     assert points[-1][1] < 264.0
     assert "<title>" not in svg(world)
 
 
-def test_pictures_in_files(tmp_path: Path) -> None:
+def test_save_writes_an_svg_and_rejects_other_paths(tmp_path: Path) -> None:
     save(driven(), tmp_path / "way.svg")
     assert (tmp_path / "way.svg").read_text() == svg(driven())
     for path in (tmp_path / "way.jpg", tmp_path / "missing" / "way.svg"):
@@ -145,11 +145,11 @@ def test_pictures_in_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_png_where_matplotlib_is(tmp_path: Path) -> None:
+def test_save_writes_a_png_if_matplotlib_is_installed(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     save(driven(), tmp_path / "way.png", "way")
     assert (tmp_path / "way.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_pose_is_plain() -> None:
+def test_pose_is_a_named_tuple() -> None:
     assert Pose(1.0, 2.0, 3.0)._asdict() == {"x": 1.0, "y": 2.0, "theta": 3.0}

@@ -281,7 +281,7 @@ def test_where_one_cannot_begin_none_does() -> None:
 
 
 @pytest.mark.slow
-def test_one_that_is_led_away_stops_both() -> None:
+def test_tolerance_error_of_one_arm_stops_both_arms() -> None:
     with pair(9) as both:
         motion = both.group.follow(both.steady(), path_tolerance=1e-4)
         with pytest.raises(ToleranceExceeded):

@@ -467,7 +467,7 @@ def test_twenty_robots_lose_nothing() -> None:
             controller.close()
 
 
-def test_two_threads_that_are_the_first_have_the_same_rtde(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_first_accesses_share_one_rtde_client(monkeypatch: pytest.MonkeyPatch) -> None:
     made, barrier = urlink.rtde.Rtde, threading.Barrier(2)
 
     def slow(*arguments: Any, **options: Any) -> urlink.rtde.Rtde:

@@ -27,7 +27,7 @@ class _Stream:
         connections: how often it was connected.
         missed: cycles between two states of one connection.
         last: time of the last state of this connection by the controller's clock, s.
-        is_known: two states of this connection in a row have shown how long a cycle is.
+        is_known: Whether two consecutive states of this connection have shown how long a cycle is.
         is_vague: cycles were missing before that, and the library counts by the longest that there is.
     """
 

@@ -447,7 +447,7 @@ def _actions() -> Iterator[Action]:
 
 #: Every action, by name.
 ACTIONS: Mapping[str, Action] = MappingProxyType({each.name: each for each in _actions()})
-#: Methods that blocks are used by, by class: those of every handle are used in other ways.
+#: Methods specific to each class of block; the methods that every handle has are tested elsewhere.
 OF_BLOCKS: Mapping[type, Mapping[str, Callable[..., Any]]] = MappingProxyType(
     {
         cls: {

@@ -435,7 +435,8 @@ def rtde_outputs(bench: Bench) -> None:
 
 @trial
 def rtde_inputs(bench: Bench) -> None:
-    """What is sent is what the controller has; the claim is given back, and claimed again after a reconnect."""
+    """The controller receives the inputs that were sent. They are released at the end of the block, and claimed again
+    after a reconnection."""
     if not _has_rtde(bench):
         return
     robot, chance, controller = bench.robot, bench.chance, bench.controller

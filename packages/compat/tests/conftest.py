@@ -1,4 +1,4 @@
-"""The fixtures of the library's own tests, which these tests need too."""
+"""Fixtures of the library's own tests, which these tests need too."""
 
 from __future__ import annotations
 

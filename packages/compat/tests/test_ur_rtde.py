@@ -1,4 +1,4 @@
-"""ur_rtde's calls over the library. That the arm does the same with ur_rtde itself is in tests/interop."""
+"""Calls of ur_rtde, implemented with urlink. tests/interop compares the motion of the arm with ur_rtde itself."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def near(values: object, wanted: object, within: float = 1e-6) -> bool:
     return bool(np.allclose(values, wanted, rtol=0, atol=within))  # type: ignore[arg-type]
 
 
-def test_every_getter(controller: Controller, receive: RTDEReceiveInterface) -> None:
+def test_getters_return_plain_values(controller: Controller, receive: RTDEReceiveInterface) -> None:
     skipped = {"getDigitalInState", "getDigitalOutState", "getOutputIntRegister", "getOutputDoubleRegister"}
     for name, get in inspect.getmembers(receive, inspect.ismethod):
         if name.startswith(("get", "isP", "isE")) and name not in skipped:
@@ -64,7 +64,7 @@ def test_every_getter(controller: Controller, receive: RTDEReceiveInterface) -> 
     assert near(receive.getActualQ(), controller.arm.setpoint.q, 1e-3)
 
 
-def test_what_is_not_received_is_named(controller: Controller) -> None:
+def test_error_names_variable_that_is_not_received(controller: Controller) -> None:
     with RTDEReceiveInterface(controller.address, variables=["timestamp", "actual_q"]) as receive:
         assert len(receive.getActualQ()) == 6
         with pytest.raises(LocalError, match="actual_qd is not received"):
@@ -73,7 +73,7 @@ def test_what_is_not_received_is_named(controller: Controller) -> None:
         RTDEReceiveInterface(controller.address, variables=["actual_Q"])
 
 
-def test_a_recording(receive: RTDEReceiveInterface, tmp_path: Path) -> None:
+def test_file_recording_writes_csv(receive: RTDEReceiveInterface, tmp_path: Path) -> None:
     assert not receive.stopFileRecording()
     assert receive.startFileRecording(str(tmp_path / "run.csv"), ["timestamp", "actual_q", "joint_mode"])
     with pytest.raises(LocalError, match="in progress"):
@@ -91,7 +91,7 @@ def test_a_recording(receive: RTDEReceiveInterface, tmp_path: Path) -> None:
         receive.startFileRecording(str(tmp_path / "none" / "run.csv"))
 
 
-def test_outputs_and_registers(controller: Controller, caplog: pytest.LogCaptureFixture) -> None:
+def test_io_sets_outputs_and_registers(controller: Controller, caplog: pytest.LogCaptureFixture) -> None:
     with RTDEIOInterface(controller.address) as io, urlink.connect(controller.address) as other:
         assert io.setStandardDigitalOut(3, True)
         assert io.setToolDigitalOut(1, True)
@@ -103,7 +103,7 @@ def test_outputs_and_registers(controller: Controller, caplog: pytest.LogCapture
         until(lambda: near(controller.signals.analog_outputs, [0.008, 5.0]))
         until(lambda: controller.registers.inputs.floats[46] == 0.25)
         with other.rtde.inputs("speed_slider_fraction", "input_int_register_24", "configurable_digital_output"):
-            assert io.setSpeedSlider(0.5)  # by script
+            assert io.setSpeedSlider(0.5)  # set by a script
             assert io.setConfigurableDigitalOut(0, True)
             with caplog.at_level(logging.WARNING):
                 assert not io.setInputIntRegister(24, 1)
@@ -115,7 +115,7 @@ def test_outputs_and_registers(controller: Controller, caplog: pytest.LogCapture
             io.setStandardDigitalOut(8, True)
 
 
-def test_moves(controller: Controller, control: RTDEControlInterface) -> None:
+def test_moves_and_paths_reach_goals(controller: Controller, control: RTDEControlInterface) -> None:
     assert control.moveJ(NEAR, 2.0, 6.0)
     assert near(controller.arm.setpoint.q, NEAR)
     there = controller.arm.sample.pose_target
@@ -140,7 +140,7 @@ def test_moves(controller: Controller, control: RTDEControlInterface) -> None:
 
 
 @pytest.mark.slow
-def test_servo_and_speed(controller: Controller, control: RTDEControlInterface) -> None:
+def test_servo_and_speed_calls_move_arm(controller: Controller, control: RTDEControlInterface) -> None:
     assert control.moveJ(NEAR, 2.0, 6.0)
     q = list(NEAR)
     for _ in range(20):
@@ -149,12 +149,12 @@ def test_servo_and_speed(controller: Controller, control: RTDEControlInterface) 
         assert control.servoJ(q, 0.5, 0.5, 0.002, 0.05, 300)
         control.waitPeriod(begun)
     until(lambda: control.kickWatchdog() and near(controller.arm.setpoint.q, q, 1e-3))
-    time.sleep(0.6)  # nothing comes for longer than the robot waits: the next set-point opens the servo again
+    time.sleep(0.6)  # longer than the watchdog of the robot: the next set-point starts the servo again
     pose = control.getForwardKinematics(controller.arm.setpoint.q)
     assert control.servoL(pose, 0.5, 0.5, 0.002, 0.1, 300)
     assert control.speedJ([0, 0, 0, 0, 0, 0.2], 4.0)
     until(lambda: near(controller.arm.setpoint.qd[5], 0.2))
-    time.sleep(0.6)  # it goes on
+    time.sleep(0.6)  # the motion continues
     assert near(controller.arm.setpoint.qd[5], 0.2)
     assert control.speedL([0, 0, 0.03, 0, 0, 0], 1.0)
     until(lambda: near(controller.arm.sample.speed_target[:3], [0, 0, 0.03], 1e-3))
@@ -165,7 +165,7 @@ def test_servo_and_speed(controller: Controller, control: RTDEControlInterface) 
 
 
 @pytest.mark.slow
-def test_an_arm_that_yields(controller: Controller, control: RTDEControlInterface) -> None:
+def test_contact_force_mode_and_freedrive(controller: Controller, control: RTDEControlInterface) -> None:
     assert control.moveJ(HOME, 2.0, 6.0)
     x, y, z = controller.arm.sample.pose_target[:3]
     controller.world.add(Plane((x, y, z - 0.005)))
@@ -187,9 +187,12 @@ def test_an_arm_that_yields(controller: Controller, control: RTDEControlInterfac
     assert control.moveJ(HOME, 2.0, 6.0)
 
 
-def test_arrays_are_taken_as_lists_are(controller: Controller, control: RTDEControlInterface, tmp_path: Path) -> None:
-    """Also where an argument that is left out is an empty list: an array has no truth of its own."""
-    # Any, as in the programs of users: the calls are declared to take sequences.
+def test_arrays_are_accepted_like_lists(controller: Controller, control: RTDEControlInterface, tmp_path: Path) -> None:
+    """Arrays are also accepted for optional arguments, whose default is an empty list.
+
+    An array has no truth value.
+    """
+    # Any, as in users' programs, because the calls are declared with sequences.
     zeros: Any = np.zeros(6)
     joints: Any = np.array(NEAR)
     tool: Any = np.array([0.0, 0.01, 0.15, 0.1, 0.0, 0.2])
@@ -209,7 +212,7 @@ def test_arrays_are_taken_as_lists_are(controller: Controller, control: RTDECont
     assert (tmp_path / "q.csv").read_text(encoding="utf-8").startswith("actual_q_0,")
 
 
-def test_kinematics_tool_and_questions(controller: Controller, control: RTDEControlInterface) -> None:
+def test_kinematics_tool_and_queries(controller: Controller, control: RTDEControlInterface) -> None:
     tool = [0.0, 0.01, 0.15, 0.1, 0.0, 0.2]
     assert control.setTcp(tool)
     assert near(control.getTCPOffset(), tool, 1e-9)
@@ -229,7 +232,7 @@ def test_kinematics_tool_and_questions(controller: Controller, control: RTDECont
 
 
 @pytest.mark.slow
-def test_a_stop_and_after_it(
+def test_calls_work_after_stop_and_reconnect(
     controller: Controller, control: RTDEControlInterface, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert control.isProgramRunning()
@@ -247,7 +250,7 @@ def test_a_stop_and_after_it(
     assert control.moveJ(HOME, 2.0, 6.0)
 
 
-def test_reupload_script_allows_a_move_at_once(controller: Controller, control: RTDEControlInterface) -> None:
+def test_reupload_script_allows_immediate_move(controller: Controller, control: RTDEControlInterface) -> None:
     for _ in range(3):
         assert control.reuploadScript()
         assert control.moveJ(NEAR, 2.0, 6.0)
@@ -258,7 +261,7 @@ def test_reupload_script_allows_a_move_at_once(controller: Controller, control: 
     assert control.moveJ(NEAR, 2.0, 6.0)
 
 
-def test_what_is_not_offered(controller: Controller) -> None:
+def test_unsupported_calls_raise_not_offered(controller: Controller) -> None:
     with pytest.raises(NotOffered, match=r"servoC is not offered; use robot.motion.move_circular"):
         RTDEControlInterface.servoC([0.0] * 6)
     with pytest.raises(NotOffered, match="FLAG_CUSTOM_SCRIPT"):

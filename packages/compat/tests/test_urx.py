@@ -1,4 +1,4 @@
-"""urx's calls over the library."""
+"""Calls of urx, implemented with urlink."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def near(values: object, wanted: object, within: float = 1e-3) -> bool:
     return bool(np.allclose(values, wanted, rtol=0, atol=within))  # type: ignore[arg-type]
 
 
-def test_the_calls(controller: Controller) -> None:
+def test_urx_calls_control_robot(controller: Controller) -> None:
     with urx.Robot(controller.address) as robot:
         assert robot.is_running()
         assert near(robot.movej(NEAR, acc=6.0, vel=2.0), NEAR)
@@ -66,8 +66,8 @@ def test_the_calls(controller: Controller) -> None:
 
 
 @pytest.mark.slow
-def test_moves_along_the_axes_of_the_tool(controller: Controller) -> None:
-    turned = [0.3, -1.3, 1.2, -1.1, -1.4, 0.4]  # the tool points down, but for half a radian
+def test_moves_along_tool_axes(controller: Controller) -> None:
+    turned = [0.3, -1.3, 1.2, -1.1, -1.4, 0.4]  # the tool points down, except for half a radian
     with urx.Robot(controller.address) as robot:
         robot.movej(turned, acc=6.0, vel=2.0)
         begin = robot.getl(wait=True)
@@ -88,8 +88,8 @@ def test_moves_along_the_axes_of_the_tool(controller: Controller) -> None:
 
 
 @pytest.mark.slow
-def test_one_movep_after_the_other_without_waiting(controller: Controller) -> None:
-    """As the example of urx goes round a square: each one replaces the one before, on its way."""
+def test_consecutive_movep_without_waiting(controller: Controller) -> None:
+    """Like urx's example of a square: each motion replaces the previous one before its end."""
     with urx.Robot(controller.address) as robot:
         robot.movej(NEAR, acc=6.0, vel=2.0)
         begin = robot.getl(wait=True)
@@ -102,7 +102,7 @@ def test_one_movep_after_the_other_without_waiting(controller: Controller) -> No
         assert near(robot.movep(pose, acc=2.0, vel=0.2, radius=0, wait=True), begin)
 
 
-def test_coordinates_of_the_tool_are_attributes(controller: Controller) -> None:
+def test_tool_coordinates_are_attributes(controller: Controller) -> None:
     with urx.Robot(controller.address, use_rt=True, urFirm=3.4) as robot:
         robot.movej(NEAR, acc=6.0, vel=2.0)
         begin = robot.getl(wait=True)
@@ -113,7 +113,7 @@ def test_coordinates_of_the_tool_are_attributes(controller: Controller) -> None:
         assert near(robot.getl(wait=True), [begin[0] - 0.03, begin[1] + 0.01, begin[2] + 0.02, *begin[3:]])
 
 
-def test_measurements_of_the_joints_and_the_supply(controller: Controller) -> None:
+def test_joint_and_supply_measurements(controller: Controller) -> None:
     with urx.Robot(controller.address) as robot:
         state = robot._robot.realtime.wait()
         assert near(robot.get_joint_temperature(), state.motor_temperatures, 1.0)
@@ -127,13 +127,13 @@ def test_measurements_of_the_joints_and_the_supply(controller: Controller) -> No
 
 
 class Transform:
-    """The part of `math3d.Transform` that is used."""
+    """The used part of `math3d.Transform`."""
 
     def __init__(self, pose: list[float]) -> None:
         self.pose_vector = np.array(pose)
 
 
-def test_poses_are_transforms_of_math3d(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_poses_are_math3d_transforms(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = ModuleType("math3d")
     fake.Transform = Transform  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "math3d", fake)
@@ -151,7 +151,7 @@ def test_poses_are_transforms_of_math3d(controller: Controller, monkeypatch: pyt
             robot.set_pose(pose, command="movej")
 
 
-def test_get_pose_names_math3d_when_it_is_missing(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_get_pose_names_missing_math3d(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "math3d", None)
     with urx.Robot(controller.address) as robot, pytest.raises(LocalError, match="math3d is not installed"):
         robot.get_pose()

@@ -16,7 +16,7 @@ from urlink.simulator import Controller
 pytestmark = pytest.mark.real_time
 
 DRIVER = shutil.which("chromedriver")
-#: s; without a graphics card a computer draws the first picture in half a minute.
+#: Maximum wait, in s. Without a graphics card, a computer needs half a minute to draw the first image.
 SOON = 120.0
 
 
@@ -36,7 +36,7 @@ def browser() -> Iterator[Any]:
 
 
 def said(browser: Any, name: str) -> str:
-    """What the page's table says of something; nothing while it is not there."""
+    """Return the value of a row in the page's table; an empty text if there is no such row."""
     found = browser.execute_script(
         "return [...document.querySelectorAll('tr')].filter(r => r.cells[0]?.innerText === arguments[0])"
         ".map(r => r.cells[1].innerText)[0]",
@@ -46,7 +46,7 @@ def said(browser: Any, name: str) -> str:
 
 
 def button(browser: Any, label: str) -> Any:
-    """The button with this label; None while it is not there."""
+    """Return the button with this label; None if there is none."""
     return next((each for each in browser.find_elements("tag name", "button") if each.text.strip() == label), None)
 
 
@@ -55,7 +55,7 @@ def opened(browser: Any, view: View) -> None:
     until(lambda: said(browser, "connection") == "live", SOON)
 
 
-def test_the_page_moves_and_reconnects(browser: Any) -> None:
+def test_page_moves_and_reconnects(browser: Any) -> None:
     with urlink.connect("sim://ur5e?firmware=5.11&motion=demo") as robot:
         with robot.view() as view:
             opened(browser, view)
@@ -65,26 +65,26 @@ def test_the_page_moves_and_reconnects(browser: Any) -> None:
             place = said(browser, "TCP, mm")
             until(lambda: said(browser, "TCP, mm") != place, SOON)
             port = int(view.address.rpartition(":")[2].rstrip("/"))
-        # What is drawn anew at the same place is found by the page that is still open.
+        # The open page finds a new view at the same address.
         with robot.view(plots=["I_actual"], port=port):
             until(lambda: "I_actual" in browser.find_element("tag name", "body").text, SOON)
             place = said(browser, "TCP, mm")
             until(lambda: said(browser, "TCP, mm") not in ("", place), SOON)
 
 
-def test_an_arm_that_is_gone_is_not_shown_as_live(browser: Any) -> None:
+def test_disconnected_arm_is_not_shown_as_live(browser: Any) -> None:
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot, robot.view() as view:
         opened(browser, view)
         controller.close()
         until(lambda: "shown state is" in said(browser, "connection"), SOON)
 
 
-def test_the_arm_moves_while_a_button_is_held(browser: Any) -> None:
+def test_arm_moves_while_button_is_held(browser: Any) -> None:
     actions = pytest.importorskip("selenium.webdriver").ActionChains
     with urlink.connect("sim://ur5e?firmware=5.11") as robot, robot.view(jog=True, plots=()) as view:
         opened(browser, view)
         start = robot.realtime.wait().q_actual.copy()
-        # Without the box it is only watched.
+        # Without the check mark, the page only shows the arm.
         until(lambda: button(browser, "base +"), SOON)
         assert not button(browser, "base +").is_enabled()
         box = browser.find_elements("css selector", "input[type=checkbox]")[-1]
@@ -92,13 +92,13 @@ def test_the_arm_moves_while_a_button_is_held(browser: Any) -> None:
         until(lambda: button(browser, "base +").is_enabled(), SOON)
         actions(browser).click_and_hold(button(browser, "base +")).perform()
         until(lambda: robot.realtime.wait().q_actual[0] - start[0] > 0.05, SOON)
-        # Let go beside it.
+        # Release the mouse button outside the page's button.
         actions(browser).move_by_offset(0, 60).release().perform()
         until(lambda: not any(abs(robot.realtime.wait().qd_target) > 1e-6))
         end = robot.realtime.wait().q_actual
         assert end[0] > start[0]
         assert abs(end[1:] - start[1:]).max() < 1e-3
-        # Its program is over with the box.
+        # Removing the check mark ends the program.
         browser.execute_script("arguments[0].click()", box)
         until(lambda: not button(browser, "base +").is_enabled(), SOON)
         robot.motion.move_joints(start, wait=True)

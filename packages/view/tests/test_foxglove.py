@@ -1,4 +1,4 @@
-"""A robot in Foxglove, seen by a WebSocket client that speaks its protocol."""
+"""A robot in Foxglove, observed by a WebSocket client that implements its protocol."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WHY = "it is not installed; nox -f nightly.py -s data installs it"
 
 
 def view(address: str, topics: set[str], messages: int) -> tuple[dict[str, Any], dict[str, list[tuple[int, bytes]]]]:
-    """What a viewer gets of some topics: how they are advertised, and the time and bytes of each message."""
+    """Return advertised channels by topic, and time and bytes of each message."""
     client = importlib.import_module("websockets.sync.client")
     advertised: dict[str, Any] = {}
     found: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in topics}
@@ -50,7 +50,7 @@ def view(address: str, topics: set[str], messages: int) -> tuple[dict[str, Any],
 
 
 @pytest.mark.real_time
-def test_the_arm_moves_in_the_viewer() -> None:
+def test_viewer_receives_states_of_arm() -> None:
     pytest.importorskip("foxglove", reason=WHY)
     pytest.importorskip("websockets", reason=WHY)
     records = pytest.importorskip("mcap.records", reason=WHY)
@@ -94,7 +94,7 @@ def test_the_arm_moves_in_the_viewer() -> None:
     assert stamp.sec * 10**9 + stamp.nanosec == found["/realtime"][0][0]
 
 
-def test_a_view_that_is_not_shown_keeps_the_newest_messages_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hidden_view_keeps_only_newest_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "_ROOM", 3)
     callbacks: list[Callable[[State], None]] = []
     written: list[list[Topic]] = []
@@ -113,7 +113,7 @@ def test_a_view_that_is_not_shown_keeps_the_newest_messages_only(monkeypatch: py
 
 
 @pytest.mark.real_time
-def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_foxglove_command_serves_and_reports_port_in_use(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("foxglove", reason=WHY)
     with contextlib.closing(FoxgloveServer("other", port=0)) as other:
         assert urlink.cli.main(["foxglove", "sim://", "--port", str(other.port)]) == 1
@@ -122,7 +122,9 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert "ws://127.0.0.1:" in capsys.readouterr().err
 
 
-def test_without_the_extra(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_foxglove_command_names_missing_extra(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     assert urlink.cli.main(["foxglove", "sim://"]) == 1
     assert "pip install 'urlink-view[foxglove]'" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`robot.record("run.mcap")`: what the streams said is in the file, also of a program that was killed."""
+"""`robot.record("run.mcap")`: the file contains the data of the streams, even if the program was killed."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ CAPTURE = Path(__file__).resolve().parents[3] / "captures" / "simulator-5.11.url
 pytest.importorskip("mcap", reason="mcap is not installed")
 pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
 
-from mcap.reader import NonSeekingReader, make_reader  # noqa: E402  # where they are installed
+from mcap.reader import NonSeekingReader, make_reader  # noqa: E402  # only if they are installed
 from mcap_ros2.decoder import DecoderFactory  # noqa: E402
 
 
 def read(path: Path, *, whole: bool = True) -> dict[str, list[Any]]:
-    """topic -> messages. Of a file that was not finished, those before its end."""
+    """Return the messages of each topic; of an unfinished file, the messages before its end."""
     found: dict[str, list[Any]] = {}
     with path.open("rb") as file:
         reader = (make_reader if whole else NonSeekingReader)(file, decoder_factories=[DecoderFactory()])
@@ -41,7 +41,7 @@ def read(path: Path, *, whole: bool = True) -> dict[str, list[Any]]:
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_everything_that_was_streamed_is_in_it(tmp_path: Path) -> None:
+def test_mcap_file_contains_all_streamed_data(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot:
         recorder = robot.record(path)
@@ -70,7 +70,7 @@ def test_everything_that_was_streamed_is_in_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_it_says_which_robot_it_is_of(tmp_path: Path) -> None:
+def test_mcap_metadata_describe_robot(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     before = np.datetime64(time.time_ns(), "ns")
     with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot, robot.record(path):
@@ -83,7 +83,7 @@ def test_it_says_which_robot_it_is_of(tmp_path: Path) -> None:
     assert "UTC" in about["clock"]
 
 
-def test_without_the_extra_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_extra_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with (
         urlink.connect(f"replay://{CAPTURE}?rate=max") as robot,
@@ -94,7 +94,7 @@ def test_without_the_extra_nothing_is_left(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.simulated_time
-def test_the_disk_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disk_failure_is_reported_on_close(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -119,7 +119,7 @@ with urlink.connect("sim://") as robot, robot.record(sys.argv[1]):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 @pytest.mark.real_time
-def test_a_killed_program_leaves_a_file_that_opens(tmp_path: Path) -> None:
+def test_killed_program_leaves_readable_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with subprocess.Popen([sys.executable, "-c", PROGRAM, str(path)], stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None

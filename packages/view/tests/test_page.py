@@ -1,4 +1,4 @@
-"""The page of a view: who is served, and who is not."""
+"""The page of a view: which requests are served, and which are refused."""
 
 from __future__ import annotations
 
@@ -30,30 +30,32 @@ def page() -> Iterator[Page]:
         ("[::1]:8080", "http://[::1]:8080", True, None),
         ("127.0.0.1:8080", None, True, "without an Origin"),
         ("127.0.0.1:8080", "http://evil.example", True, "is another page"),
-        # The same computer, and yet another page of it.
+        # the same computer, but another page on it
         ("127.0.0.1:8080", "http://127.0.0.1:8888", True, "is another page"),
         ("127.0.0.1:8080", "http://localhost:8080", True, "is another page"),
         ("127.0.0.1:8080", "null", True, "is another page"),
         ("127.0.0.1:8080", "http://evil.example", False, "is another page"),
-        # A name of somebody else's that has been made to mean this computer.
+        # a foreign host name that was pointed at this computer
         ("evil.example:8080", "http://evil.example:8080", True, "requested as evil.example"),
         ("127.0.0.1.evil.example", None, False, "requested as"),
         ("evil@127.0.0.1:8080", "http://evil.example", True, "is another page"),
         (None, None, False, "requested as None"),
     ],
 )
-def test_what_is_refused(host: str | None, origin: str | None, is_upgrade: bool, says: str | None) -> None:
+def test_refusal_depends_on_host_and_origin(
+    host: str | None, origin: str | None, is_upgrade: bool, says: str | None
+) -> None:
     why = refusal(host, origin, is_upgrade, LOOPBACK)
     assert (why is None) if says is None else (why is not None and says in why)
 
 
-def test_a_page_for_others_is_taken_by_every_name_and_from_no_other_page() -> None:
+def test_public_page_accepts_any_host_but_no_other_origin() -> None:
     assert refusal("cell-4:8080", "http://cell-4:8080", True, None) is None
     assert refusal("cell-4:8080", "http://evil.example", True, None) is not None
 
 
 def ask(page: Page, **headers: str) -> http.client.HTTPResponse:
-    """The answer to a request for a WebSocket, as a browser makes it; without a Host, for the page."""
+    """Return the answer to a browser's WebSocket request; the default `Host` is the page's."""
     connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=60.0)
     connection.putrequest("GET", "/", skip_host="Host" in headers)
     for name, value in headers.items():
@@ -76,13 +78,13 @@ UPGRADE = {
 
 
 @pytest.mark.real_time
-def test_the_socket_is_for_its_own_page(page: Page) -> None:
+def test_socket_serves_only_its_own_page(page: Page) -> None:
     own = {"Origin": f"http://127.0.0.1:{page.port}"}
     assert ask(page, **UPGRADE, **own).status == 101
     assert ask(page, **UPGRADE).status == 403
     assert ask(page, **UPGRADE, Origin="http://evil.example").status == 403
     assert ask(page, **UPGRADE, Host="evil.example", Origin="http://evil.example").status == 403
-    # As viser does not read it, and a browser never writes it.
+    # viser does not recognise this spelling, and a browser never sends it
     assert ask(page, **{**UPGRADE, "Upgrade": "WebSocket"}).status == 403
     served = ask(page)
     assert served.status == 200
@@ -91,25 +93,27 @@ def test_the_socket_is_for_its_own_page(page: Page) -> None:
 
 
 @pytest.mark.real_time
-def test_a_client_cannot_make_it_public(page: Page) -> None:
+def test_client_cannot_request_share_url(page: Page) -> None:
     assert page.server.request_share_url() is None
     assert page.server._share_tunnel is None
 
 
 @pytest.mark.real_time
-def test_a_port_that_is_taken_is_not_another_one(page: Page) -> None:
+def test_port_in_use_raises_connect_failed(page: Page) -> None:
     with pytest.raises(urlink.ConnectFailed, match="for the view"):
         Page("another", port=page.port)
 
 
 @pytest.mark.real_time
-def test_servers_of_others_are_not_touched(page: Page) -> None:
+def test_other_websocket_servers_are_unchanged(page: Page) -> None:
     import websockets.asyncio.server as server
 
     assert server.serve.__module__ == "websockets.asyncio.server"
 
 
-def test_without_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_command_names_missing_package(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     assert urlink.cli.main(["view", "sim://"]) == 1
     assert "pip install urlink-view" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What a view draws: of a live arm, of a recording, and of a URDF with meshes."""
+"""Drawings of a view: of a live arm, of a recording, and of a URDF with meshes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Q = np.array([0.3, -1.1, 1.4, -0.7, 0.9, 2.0])
 
 
 class Scene:
-    """Notes what is drawn, as a scene of viser takes it."""
+    """Scene with the interface of viser that records the drawn objects."""
 
     def __init__(self) -> None:
         self.frames: dict[str, Any] = {}
@@ -46,7 +46,7 @@ class Scene:
         self.meshes[name] = SimpleNamespace(vertices=mesh.vertices, **options)
 
     def pose(self, name: str) -> Any:
-        """Of a node in the scene: that of each node above it, one after the other."""
+        """Return the pose of a node, composed of the poses of all its parents and its own pose."""
         pose = np.zeros(6)
         parts = name.split("/")
         for end in range(2, len(parts) + 1):
@@ -56,19 +56,19 @@ class Scene:
 
 
 @pytest.mark.parametrize("model", ["UR5e", "UR10", "UR30"])
-def test_the_links_are_where_the_kinematics_have_them(model: str) -> None:
+def test_links_match_kinematics(model: str) -> None:
     pytest.importorskip("trimesh", reason=WHY)
     scene, arm = Scene(), Arm(model)
     bodies = Bodies(scene, "/actual", arm, None, (1, 2, 3))
     bodies.show(Q)
     path = next(name for name in scene.frames if name.endswith("/tool0"))
     np.testing.assert_allclose(scene.pose(path), arm.forward(Q), atol=1e-12)
-    # Each link that has a length has a sphere and a cylinder.
+    # Each link with a length has a sphere and a cylinder.
     assert len(scene.meshes) > 8
     assert {name.rpartition("/")[0] for name in scene.meshes} <= scene.frames.keys()
 
 
-def test_meshes_of_a_urdf_are_drawn_in_its_frames(tmp_path: Path) -> None:
+def test_urdf_meshes_are_drawn_in_their_frames(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason=WHY)
     (tmp_path / "arm_description" / "meshes").mkdir(parents=True)
     (tmp_path / "arm_description" / "urdf").mkdir()
@@ -100,7 +100,7 @@ def test_meshes_of_a_urdf_are_drawn_in_its_frames(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_urdf_that_cannot_be_drawn(tmp_path: Path, text: str, says: str) -> None:
+def test_invalid_urdf_raises_local_error(tmp_path: Path, text: str, says: str) -> None:
     pytest.importorskip("trimesh", reason=WHY)
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(text)
@@ -109,7 +109,7 @@ def test_a_urdf_that_cannot_be_drawn(tmp_path: Path, text: str, says: str) -> No
 
 
 def run(path: Path, count: int) -> Path:
-    """A recording of `count` states, 10 ms apart."""
+    """Return a recording of `count` states, 10 ms apart."""
     writer = RecordingWriter(path)
     channel = writer.add_channel({"name": "realtime", "firmware": "5.11", "model": "UR5e"})
     for number in range(count):
@@ -131,7 +131,7 @@ def q_of(window: Window) -> Any:
     return window.numbers("q")
 
 
-def test_a_moment_of_a_recording(tmp_path: Path) -> None:
+def test_recorded_window_shows_moment(tmp_path: Path) -> None:
     window = RecordedWindow(urlink.load(run(tmp_path / "run.urlog", 3000)).realtime)
     assert window.end == pytest.approx(29.99)
     window.at(20.004)
@@ -153,7 +153,7 @@ def test_a_moment_of_a_recording(tmp_path: Path) -> None:
     assert window.column("no_such_field") is None
 
 
-def test_a_recording_without_a_state(tmp_path: Path) -> None:
+def test_recorded_window_rejects_empty_recording(tmp_path: Path) -> None:
     recording = urlink.load(run(tmp_path / "run.urlog", 0))
     with pytest.raises(urlink.BadRecording, match="contains no rows"):
         RecordedWindow(recording.realtime)
@@ -161,7 +161,7 @@ def test_a_recording_without_a_state(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_the_last_seconds_of_a_live_arm() -> None:
+def test_live_window_keeps_last_seconds() -> None:
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
         window = LiveWindow(robot.realtime)
         robot.realtime.wait()
@@ -188,7 +188,7 @@ def test_the_last_seconds_of_a_live_arm() -> None:
 
 
 @pytest.mark.real_time
-def test_a_robot_shows_itself() -> None:
+def test_robot_view_shows_arm() -> None:
     pytest.importorskip("viser", reason=WHY)
     with urlink.connect("sim://ur5e?firmware=5.11&motion=demo") as robot:
         with robot.view(plots=["I_actual"]) as view:
@@ -204,7 +204,7 @@ def test_a_robot_shows_itself() -> None:
 
 @pytest.mark.real_time
 @pytest.mark.parametrize(("apart", "shown"), [(0.0, False), (0.02, True)])
-def test_where_the_arm_is_wanted_is_drawn_if_that_is_elsewhere(apart: float, shown: bool) -> None:
+def test_target_arm_is_drawn_when_apart(apart: float, shown: bool) -> None:
     pytest.importorskip("viser", reason=WHY)
     state = RealtimeState("5.11", time=1.0, q_actual=Q, q_target=Q + apart * np.eye(6)[3])
     window = LiveWindow(cast("Any", SimpleNamespace(start=lambda: None, latest=state, connection=None)))
@@ -219,7 +219,7 @@ def test_where_the_arm_is_wanted_is_drawn_if_that_is_elsewhere(apart: float, sho
 
 
 @pytest.mark.real_time
-def test_curves_have_their_unit_and_a_legend(tmp_path: Path) -> None:
+def test_curves_have_units_and_legends(tmp_path: Path) -> None:
     pytest.importorskip("viser", reason=WHY)
     recorded = RecordedWindow(urlink.load(run(tmp_path / "run.urlog", 100)).realtime)
     state = RealtimeState("5.11", time=1.0, q_actual=Q, qd_actual=Q, tcp_force=Q, speed_scaling=1.0)
@@ -243,7 +243,7 @@ def test_curves_have_their_unit_and_a_legend(tmp_path: Path) -> None:
 
 
 @pytest.mark.real_time
-def test_the_command_shows_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_command_shows_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("viser", reason=WHY)
     path = str(run(tmp_path / "run.urlog", 100))
     assert urlink.cli.main(["view", path, "--port", "0", "--duration", "0.5", "--plot", "q_actual"]) == 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select as _select
 import selectors
 import socket as _socket
 import struct
@@ -18,9 +17,13 @@ from .scheduler import Scheduler, Task, current
 #: First descriptor: above the usual descriptors of a process, with room below 1024, the limit of `select`.
 _FIRST = 400
 
-#: Events of `poll`. Events in `_ALWAYS` are reported whether they are requested or not.
-_IN, _OUT, _ERR, _HUP, _NVAL = _select.POLLIN, _select.POLLOUT, _select.POLLERR, _select.POLLHUP, _select.POLLNVAL
+#: Events of `poll` with their numbers on Linux, because Windows has no `poll`, and macOS has no `POLLRDHUP`. Events in
+#: `_ALWAYS` are reported whether they are requested or not.
+_IN, _PRI, _OUT, _ERR, _HUP, _NVAL, _RDHUP = 0x1, 0x2, 0x4, 0x8, 0x10, 0x20, 0x2000
 _ALWAYS = _ERR | _HUP | _NVAL
+
+#: The flag of `recv` and `send`; Windows does not have it.
+_DONTWAIT = getattr(_socket, "MSG_DONTWAIT", 0)
 
 _RealSocket = _socket.socket
 
@@ -134,9 +137,10 @@ class Socket(Pollable):
             return
         linger = self._options.get((_socket.SOL_SOCKET, _socket.SO_LINGER))
         if isinstance(linger, bytes):
-            is_on, seconds = struct.unpack("ii", linger)
+            is_on, seconds = struct.unpack("ii" if len(linger) == 8 else "hh", linger)
             end.linger = float(seconds) if is_on else None
-        limit = self._options.get((_socket.IPPROTO_TCP, _socket.TCP_USER_TIMEOUT))
+        # Only Linux has the option.
+        limit = self._options.get((_socket.IPPROTO_TCP, getattr(_socket, "TCP_USER_TIMEOUT", -1)))
         end.user_timeout = limit * 1e-3 if isinstance(limit, int) else 0.0
         size = self._options.get((_socket.SOL_SOCKET, _socket.SO_SNDBUF))
         end.send_buffer = 2 * size if isinstance(size, int) else BUFFER  # Linux doubles it
@@ -228,7 +232,7 @@ class Socket(Pollable):
         end = self._connected()
         self._step()
         if not (end.received or end.is_ended or end.error or not end.is_open or self._is_shut_for_reading):
-            if flags & _socket.MSG_DONTWAIT:
+            if flags & _DONTWAIT:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
             timeout = self._timeout
             self._asked = 0 if flags & _socket.MSG_PEEK else size
@@ -260,7 +264,7 @@ class Socket(Pollable):
         self._step()
         data = bytes(data)
         if end.is_open and not end.is_shut and not end.room:
-            if flags & _socket.MSG_DONTWAIT:
+            if flags & _DONTWAIT:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
             self._wait(_OUT, self._timeout)
         self._raise_error(end)
@@ -350,7 +354,7 @@ class Socket(Pollable):
         elif 3 * end.room >= end.send_buffer:  # Linux reports room when a third is free
             found |= _OUT
         if end.is_ended or self._is_shut_for_reading:
-            found |= _IN | _select.POLLRDHUP
+            found |= _IN | _RDHUP
         return found
 
     def changed(self) -> None:
@@ -446,7 +450,8 @@ class Sockets:
             # A pair belongs to the process rather than to the network. If its own pair broke, an event loop would never
             # wait again.
             computer.ends.pop(one)
-        here, there = (Socket(self, _socket.AF_UNIX, _socket.SOCK_STREAM, 0, end) for end in ends)
+        family = getattr(_socket, "AF_UNIX", _socket.AF_INET)  # Windows' Python has no AF_UNIX
+        here, there = (Socket(self, family, _socket.SOCK_STREAM, 0, end) for end in ends)
         return here, there
 
     def addresses(self, host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0) -> Any:
@@ -463,10 +468,10 @@ class Sockets:
 
     def select(self, r: Iterable[Any], w: Iterable[Any], x: Iterable[Any], timeout: float | None = None) -> Any:
         """`select.select`."""
-        wanted = [(each, _select.POLLIN) for each in r] + [(each, _select.POLLOUT) for each in w]
+        wanted = [(each, _IN) for each in r] + [(each, _OUT) for each in w]
         found = self.wait({_descriptor(each): mask for each, mask in wanted}, timeout)
         ready = [(each, mask) for each, mask in wanted if found.get(_descriptor(each), 0) & mask]
-        return [e for e, m in ready if m == _select.POLLIN], [e for e, m in ready if m == _select.POLLOUT], []
+        return [e for e, m in ready if m == _IN], [e for e, m in ready if m == _OUT], []
 
     def wait(self, wanted: Mapping[int, int], timeout: float | None) -> dict[int, int]:
         """Wait for events of descriptors; return {descriptor: mask}, empty on a timeout."""
@@ -504,7 +509,7 @@ class Poll:
         self._sockets = sockets
         self._wanted: dict[int, int] = {}
 
-    def register(self, fd: Any, eventmask: int = _select.POLLIN | _select.POLLPRI | _select.POLLOUT) -> None:
+    def register(self, fd: Any, eventmask: int = _IN | _PRI | _OUT) -> None:
         self._wanted[_descriptor(fd)] = eventmask
 
     modify = register

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import gc
 import importlib
 import logging
@@ -30,6 +29,9 @@ from .network import Computer, Network, Route
 from .preemption import Preemption, is_importing
 from .scheduler import STEP, Scheduler, current, install
 from .sockets import Poll, Selector, Socket, Sockets
+
+if sys.platform != "win32":
+    import fcntl
 
 #: Calendar time at which a simulation begins, in s since 1970: 2026-01-01.
 _EPOCH = 1767225600.0
@@ -263,9 +265,11 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     # Use a separate generator, so that a program that requests more random bytes does not change the order of the
     # threads.
     chance = random.Random(scheduler.random.random())
-    sleep, select_, ioctl, getaddrinfo, urandom = time.sleep, select.select, fcntl.ioctl, socket.getaddrinfo, os.urandom
+    sleep, select_, getaddrinfo, urandom = time.sleep, select.select, socket.getaddrinfo, os.urandom
     getpid = os.getpid
     of_library: Any = sys.modules["linkcore.clock"]
+    new_event_loop: Any = sys.modules["asyncio"].new_event_loop
+    selector_loop: Any = sys.modules["asyncio"].SelectorEventLoop
     # The handle class of `call_soon_threadsafe`. Since CPython 3.14, it has a lock for threads that run in parallel.
     handle: Any = vars(sys.modules["asyncio.events"]).get("_ThreadSafeHandle", type("Handle", (), {}))
 
@@ -287,14 +291,6 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         return read
 
     since_start, since_1970 = clock(time.monotonic, 0.0, 0), clock(time.time, _EPOCH, 0)
-    gettime = time.clock_gettime
-    # The other clocks count processor time.
-    clocks = {time.CLOCK_MONOTONIC: since_start, time.CLOCK_REALTIME: since_1970}
-    clocks |= {which: since_start for name in _OF_LINUX if (which := getattr(time, name, None)) is not None}
-
-    def gettime_(which: int) -> float:
-        read = None if current() is None else clocks.get(which)
-        return gettime(which) if read is None else read()
 
     def sleep_(seconds: float) -> None:
         scheduler = current()
@@ -317,14 +313,31 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
     def new_socket(family: int = -1, type: int = -1, proto: int = -1, fileno: int | None = None) -> Any:
         return Socket(sockets, family, type, proto)
 
-    def ioctl_(fd: Any, request: int, arg: Any = 0, mutate: bool = True) -> Any:
-        found = sockets.find(fd)
-        if isinstance(found, Socket) and found._end is not None:
-            return found._end.unacknowledged.to_bytes(4, sys.byteorder)
-        return ioctl(fd, request, arg, mutate)
+    of_system: list[tuple[object, object]] = []
+    if sys.platform != "win32":
+        gettime, ioctl = time.clock_gettime, fcntl.ioctl
+        # The other clocks count processor time.
+        clocks = {time.CLOCK_MONOTONIC: since_start, time.CLOCK_REALTIME: since_1970}
+        clocks |= {which: since_start for name in _OF_LINUX if (which := getattr(time, name, None)) is not None}
+
+        def gettime_(which: int) -> float:
+            read = None if current() is None else clocks.get(which)
+            return gettime(which) if read is None else read()
+
+        def ioctl_(fd: Any, request: int, arg: Any = 0, mutate: bool = True) -> Any:
+            found = sockets.find(fd)
+            if isinstance(found, Socket) and found._end is not None:
+                return found._end.unacknowledged.to_bytes(4, sys.byteorder)
+            return ioctl(fd, request, arg, mutate)
+
+        of_system = [
+            (gettime, gettime_),
+            (ioctl, choose(ioctl_, ioctl)),
+            (select.poll, choose(lambda: Poll(sockets), select.poll)),
+        ]
 
     return [
-        (gettime, gettime_),
+        *of_system,
         (of_library.read, clock(of_library.read, 0.0, 0)),
         (time.monotonic, clock(time.monotonic, 0.0, 0)),
         (time.perf_counter, clock(time.perf_counter, 0.0, 0)),
@@ -340,15 +353,15 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
         (threading.Semaphore, primitives.Semaphore),
         (queue.SimpleQueue, primitives.SimpleQueue),
         (_pool._global_shutdown_lock, primitives.Lock()),
+        # The default loop of Windows waits for completions in the kernel, which does not know simulated sockets.
+        (new_event_loop, choose(selector_loop, new_event_loop)),
         (handle, type("Handle", handle.__bases__, {})),
         (task, type("Task", (task,), numbered)),
         (socket.socket, choose(new_socket, socket.socket)),
         (socket.socketpair, choose(sockets.pair, socket.socketpair)),
         (getaddrinfo, choose(sockets.addresses, getaddrinfo)),
         (select_, choose(sockets.select, select_)),
-        (select.poll, choose(lambda: Poll(sockets), select.poll)),
         (selectors.DefaultSelector, choose(lambda: Selector(sockets), selectors.DefaultSelector)),
-        (ioctl, choose(ioctl_, ioctl)),
         (urandom, choose(lambda size: urandom(size) if is_importing() else chance.randbytes(size), urandom)),
     ]
 

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import os
-import select
-import sys
-from collections.abc import Iterator
 from typing import get_args
 
+from linkcore.cli.console import Reader, keys
 from linkcore.cli.options import argument, command, seconds
 from linkcore.cli.terminal import Interruption
-from linkcore.errors import LocalError
 
 from ..motion.servo.jog import FULL_SPEED, FrameName, Jog
 from ..robot import Robot
@@ -70,13 +65,13 @@ def run(args: argparse.Namespace) -> int:
       urlink jog 192.168.56.101 --speed 0.05 --hold 1
     """
     with (
-        _keys() as terminal,
+        keys() as read,
         Interruption() as interruption,
         connected(args) as robot,
     ):
         hand = _Hand(robot, args.frame, args.speed, args.hold)
         while hand.goes_on and interruption.number is None:
-            hand.use(terminal, interruption)
+            hand.use(read, interruption)
         print(joints_text(robot.realtime.wait().q_actual), flush=True)
     return interruption.status
 
@@ -91,14 +86,15 @@ class _Hand:
         self._part = part
         self._hold = hold
 
-    def use(self, terminal: int, interruption: Interruption) -> None:
+    def use(self, read: Reader, interruption: Interruption) -> None:
         """Move in one frame, until a key selects another frame or ends the command."""
         frame = self._frame
         with self._robot.motion.jog(frame, timeout=self._hold, watchdog=self._hold) as jog:
             self._tell()
             while self.goes_on and self._frame == frame and interruption.number is None:
-                if select.select([terminal], [], [], 0.05)[0]:
-                    for key in os.read(terminal, 1024) or _END[:1]:
+                pressed = read(0.05)
+                if pressed is not None:
+                    for key in pressed or _END[:1]:
                         self._press(jog, bytes([key]))
                 elif jog.done:
                     jog.wait(0.0)
@@ -124,26 +120,3 @@ class _Hand:
     def _tell(self) -> None:
         unit = "rad/s" if self._frame == "joints" else "m/s"
         print(f"{self._frame}: {FULL_SPEED[self._frame][0] * self._part:.3f} {unit}", flush=True)
-
-
-@contextlib.contextmanager
-def _keys() -> Iterator[int]:
-    """Set the terminal to send single keys without showing them; restore it afterwards.
-
-    Raises:
-        LocalError: If stdin is not a terminal, or this system has no termios.
-    """
-    try:
-        import termios
-        import tty
-    except ImportError:
-        raise LocalError("this system has no terminal that can send single keys (termios)") from None
-    if not sys.stdin.isatty():
-        raise LocalError("stdin is not a terminal; jog needs its keys")
-    terminal = sys.stdin.fileno()
-    before = termios.tcgetattr(terminal)
-    tty.setcbreak(terminal)
-    try:
-        yield terminal
-    finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import os
-import select
-import sys
-from collections.abc import Iterator
 
+from linkcore.cli.console import lines
 from linkcore.cli.options import argument, command
 from linkcore.cli.progress import ProgressBar
 from linkcore.cli.terminal import Interruption
-from linkcore.errors import BadValue, LocalError
+from linkcore.errors import BadValue
 
 from ..motion.teaching import Taught, TaughtPoint
 from ..robot import Robot
@@ -83,7 +80,7 @@ def _play(
 def _keep(robot: Robot, args: argparse.Namespace, interruption: Interruption) -> None:
     with robot.teach(digital_input=args.digital_input, button=args.button, axes=args.axes, on_point=_show) as teaching:
         print("move the arm; Enter saves a waypoint, q ends", flush=True)
-        for line in _lines(interruption):
+        for line in lines(lambda: interruption.number is None):
             if teaching.freedrive is not None and teaching.freedrive.done:
                 teaching.freedrive.wait(0.0)
             if line == "":
@@ -104,27 +101,3 @@ def _keep(robot: Robot, args: argparse.Namespace, interruption: Interruption) ->
 
 def _show(point: TaughtPoint) -> None:
     print(joints_text(point.q), flush=True)
-
-
-def _lines(interruption: Interruption) -> Iterator[str | None]:
-    """Yield lines of stdin without line ends, until it ends or a signal arrives; None while there is no line.
-
-    Raises:
-        LocalError: If this system cannot wait for stdin with a timeout.
-    """
-    held = b""
-    while interruption.number is None:
-        try:
-            is_ready = bool(select.select([sys.stdin], [], [], 0.05)[0])
-        except (OSError, ValueError) as error:
-            raise LocalError(f"cannot wait for stdin: {error}") from None
-        if not is_ready:
-            yield None
-            continue
-        read = os.read(sys.stdin.fileno(), 1024)
-        held += read
-        *lines, held = held.split(b"\n")
-        for line in lines:
-            yield line.decode(errors="replace").strip()
-        if not read:
-            return

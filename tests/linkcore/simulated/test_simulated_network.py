@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import fcntl
 import select
 import selectors
 import socket
 import struct
-import termios
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +21,12 @@ from hypothesis import strategies as st
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import TcpTransport
 from linkcore.simulated import Computer, Simulation, simulated_time
+
+if sys.platform != "win32":
+    import fcntl
+    import termios
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="this operating system has no poll and no TIOCOUTQ")
 
 PORT = 30001
 RESET = struct.pack("ii", 1, 0)
@@ -153,6 +158,7 @@ def test_aborted_data_is_not_delivered_after_a_cut(sim: Simulation, robot: Compu
     assert len(robot.ends) == 1
 
 
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="only Linux has TCP_USER_TIMEOUT")
 def test_one_way_silence_ends_after_the_user_timeout(sim: Simulation, robot: Computer) -> None:
     """The data arrives, but its acknowledgement does not."""
     came: list[bytes] = []
@@ -285,6 +291,7 @@ def test_network_reset_during_a_handshake_refuses_the_connection(
                 pass
 
 
+@posix
 def test_poll_select_and_selectors_are_simulated(sim: Simulation, robot: Computer) -> None:
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT)) as link:
@@ -342,6 +349,7 @@ def test_selector_reports_data_until_it_is_read(sim: Simulation, robot: Computer
 @pytest.mark.parametrize(
     ("fault", "end", "returned"), [("hold", "release", [b"a", b"bc"]), ("suspend", "resume", [b"abc"])]
 )
+@posix
 def test_kernel_acknowledges_while_threads_are_stopped(
     sim: Simulation, robot: Computer, fault: str, end: str, returned: list[bytes]
 ) -> None:

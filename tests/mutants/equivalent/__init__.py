@@ -1,7 +1,7 @@
-"""Mutations after which a program does the same to everything that a test, or a user, could see: they are not tried.
+"""Equivalent mutations: no test and no user could see a difference, so they are not tried.
 
-A module for each group of `targets.py`. Who adds a row says why nothing can be seen; `test_operators.py` holds each row
-against the source, so that none outlives the line that it speaks of.
+There is one module for each group of `targets.py`. Each row states why no difference is visible. `test_operators.py`
+compares each row with the source, so that no row remains after its line was changed.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ __all__ = ["Equivalent", "equivalents"]
 
 
 class Equivalent(NamedTuple):
-    #: below src/
+    #: Path below src/.
     path: str
-    #: the name of the innermost function; None outside all
+    #: Name of the innermost function; None outside of all functions.
     function: str | None
-    #: the text before and after the change, as `nox -f nightly.py -s mutants` prints it
+    #: Text before and after the change, as `nox -f nightly.py -s mutants` prints it.
     before: str
     after: str
     why: str
@@ -31,7 +31,7 @@ class Equivalent(NamedTuple):
 
 
 def equivalents(group: str) -> tuple[Equivalent, ...]:
-    """Those of a group."""
+    """Return the equivalent mutations of a group."""
     module = import_module(f"{__name__}.{group.replace('-', '_')}")
     rows: tuple[Equivalent, ...] = module.EQUIVALENT
     return rows

@@ -9,16 +9,22 @@ MONITOR = "urlink/command/safety_monitor.py"
 PROGRAMS = "urlink/command/programs.py"
 
 EQUIVALENT: tuple[Equivalent, ...] = (
-    Equivalent(CHANNEL, "_has_turn", "return False", "return None", "its only caller asks whether it is true"),
+    Equivalent(CHANNEL, "_has_turn", "return False", "return None", "its only caller tests whether the result is true"),
     Equivalent(INTERPRETER, "__exit__", "0", "1", "type and exception are both None, or neither is"),
-    Equivalent(IO, "set_tool_communication", "3", "4", "numbers of 32 bits up to 40 are that exact"),
-    Equivalent(MONITOR, "wait_for", "left <= 0.0", "left < 0.0", "a clock that says exactly this costs one more look"),
-    Equivalent(PROGRAMS, "__init__", "4", "5", "the number with which tokens begin is random with either"),
+    Equivalent(IO, "set_tool_communication", "3", "4", "32-bit numbers up to 40 are exact to more decimals than that"),
+    Equivalent(
+        MONITOR,
+        "wait_for",
+        "left <= 0.0",
+        "left < 0.0",
+        "if the clock shows exactly this time, the condition is checked once more",
+    ),
+    Equivalent(PROGRAMS, "__init__", "4", "5", "the first token is random in both cases"),
     Equivalent(
         PROGRAMS,
         "_after_stop",
         "self._clock() - self._given_up.stop_sent > _IGNORED",
         "self._clock() - self._given_up.stop_sent >= _IGNORED",
-        "a state that comes exactly then, or the next",
+        "either a state at exactly this time counts, or the next one",
     ),
 )

@@ -8,6 +8,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "read_file",
         "1",
         "2",
-        "One byte beyond the largest file says that it is too large, and a second one no more than that.",
+        "one byte beyond the largest file already shows that the file is too large",
     ),
 )

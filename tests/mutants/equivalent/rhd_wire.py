@@ -8,6 +8,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "is_done",
         "start + self.at <= len(buffer)",
         "start + self.at < len(buffer)",
-        "Behind the last package of a batch stands its end, so a package is looked at with more bytes then.",
+        "the end of the batch follows its last package, so the package is then checked with more bytes",
     ),
 )

@@ -15,7 +15,7 @@ Spawn = Callable[..., "subprocess.Popen[str]"]
 
 
 class Extra(Plugin):
-    """What the turtle has not: an array, one that was never set, a variable nobody has heard of, a long one."""
+    """Plugin with variables that the turtle lacks: an array, one never set, an undeclared name, and a long one."""
 
     linesensor = Read(Int32, 8)
     never = Read(Int32, 3)
@@ -32,8 +32,8 @@ class Extra(Plugin):
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Run the command line in this process: exit status, stdout, stderr."""
-    # On a busy computer a short command may take so long that it would print its progress.
+    """Function that runs the command line in this process; it returns the exit status, stdout and stderr."""
+    # On a busy computer, a short command might take so long that it would print its progress.
     monkeypatch.setattr("linkcore.cli.progress._FIRST", 600.0)
 
     def run(*argv: str) -> tuple[int, str, str]:
@@ -57,5 +57,5 @@ def address(host: Host) -> str:
 
 @pytest.fixture
 def spawn() -> Iterator[Spawn]:
-    """Start the command in a process of its own; ended with the test, if it has not ended by then."""
+    """Function that starts the command in a separate process, which is ended with the test at the latest."""
     yield from spawning("rhdlink.cli")

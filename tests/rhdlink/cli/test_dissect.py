@@ -41,7 +41,7 @@ def client(width: int = 2) -> bytes:
 
 
 def whole(pieces: list[Piece]) -> bytes:
-    """The bytes of the pieces, each of which has to begin where the one before it ended."""
+    """Return the bytes of the pieces, and check that each piece begins where the previous one ended."""
     data = b""
     for piece in pieces:
         assert piece.offset == len(data)
@@ -63,7 +63,7 @@ def test_dissect_reads_hex_text_and_stdin(run: Run, tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("width", [2, 4])
-def test_both_directions(width: int) -> None:
+def test_both_directions_are_dissected(width: int) -> None:
     tables, found = tables_in(server(width))
     assert found == width
     assert (guess_sender(server(width)), guess_sender(client(width))) == ("server", "client")
@@ -82,7 +82,7 @@ def test_both_directions(width: int) -> None:
 
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", SERVERS)
-def test_recorded_connections_have_no_byte_without_a_meaning(run: Run, name: str) -> None:
+def test_every_byte_of_recorded_servers_has_a_meaning(run: Run, name: str) -> None:
     path = real_captures.folder("rhd") / f"{name}.s2c.bin"
     status, out, err = run("dissect", str(path), "--json")
     assert (status, err) == (0, "")
@@ -94,7 +94,7 @@ def test_recorded_connections_have_no_byte_without_a_meaning(run: Run, name: str
 
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["writer64", "writer64naive", "writer_orig2014"])
-def test_recorded_clients_beside_their_servers(run: Run, name: str) -> None:
+def test_recorded_clients_are_dissected_with_their_servers(run: Run, name: str) -> None:
     folder = real_captures.folder("rhd")
     path = str(folder / f"{name}.c2s.bin")
     status, out, _ = run("dissect", path, "--tables", str(folder / f"{name}.s2c.bin"), "--json")
@@ -105,7 +105,7 @@ def test_recorded_clients_beside_their_servers(run: Run, name: str) -> None:
     assert speeds == list(range(10, 60))
 
 
-def test_lines_for_people(run: Run, tmp_path: Path) -> None:
+def test_dissect_prints_readable_lines(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "server.bin"
     path.write_bytes(server())
     status, out, err = run("dissect", str(path), "--count", "2")
@@ -118,7 +118,7 @@ def test_lines_for_people(run: Run, tmp_path: Path) -> None:
     assert_harmless(run("dissect", str(path))[1])
 
 
-def test_what_is_missing_is_said(run: Run, tmp_path: Path) -> None:
+def test_missing_tables_and_data_are_reported(run: Run, tmp_path: Path) -> None:
     path, other = tmp_path / "client.bin", tmp_path / "other.bin"
     path.write_bytes(client())
     other.write_bytes(b"nothing")
@@ -134,17 +134,17 @@ def test_what_is_missing_is_said(run: Run, tmp_path: Path) -> None:
     assert (status, err) == (1, f"rhdlink: {other} contains no bytes\n")
 
 
-def test_nothing_is_declared_of_a_client_that_sends_no_values() -> None:
+def test_client_data_without_tables_is_dissected() -> None:
     (*_, data, end, again) = dissect(b"awrwdw\0\0\0\0eerr", "client")
     assert (data.error, data.size, end.package, again.package) == (None, 6, "ee", "rr")
-    # What the values are is not known, but that they are values is.
+    # Without tables, only the kind of the package is known.
     (piece,) = dissect(b"dw\0\0\0\1", "client")
     assert (piece.package, piece.meaning, piece.size) == ("dw", "values of write variables", 6)
     (piece,) = dissect(b"xx", "client")
     assert (piece.package, piece.meaning, piece.size) == ("", "no package", 2)
 
 
-def test_a_server_that_grants_nothing_is_known_by_its_table() -> None:
+def test_server_without_a_grant_is_recognised_by_its_table() -> None:
     assert guess_sender(server()[2:]) == "server"
 
 
@@ -162,7 +162,7 @@ def test_a_server_that_grants_nothing_is_known_by_its_table() -> None:
         (b"tr\0\0\0\1" + b"\xff" * 4 + bytes(33) + b"dr\0\0\0\1" + bytes(12), "entry 0 is of a variable of -1 words"),
     ],
 )
-def test_what_cannot_be_is_shown_with_the_reason(data: bytes, error: str) -> None:
+def test_invalid_package_is_shown_with_the_reason(data: bytes, error: str) -> None:
     pieces = list(dissect(data, "server"))
     assert error in str(pieces[-1].error)
     assert whole(pieces) == data
@@ -170,7 +170,7 @@ def test_what_cannot_be_is_shown_with_the_reason(data: bytes, error: str) -> Non
 
 @pytest.mark.property
 @given(st.binary(max_size=60), st.integers(0, len(server())), st.sampled_from([2, 4]), st.booleans())
-def test_every_byte_is_shown_once(noise: bytes, at: int, width: int, from_server: bool) -> None:
+def test_every_byte_is_shown_exactly_once(noise: bytes, at: int, width: int, from_server: bool) -> None:
     good, sender = (server(width), "server") if from_server else (client(width), "client")
     data = good[:at] + noise + good[at:]
     tables, _ = tables_in(server(width))

@@ -1,4 +1,4 @@
-"""serve and turtle."""
+"""The commands serve and turtle."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Robot(Plugin):
 
 @pytest.fixture
 def config(tmp_path: Path, request: pytest.FixtureRequest) -> str:
-    # Modules are remembered by name, so each test has one of its own.
+    # Modules are cached by name, so each test needs a separate module.
     name = f"robot_of_{request.node.originalname}"
     (tmp_path / f"{name}.py").write_text(PLUGIN)
     path = tmp_path / "rhdconfig.xml"
@@ -59,22 +59,22 @@ def config(tmp_path: Path, request: pytest.FixtureRequest) -> str:
     return str(path)
 
 
-def test_serve(run: Run, config: str) -> None:
+def test_serve_prints_its_address_and_statistics(run: Run, config: str) -> None:
     before = list(sys.path)
     status, out, err = run("serve", config, "--duration", "0.1")
     assert status == 0
     assert out.startswith("127.0.0.1:")
     assert out.count("\n") == 1
-    told = err.splitlines()
-    assert told[0] == f"rhdlink: {config}: robot, turtle; Ctrl-C ends it; connect to"
-    assert told[1] == "motors stopped"
-    assert " ticks, late by " in told[2]
+    lines = err.splitlines()
+    assert lines[0] == f"rhdlink: {config}: robot, turtle; Ctrl-C ends it; connect to"
+    assert lines[1] == "motors stopped"
+    assert " ticks, late by " in lines[2]
     assert sys.path == before
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_serve_ends_in_order_by_a_signal(spawn: Spawn, config: str, number: int, status: int) -> None:
+def test_signal_ends_serve_in_order(spawn: Spawn, config: str, number: int, status: int) -> None:
     process = spawn("serve", config)
     assert process.stdout is not None
     with rhdlink.connect(process.stdout.readline().strip()) as robot:
@@ -88,7 +88,7 @@ def test_serve_ends_in_order_by_a_signal(spawn: Spawn, config: str, number: int,
 
 
 @pytest.mark.slow
-def test_a_critical_plugin_that_fails_ends_it_with_1(spawn: Spawn, config: str) -> None:
+def test_failing_critical_plugin_ends_serve_with_1(spawn: Spawn, config: str) -> None:
     process = spawn("serve", config)
     assert process.stdout is not None
     with rhdlink.connect(process.stdout.readline().strip(), access="w") as robot:
@@ -110,7 +110,7 @@ def test_a_critical_plugin_that_fails_ends_it_with_1(spawn: Spawn, config: str) 
         (CONFIG.format(period=2000, lib="no_such_module_here:Robot"), "cannot import no_such_module_here"),
     ],
 )
-def test_files_that_cannot_be_served(run: Run, tmp_path: Path, text: str, said: str) -> None:
+def test_serve_reports_invalid_configurations(run: Run, tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "rhdconfig.xml"
     path.write_text(text)
     status, out, err = run("serve", str(path))
@@ -119,16 +119,16 @@ def test_files_that_cannot_be_served(run: Run, tmp_path: Path, text: str, said: 
     assert err.count("\n") == 1
 
 
-def test_where_to_listen(run: Run, config: str) -> None:
+def test_serve_listens_on_the_given_address(run: Run, config: str) -> None:
     status, out, _ = run("serve", config, "--listen", "127.0.0.2", "--port", "0", "--duration", "0.05")
-    if status == 0:  # not every system has the whole network
+    if status == 0:  # some systems have only one loopback address
         assert out.startswith("127.0.0.2:")
 
 
 @pytest.mark.parametrize(
     ("drive", "names"), [("velocity", {"transpos", "cmdrotvel"}), ("smr", {"encl", "speedr", "irsensor"})]
 )
-def test_turtle(spawn: Spawn, tmp_path: Path, drive: str, names: set[str]) -> None:
+def test_turtle_drives_and_saves_its_path(spawn: Spawn, tmp_path: Path, drive: str, names: set[str]) -> None:
     picture = tmp_path / "way.svg"
     process = spawn("turtle", "--port", "0", "--drive", drive, "--lockstep", "--picture", str(picture))
     assert process.stdout is not None
@@ -137,7 +137,7 @@ def test_turtle(spawn: Spawn, tmp_path: Path, drive: str, names: set[str]) -> No
         for name in ("cmdtransvel", "speedl", "speedr"):
             if name in robot:
                 robot[name] = 100_000 if name == "cmdtransvel" else 100
-        for _ in range(102):  # what the request says moves the robot in the round after it, and the next tells
+        for _ in range(102):  # a command moves the robot in the round after its request, and the next reply reports it
             robot.sync()
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate(timeout=20)
@@ -146,7 +146,7 @@ def test_turtle(spawn: Spawn, tmp_path: Path, drive: str, names: set[str]) -> No
     assert "<polyline" in picture.read_text()
 
 
-def test_turtle_for_a_while(run: Run) -> None:
+def test_turtle_ends_after_its_duration(run: Run) -> None:
     status, out, err = run("turtle", "--port", "0", "--duration", "0.05", "--period", "0.005")
     assert status == 0
     assert out.startswith("127.0.0.1:")
@@ -156,20 +156,20 @@ def test_turtle_for_a_while(run: Run) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [2, 4])
-def test_the_width_of_time_stamps_can_be_chosen(spawn: Spawn, config: str, width: int) -> None:
+def test_width_option_sets_the_time_stamps(spawn: Spawn, config: str, width: int) -> None:
     for command in (("turtle", "--port", "0"), ("serve", config)):
         process = spawn(*command, "--width", str(width))
         assert process.stdout is not None
         with rhdlink.connect(process.stdout.readline().strip(), access="w") as robot:
             assert robot.width == width
             robot.sync()
-            # With the wrong width the stamp of the tick would be nonsense.
+            # With the wrong width, the stamp of the tick would be far from the current time.
             assert abs(robot.stamp("tick").time - robot.received.wall) < 60.0
         process.send_signal(signal.SIGTERM)
         assert process.wait(20) == 143
 
 
-def test_the_width_of_the_file_and_the_last_word_over_it(run: Run, tmp_path: Path) -> None:
+def test_width_option_overrides_the_file(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "rhdconfig.xml"
     path.write_text("<rhd><server><port value='0'/><width value='4'/></server></rhd>")
     assert rhdlink.Host.from_config(path)._serving.keywords["width"] == 4
@@ -179,7 +179,7 @@ def test_the_width_of_the_file_and_the_last_word_over_it(run: Run, tmp_path: Pat
     assert "--width" in err
 
 
-def test_limits_of_the_command_line_are_those_of_the_host(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limit_options_are_passed_to_the_host(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[dict[str, Any]] = []
 
     def host(plugins: object, **options: Any) -> None:

@@ -43,7 +43,7 @@ def test_help_of_each_command_ends_in_examples(run: Run, command: str) -> None:
     assert max(map(len, out.splitlines())) <= 115
 
 
-def test_version(run: Run) -> None:
+def test_version_is_printed(run: Run) -> None:
     status, out, _ = run("--version")
     assert status == 0
     assert out.startswith("rhdlink ")
@@ -68,7 +68,7 @@ def test_version(run: Run) -> None:
         ("export", "dissect", "x", "--width", "3"),
     ],
 )
-def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
+def test_wrong_usage_exits_with_2(run: Run, argv: tuple[str, ...]) -> None:
     status, out, err = run(*argv)
     assert (status, out) == (2, "")
     assert err.startswith("usage: rhdlink")
@@ -88,7 +88,7 @@ def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
     ],
 )
 @pytest.mark.real_time
-def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...], said: str) -> None:
+def test_failure_prints_one_line_on_stderr_and_exits_with_1(run: Run, argv: tuple[str, ...], said: str) -> None:
     status, out, err = run(*argv)
     assert (status, out) == (1, "")
     assert err.startswith("rhdlink: ")
@@ -97,14 +97,14 @@ def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...],
 
 
 @pytest.mark.real_time
-def test_a_port_that_is_taken(run: Run, host: Host) -> None:
+def test_port_in_use_is_reported(run: Run, host: Host) -> None:
     status, out, err = run("turtle", "--port", str(host.port))
     assert (status, out) == (1, "")
     assert f"cannot listen on 127.0.0.1:{host.port}" in err
     assert err.count("\n") == 1
 
 
-def test_text_of_errors_is_harmless(run: Run, tmp_path: Path) -> None:
+def test_control_characters_in_errors_are_escaped(run: Run, tmp_path: Path) -> None:
     status, _, err = run("dissect", str(tmp_path / "x\x1b[2J\u202ey"))
     assert status == 1
     assert "x\\x1b[2J\\u202ey" in err
@@ -136,7 +136,7 @@ def test_signals_end_a_watch_quietly(
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
+def test_closed_output_pipe_is_not_an_error(spawn: Spawn, address: str) -> None:
     process = spawn("watch", "--quiet", address, "--json")
     assert process.stdout is not None
     assert process.stderr is not None

@@ -28,28 +28,28 @@ def script(tmp_path: Path) -> Path:
 
 
 def ended(err: str) -> tuple[float, ...]:
-    """Where the turtle was at the end: m, m, degrees."""
+    """Return the final pose of the turtle: m, m, degrees."""
     found = re.search(r"ended at x (.*) m, y (.*) m, heading (.*) deg", err)
     assert found is not None, err
     return tuple(map(float, found.groups()))
 
 
 @pytest.mark.parametrize("kind", [[], ["velocity"], ["smr"]])
-def test_a_script_runs_on_a_turtle(run: Run, script: Path, kind: list[str]) -> None:
+def test_mission_runs_on_a_turtle(run: Run, script: Path, kind: list[str]) -> None:
     status, out, err = run("mission", str(script), "--turtle", *kind)
     assert (status, out) == (0, "there\n1.000000  2.000000  \n")
     assert ended(err) == pytest.approx((5.7, 5.5, 90.0), abs=0.6)
     assert "rhdlink: userevent corner\n" in err
 
 
-def test_each_line_is_shown_where_that_is_asked_for(run: Run, script: Path) -> None:
+def test_trace_prints_each_line(run: Run, script: Path) -> None:
     _, _, err = run("mission", str(script), "--turtle", "--trace")
     lines = [line for line in err.splitlines() if line.startswith("rhdlink: line")]
     assert lines[:2] == ["rhdlink: line 1: fwd 0.2", "rhdlink: line 2: turn 90"]
     assert len(lines) == 5
 
 
-def test_under_mrc_s_profile_it_prints_what_mrc_prints(run: Run, script: Path) -> None:
+def test_mrc_profile_prints_the_output_of_mrc(run: Run, script: Path) -> None:
     status, out, _ = run("mission", str(script), "--turtle", "--profile", "mrc")
     assert status == 0
     assert out.startswith("Line no   1:   fwd 0.2\n \nLine no   2:   turn 90\n \n")
@@ -57,8 +57,8 @@ def test_under_mrc_s_profile_it_prints_what_mrc_prints(run: Run, script: Path) -
 
 
 @pytest.mark.slow
-def test_the_way_is_drawn(run: Run, tmp_path: Path) -> None:
-    """The same each time, with what lies on the floor."""
+def test_svg_of_the_path_is_reproducible(run: Run, tmp_path: Path) -> None:
+    """The drawing includes the tape and walls on the floor."""
     pictures = [tmp_path / "first.svg", tmp_path / "second.svg"]
     floor = ("--floor", str(MISSIONS / "floor.svg"), "--start", "1.5,2,0")
     for picture in pictures:
@@ -66,17 +66,17 @@ def test_the_way_is_drawn(run: Run, tmp_path: Path) -> None:
         assert status == 0
     first, second = (picture.read_text() for picture in pictures)
     assert first == second
-    assert first.count("<polyline") >= 3  # the tape, the walls, the way
+    assert first.count("<polyline") >= 3  # the tape, the walls, the path
 
 
-def test_a_mission_that_fails_says_where(run: Run, script: Path) -> None:
+def test_failing_mission_reports_line_and_column(run: Run, script: Path) -> None:
     script.write_text('fwd 0.1\n  array "a" 2\n  a[5] = 1\n')
     status, out, err = run("mission", str(script), "--turtle")
     assert (status, out) == (1, "")
     assert err.splitlines()[-1].startswith("rhdlink: line 3, column 3 (a[5] = 1): index 5 is beyond a")
 
 
-def test_a_script_is_checked(run: Run, script: Path) -> None:
+def test_check_reports_the_errors_of_a_script(run: Run, script: Path) -> None:
     assert run("mission", "--check", str(script)) == (0, "", "rhdlink: way.smr: no mistakes found\n")
     script.write_text("fwd 1 2\nfwd x\n")
     status, out, _ = run("mission", "--check", str(script))
@@ -88,7 +88,7 @@ def test_a_script_is_checked(run: Run, script: Path) -> None:
     status, out, err = run("mission", str(script), "--turtle")
     assert (status, out) == (1, "")
     assert "line 2, column 5" in err
-    assert "ended at" not in err  # it has not begun
+    assert "ended at" not in err  # the mission has not started
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_a_script_is_checked(run: Run, script: Path) -> None:
         (["{script}", "--turtle", "--conf", "none.conf"], 1, "none.conf: No such file"),
     ],
 )
-def test_what_cannot_be_is_said(run: Run, script: Path, arguments: list[str], status: int, said: str) -> None:
+def test_invalid_arguments_are_reported(run: Run, script: Path, arguments: list[str], status: int, said: str) -> None:
     given = [argument.format(script=script) for argument in arguments]
     found, out, err = run("mission", *given)
     assert (found, out) == (status, "")
@@ -113,7 +113,7 @@ def test_what_cannot_be_is_said(run: Run, script: Path, arguments: list[str], st
     assert "Traceback" not in err
 
 
-def test_a_log_is_kept_in_its_folder(run: Run, script: Path, tmp_path: Path) -> None:
+def test_log_is_written_to_its_folder(run: Run, script: Path, tmp_path: Path) -> None:
     script.write_text('log "$odox"\nfwd 0.05\ncontrol "savelog" "first"\n')
     assert run("mission", str(script), "--turtle", "--log-folder", str(tmp_path))[0] == 0
     first, rest = ((tmp_path / name).read_text().split() for name in ("first", "log"))
@@ -122,7 +122,7 @@ def test_a_log_is_kept_in_its_folder(run: Run, script: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.real_time
-def test_a_script_runs_on_a_robot(spawn: Spawn, script: Path) -> None:
+def test_mission_runs_on_a_robot_until_interrupted(spawn: Spawn, script: Path) -> None:
     robot = Turtle()
     script.write_text('label "on"\nturn 90\ngoto "on"\n')
     with Host([robot], port=0) as host:
@@ -137,7 +137,7 @@ def test_a_script_runs_on_a_robot(spawn: Spawn, script: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_what_clients_say_steers_no_terminal(spawn: Spawn) -> None:
+def test_control_characters_of_clients_are_escaped(spawn: Spawn) -> None:
     process = spawn("mission", "--serve", "--turtle", "--port", "0", "--profile", "mrc")
     assert process.stdout is not None
     host, _, port = process.stdout.readline().strip().rpartition(":")
@@ -153,7 +153,7 @@ def test_what_clients_say_steers_no_terminal(spawn: Spawn) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_clients_of_mrc_are_served(spawn: Spawn) -> None:
+def test_mission_serves_clients_of_mrc(spawn: Spawn) -> None:
     process = spawn("mission", "--serve", "--turtle", "--port", "0")
     assert process.stdout is not None
     host, _, port = process.stdout.readline().strip().rpartition(":")

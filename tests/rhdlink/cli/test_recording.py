@@ -1,4 +1,4 @@
-"""record and replay."""
+"""The commands record and replay."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def batch(database: Database, tick: int, rotpos: int) -> bytes:
 
 
 def write(path: Path, chunks: Sequence[bytes | None], *, name: str = "rhd") -> Path:
-    """A recording of these chunks, 10 ms apart; None is a lost connection."""
+    """Write a recording of these chunks, 10 ms apart; None is a lost connection."""
     writer = RecordingWriter(path)
     channel = writer.add_channel({"name": name})
     for number, chunk in enumerate(chunks):
@@ -54,7 +54,7 @@ def write(path: Path, chunks: Sequence[bytes | None], *, name: str = "rhd") -> P
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Two connections, the first cut in the middle of a batch, and the handshake of the second cut in two."""
+    """Recording of two connections; the first ends in the middle of a batch, and the second has a split handshake."""
     database = robot()
     greeting = database.encode_handshake("r")
     first = batch(database, 1, 40000)
@@ -63,7 +63,7 @@ def recording(tmp_path: Path) -> Path:
     return write(tmp_path / "run.urlog", chunks)
 
 
-def test_what_is_in_a_recording(run: Run, recording: Path) -> None:
+def test_replay_prints_a_summary_of_the_recording(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording))
     assert (status, err) == (0, "")
     lines = out.splitlines()
@@ -77,14 +77,14 @@ def test_what_is_in_a_recording(run: Run, recording: Path) -> None:
         ["cmdtransvel", "set", "0", "times"],
     ]
     assert_harmless(out)
-    told = strict(run("replay", str(recording), "--json")[1])
-    assert (told["batches"], told["connections"], told["variables"]["tick"]) == (5, 2, 3)
+    summary = strict(run("replay", str(recording), "--json")[1])
+    assert (summary["batches"], summary["connections"], summary["variables"]["tick"]) == (5, 2, 3)
 
 
-def test_play(run: Run, recording: Path) -> None:
+def test_replay_prints_the_values_of_a_variable(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording), "--rate", "max", "rotpos")
     assert (status, err) == (0, "")
-    # The second handshake tells what is known by then.
+    # The second handshake repeats the values known by then.
     assert [line.partition(" | ")[2] for line in out.splitlines()] == [
         "rotpos 40000 = 1 rad",
         "rotpos 40000 = 1 rad",
@@ -93,7 +93,7 @@ def test_play(run: Run, recording: Path) -> None:
     ]
 
 
-def test_play_as_json_and_at_speed(run: Run, recording: Path) -> None:
+def test_replay_prints_json_at_the_given_rate(run: Run, recording: Path) -> None:
     began = time.monotonic()
     status, out, _ = run("replay", str(recording), "tick", "--json", "--rate", "0.5", "--count", "3")
     assert status == 0
@@ -111,7 +111,7 @@ def test_play_as_json_and_at_speed(run: Run, recording: Path) -> None:
         ([robot().encode_handshake("r")], "rhd", ("speedl", "--rate", "max"), "contains no variable 'speedl'"),
     ],
 )
-def test_what_cannot_be_played(
+def test_replay_reports_invalid_recordings(
     run: Run, tmp_path: Path, chunks: list[bytes], name: str, argv: tuple[str, ...], said: str
 ) -> None:
     path = write(tmp_path / "x.urlog", chunks, name=name)
@@ -122,14 +122,14 @@ def test_what_cannot_be_played(
 
 
 @pytest.mark.parametrize("argv", [("x", "tick"), ("x", "--count", "1"), ("x", "--rate", "0"), ("x", "--rate", "-1")])
-def test_wrong_usage(run: Run, recording: Path, argv: tuple[str, ...]) -> None:
+def test_wrong_usage_of_replay_exits_with_2(run: Run, recording: Path, argv: tuple[str, ...]) -> None:
     status, out, err = run("replay", *(str(recording) if each == "x" else each for each in argv))
     assert (status, out) == (2, "")
     assert err.startswith("usage: rhdlink replay")
 
 
 @pytest.mark.simulated_time
-def test_record_and_replay(run: Run, address: str, tmp_path: Path) -> None:
+def test_recording_can_be_replayed_and_dissected(run: Run, address: str, tmp_path: Path) -> None:
     path = str(tmp_path / "drive.urlog")
     status, out, err = run("record", address, path, "--count", "20")
     assert status == 0
@@ -140,14 +140,14 @@ def test_record_and_replay(run: Run, address: str, tmp_path: Path) -> None:
     assert status == 0
     updates = [strict(line)["variables"] for line in out.splitlines()]
     assert len(updates) >= 20
-    # The handshake may fall between a plugin and the tick: then the counter of the first batch is no news.
+    # The handshake may fall between a plugin and the tick, and then the counter in the first batch is not new.
     assert all(each["counter"][0] == 1 - each["tick"][0] for each in updates[2:])
     status, out, _ = run("dissect", path, "--count", "2")
     assert (status, out.splitlines()[0]) == (0, "#1 ar: grants access as reader, 2 bytes at 0")
 
 
 @pytest.mark.simulated_time
-def test_a_recording_never_overwrites_one(run: Run, address: str, recording: Path) -> None:
+def test_record_never_overwrites_a_file(run: Run, address: str, recording: Path) -> None:
     before = recording.read_bytes()
     status, out, err = run("record", address, str(recording))
     assert (status, out) == (1, "")
@@ -156,7 +156,7 @@ def test_a_recording_never_overwrites_one(run: Run, address: str, recording: Pat
 
 
 @pytest.mark.simulated_time
-def test_who_is_not_there_leaves_no_file(run: Run, tmp_path: Path) -> None:
+def test_failed_connection_leaves_no_file(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "drive.urlog"
     assert run("record", "127.0.0.1:1", str(path))[0] == 1
     assert not path.exists()
@@ -165,7 +165,7 @@ def test_who_is_not_there_leaves_no_file(run: Run, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.real_time
-def test_a_signal_ends_it_in_order(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:
+def test_signal_completes_the_recording(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:
     path = tmp_path / "drive.urlog"
     process = spawn("record", address, str(path))
     assert process.stderr is not None
@@ -178,7 +178,7 @@ def test_a_signal_ends_it_in_order(spawn: Spawn, address: str, tmp_path: Path, n
 
 
 @pytest.mark.simulated_time
-def test_a_lost_connection_is_in_the_recording(tmp_path: Path, own_port: int) -> None:
+def test_lost_connection_is_in_the_recording(tmp_path: Path, own_port: int) -> None:
     path = tmp_path / "drive.urlog"
     with Host([Turtle()], port=own_port, pacing="lockstep"):
         robot = rhdlink.connect(f"127.0.0.1:{own_port}", record=path)
@@ -193,7 +193,7 @@ def test_a_lost_connection_is_in_the_recording(tmp_path: Path, own_port: int) ->
 
 
 @pytest.mark.simulated_time
-def test_a_disk_that_fails_costs_the_recording_and_not_the_connection(
+def test_failing_disk_stops_the_recording_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def full(writer: RecordingWriter, *_: object) -> None:
@@ -213,7 +213,7 @@ def test_a_disk_that_fails_costs_the_recording_and_not_the_connection(
 
 
 @pytest.mark.simulated_time
-def test_what_the_logger_wrote_is_played(run: Run, tmp_path: Path) -> None:
+def test_recording_of_the_logger_can_be_replayed(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "drive.urlog"
     with (
         Host([Turtle(), Logger(path)], port=0, pacing="lockstep") as host,

@@ -1,4 +1,4 @@
-"""vars, get and set."""
+"""The commands vars, get and set."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .conftest import Run, Spawn
 pytestmark = pytest.mark.real_time
 
 
-def test_vars(run: Run, address: str) -> None:
+def test_vars_prints_a_table(run: Run, address: str) -> None:
     status, out, err = run("vars", address)
     assert (status, err) == (0, "")
     head, *lines = out.splitlines()
@@ -34,14 +34,14 @@ def test_vars(run: Run, address: str) -> None:
 
 
 @pytest.mark.parametrize("option", [(), ("--json",)])
-def test_vars_of_a_robot_that_has_none(run: Run, option: tuple[str, ...]) -> None:
+def test_vars_of_a_robot_without_variables(run: Run, option: tuple[str, ...]) -> None:
     with ScriptedServer(serving(Robot(read=(), write=()))) as server:
         status, out, err = run("vars", server.address, *option)
     assert (status, err) == (0, "")
     assert out == ("" if option else f"{server.address}: 0 variables, time stamps of 2 words\n")
 
 
-def test_vars_as_json(run: Run, address: str) -> None:
+def test_vars_prints_json(run: Run, address: str) -> None:
     status, out, _ = run("vars", address, "--json")
     assert status == 0
     found = {each["name"]: each for each in map(strict, out.splitlines())}
@@ -60,14 +60,14 @@ def test_vars_as_json(run: Run, address: str) -> None:
     assert len(found["big"]["words"]) == 40
 
 
-def test_get(run: Run, address: str) -> None:
+def test_get_prints_values_with_units(run: Run, address: str) -> None:
     status, out, err = run("get", address, "linesensor", "rotpos", "linesensor")
     assert (status, err) == (0, "")
     assert out == "linesensor 0 1 2 3 4 5 6 7\nrotpos 0 = 0 rad\nlinesensor 0 1 2 3 4 5 6 7\n"
 
 
-def test_get_as_json_with_names_after_the_option(run: Run, address: str) -> None:
-    until(lambda: strict(run("get", address, "counter", "--json")[1])["words"] != [0])  # it is 0 at the first tick
+def test_get_accepts_names_after_the_json_option(run: Run, address: str) -> None:
+    until(lambda: strict(run("get", address, "counter", "--json")[1])["words"] != [0])  # 0 at the first tick
     status, out, _ = run("get", address, "counter", "--json", "never")
     assert status == 0
     counter, never = map(strict, out.splitlines())
@@ -75,7 +75,7 @@ def test_get_as_json_with_names_after_the_option(run: Run, address: str) -> None
     assert never["words"] == [0, 0, 0]
 
 
-def test_get_with_a_type(run: Run) -> None:
+def test_get_converts_values_to_a_type(run: Run) -> None:
     class Typed(Plugin):
         bearing = Read(Float64, 2)
         flags = Read(Bool, 3)
@@ -87,20 +87,20 @@ def test_get_with_a_type(run: Run) -> None:
         assert run("get", host.address, "bearing", "--as", "float64") == (0, "bearing 0.25 -1e-07\n", "")
         assert run("get", host.address, "flags", "--as", "bool")[1] == "flags True False True\n"
         assert strict(run("get", host.address, "bearing", "--as", "float64", "--json")[1])["values"] == [0.25, -1e-7]
-        # The other half first.
+        # With the other byte order, the words are combined differently.
         assert run("get", host.address, "bearing", "--as", "float64", "--order", "big")[1] != "bearing 0.25 -1e-07\n"
         status, out, err = run("get", host.address, "flags", "--as", "float64")
         assert (status, out) == (1, "")
         assert "flags has 3 words; a value of float64 needs 2" in err
 
 
-def test_get_says_what_is_missing(run: Run, address: str) -> None:
+def test_get_reports_missing_variables(run: Run, address: str) -> None:
     status, out, err = run("get", address, "tick", "nope", "neither")
     assert (status, out) == (1, "")
     assert "has no variable 'nope', 'neither'" in err
 
 
-def test_set(run: Run, address: str) -> None:
+def test_set_writes_and_prints_the_words(run: Run, address: str) -> None:
     status, out, err = run("set", address, "arm", "--", "1", "-2", "3", "-2147483648")
     assert (status, out) == (0, "")
     assert err == "rhdlink: arm is 1 -2 3 -2147483648\n"
@@ -117,14 +117,14 @@ def test_set(run: Run, address: str) -> None:
         (("nope", "1"), "no write variable 'nope'"),
     ],
 )
-def test_set_what_cannot_be(run: Run, address: str, argv: tuple[str, ...], said: str) -> None:
+def test_set_reports_invalid_values_and_names(run: Run, address: str, argv: tuple[str, ...], said: str) -> None:
     status, out, err = run("set", address, *argv)
     assert (status, out) == (1, "")
     assert said in err
     assert err.count("\n") == 1
 
 
-def test_set_while_there_is_a_master(run: Run, address: str) -> None:
+def test_set_fails_while_another_master_is_connected(run: Run, address: str) -> None:
     with rhdlink.connect(address, access="w"):
         status, _, err = run("set", address, "cmdrotvel", "1")
     assert status == 1
@@ -132,7 +132,7 @@ def test_set_while_there_is_a_master(run: Run, address: str) -> None:
 
 
 @pytest.mark.slow
-def test_set_holds_until_it_is_told_to_go(spawn: Spawn, host: Host, address: str) -> None:
+def test_set_hold_lasts_until_interrupted(spawn: Spawn, host: Host, address: str) -> None:
     process = spawn("set", address, "cmdtransvel", "30000", "--hold", "1000")
     assert process.stderr is not None
     assert process.stderr.readline() == "rhdlink: cmdtransvel is 30000 = 0.3 m/s\n"
@@ -149,14 +149,14 @@ def test_set_holds_until_it_is_told_to_go(spawn: Spawn, host: Host, address: str
     until(lambda: host.writers == 0)
 
 
-def test_set_holds_for_a_while(run: Run, address: str) -> None:
+def test_set_hold_lasts_for_its_duration(run: Run, address: str) -> None:
     assert run("set", address, "cmdtransvel", "30000", "--hold", "0.5")[0] == 0
     transpos = int(run("get", address, "transpos")[1].split()[1])
-    assert transpos >= 2000  # 7 ticks, of 50 if none of them is missed
+    assert transpos >= 2000  # 7 ticks, out of 50 if none is missed
 
 
 def greet(peer: Peer) -> None:
-    """A robot that is up to no good."""
+    """Send a handshake with a malicious name of a variable."""
     database = rhdlink.variables.Database()
     database.read.add("tick")
     database.read.add("\x1b[2J\x9b31m\u00ad")
@@ -166,7 +166,7 @@ def greet(peer: Peer) -> None:
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])
-def test_names_are_harmless(run: Run, options: tuple[str, ...]) -> None:
+def test_control_characters_in_names_are_escaped(run: Run, options: tuple[str, ...]) -> None:
     assert "\x1b" in HOSTILE
     with ScriptedServer(greet) as server:
         status, out, err = run("vars", server.address, *options)

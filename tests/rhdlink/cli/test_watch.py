@@ -20,7 +20,7 @@ from .conftest import Run, Spawn
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_lines_with_units_and_rates(run: Run, address: str) -> None:
+def test_plain_watch_prints_units_and_rates(run: Run, address: str) -> None:
     status, out, err = run("watch", address, "rotpos", "counter", "--plain", "--count", "2")
     assert status == 0
     watched, step = err.splitlines()
@@ -36,20 +36,20 @@ def test_lines_with_units_and_rates(run: Run, address: str) -> None:
 
 
 @pytest.mark.simulated_time
-def test_each_update_as_json(run: Run, address: str) -> None:
+def test_json_watch_prints_each_update(run: Run, address: str) -> None:
     status, out, err = run("watch", address, "--json", "counter", "tick", "--count", "5")
     assert (status, err) == (0, "")
     updates = [strict(each) for each in out.splitlines()]
     ticks = [each["variables"]["tick"][0] for each in updates]
     assert len(ticks) == 5
     assert ticks == sorted(set(ticks))
-    # The handshake may fall between a plugin and the tick: then the counter of the first batch is no news.
+    # The handshake may fall between a plugin and the tick, and then the counter in the first batch is not new.
     assert all(each["variables"]["counter"][0] == 1 - each["variables"]["tick"][0] for each in updates[1:])
     assert updates[0]["stamps"].keys() == updates[0]["variables"].keys()
 
 
 @pytest.mark.simulated_time
-def test_duration(run: Run, address: str) -> None:
+def test_watch_ends_after_its_duration(run: Run, address: str) -> None:
     for option in ("--plain", "--json"):
         status, out, _ = run("watch", address, option, "--duration", "0.3")
         assert status == 0
@@ -57,7 +57,7 @@ def test_duration(run: Run, address: str) -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_variable_that_is_not_there(run: Run, address: str) -> None:
+def test_watch_reports_a_missing_variable(run: Run, address: str) -> None:
     status, out, err = run("watch", address, "nope")
     assert (status, out) == (1, "")
     assert "no variable 'nope'" in err
@@ -65,7 +65,7 @@ def test_a_variable_that_is_not_there(run: Run, address: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_a_robot_that_goes_and_comes_back(spawn: Spawn, own_port: int) -> None:
+def test_watch_shows_old_data_until_the_robot_returns(spawn: Spawn, own_port: int) -> None:
     with Host([Turtle()], period=0.002, port=own_port):
         process = spawn("watch", f"127.0.0.1:{own_port}", "tick", "--plain", "-vv")
         assert process.stdout is not None
@@ -99,18 +99,18 @@ def test_rates_are_counted_over_two_seconds() -> None:
     assert counter.rates(200.0) == (0.0, {})
 
 
-def test_a_lost_connection_is_told_until_it_is_back() -> None:
+def test_trouble_is_shown_until_the_connection_is_back() -> None:
     counter = RateCounter(began=0.0)
     lost = rhdlink.ConnectionLost("gone")
     counter.on_connection(ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))
     assert str(counter.trouble) == "gone"
     counter.on_connection(ConnectionEvent(ConnectionState.CONNECTED, "x", None, Stamp(2.0, 2.0)))
-    assert counter.trouble is None, "it is back"
+    assert counter.trouble is None, "connected again"
     assert counter.rates(2.4) == (None, {})
 
 
 @pytest.mark.simulated_time
-def test_old_values_say_so(address: str) -> None:
+def test_view_marks_old_data(address: str) -> None:
     from rhdlink.cli.watch_view import View
 
     with rhdlink.connect(address) as robot:
@@ -122,9 +122,9 @@ def test_old_values_say_so(address: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_on_a_terminal_it_is_painted(spawn: Spawn, address: str) -> None:
+def test_watch_draws_on_a_terminal(spawn: Spawn, address: str) -> None:
     pytest.importorskip("rich")
-    pty = pytest.importorskip("pty")  # not everywhere
+    pty = pytest.importorskip("pty")  # not available on every system
     ours, theirs = pty.openpty()
     environment = os.environ | {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
     process = spawn("watch", address, "--duration", "1.2", stdout=theirs, env=environment)

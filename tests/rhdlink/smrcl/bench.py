@@ -1,4 +1,4 @@
-"""A controller on a turtle in this process: no socket, no thread, no time."""
+"""A mission controller on a turtle in this process, without sockets, threads or real time."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rhdlink.smrcl.recipients import Said, SaidKind
 from rhdlink.smrcl.robot_conf import SMR, VELOMEGA, RobotConf
 from rhdlink.smrcl.robot_link import PluginLink
 
-#: Of a run that is not meant to end.
+#: Number of cycles of a run without a limit.
 FOREVER = 100_000
 
 
 @dataclass
 class Bench:
-    """A robot, and the controller that drives it.
+    """A robot and the controller that drives it.
 
     Attributes:
-        robot: "velomega" or "differential".
-        profile: as MRC does it, or sound.
-        conf: what the controller takes the robot for.
-        speeds: what was written in each cycle: forward m/s, and rad/s.
-        said: everything.
+        robot: Drive of the robot, "velomega" or "differential".
+        profile: Profile of the controller, "mrc" or "sound".
+        conf: Configuration of the robot for the controller; if None, that of the turtle.
+        speeds: Written forward speed in m/s and turn rate in rad/s, for each cycle.
+        said: All output of the controller.
     """
 
     robot: str = "velomega"
@@ -54,7 +54,7 @@ class Bench:
         return self
 
     def cycle(self) -> bool:
-        """One exchange; False when it is finished."""
+        """Run one exchange with the robot; return False when the controller has finished."""
         self.written |= self.request
         answer = self.link.exchange(self.request)
         if self.controller.is_finished:
@@ -69,7 +69,7 @@ class Bench:
         return True
 
     def run(self, source: str | None = None, *, cycles: int = FOREVER) -> Bench:
-        """Run to the end, or for so many cycles."""
+        """Run to the end, or for at most this many cycles."""
         if source is not None:
             self.load(source)
         for _ in range(cycles):
@@ -81,22 +81,22 @@ class Bench:
         for _ in range(cycles):
             if is_true():
                 return self
-            assert self.cycle(), "it ended before"
-        raise AssertionError("it did not come true")
+            assert self.cycle(), "the controller ended before the condition became true"
+        raise AssertionError("the condition did not become true")
 
-    # -- what came of it --------------------------------------------------------------------------
+    # -- results ----------------------------------------------------------------------------------
 
     def texts(self, kind: SaidKind) -> list[str]:
         return [said.text for said in self.said if said.kind is kind]
 
     @property
     def values(self) -> list[list[float]]:
-        """What `eval` has computed, line by line."""
+        """Values that `eval` has computed, line by line."""
         return [[float(word) for word in text.split()] for text in self.texts(SaidKind.VALUES)]
 
     @property
     def value(self) -> float:
-        """The one value that `eval` has computed."""
+        """The only value that `eval` has computed."""
         ((found,),) = self.values
         return found
 
@@ -106,14 +106,14 @@ class Bench:
 
     @property
     def pose(self) -> tuple[float, float, float]:
-        """m, m, degrees, of the true robot, not wrapped."""
+        """True pose of the robot in m, m and degrees, with an unwrapped heading."""
         x, y, theta = self.world.odometry
         return x, y, math.degrees(theta)
 
     @property
     def reason(self) -> str:
-        """Why it failed."""
-        assert self.controller.failure is not None, "it did not fail"
+        """Reason of the failure."""
+        assert self.controller.failure is not None, "the controller did not fail"
         return self.controller.failure.reason
 
     @property

@@ -1,7 +1,7 @@
-"""The recorded runs of the original MRC, and a controller of ours that is put in its place.
+"""The recorded runs of the original MRC, and a controller of rhdlink that takes the place of MRC.
 
-A run is a table with a row for each tick: what MRC wrote in the request of that tick, and what the robot answered. Here
-the answers are fed to a `MissionController`, and what it writes is compared with what MRC wrote.
+A run is a table with a row for each tick: the values that MRC wrote in its request, and the answer of the robot. The
+answers are fed to a `MissionController`, and its requests are compared with those of MRC.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Row = dict[str, str]
 
 
 def drives() -> Path | None:
-    """The folder of the recorded drives, beside the repository; None where it is absent."""
+    """Return the folder of the recorded drives, next to the repository, or None if it does not exist."""
     folder = Path(__file__).resolve().parents[4] / "shared" / "captures" / "mrc"
     return folder if folder.is_dir() else None
 
@@ -32,12 +32,12 @@ class Recorded:
     """A recorded run.
 
     Attributes:
-        script: name of the script, or of the dialogue (``.ses``).
-        robot: "velomega" or "differential".
-        variables: which further variables the robot had, see the README of the recordings.
-        folder: of the recordings.
-        recording, stdout, transcript, logs: names of files there.
-        source: text of the script.
+        script: Name of the script, or of the dialogue (``.ses``).
+        robot: Drive of the robot, "velomega" or "differential".
+        variables: Additional variables of the robot; see the README of the recordings.
+        folder: Folder of the recordings.
+        recording, stdout, transcript, logs: Names of files in this folder.
+        source: Text of the script.
     """
 
     script: str
@@ -58,11 +58,11 @@ class Recorded:
         path = self.folder / self.recording
         with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
             columns, *rows = csv.reader(file)
-        # Some have `tick` twice.
+        # Some recordings have `tick` twice.
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
     def tables(self) -> tuple[dict[str, int], dict[str, list[int]]]:
-        """Lengths of the read variables, and values of the write variables."""
+        """Return the lengths of the read variables, and the values of the write variables."""
         if self.robot == "velomega":
             read = {"tick": 1, "transpos": 1, "rotpos": 1}
             write = {"cmdtransvel": [0], "cmdrotvel": [0]}
@@ -75,7 +75,7 @@ class Recorded:
         return read, write
 
     def answer(self, row: Row) -> dict[str, list[int]]:
-        """What the robot answered in a tick."""
+        """Return the answer of the robot in a tick."""
         tick = int(row["tick"])
         raw = {"tick": [tick]}
         if self.robot == "velomega":
@@ -96,7 +96,7 @@ class Recorded:
 
 
 def manifest(folder: Path) -> list[Recorded]:
-    """The runs of the manifest."""
+    """Return the runs of the manifest."""
     oracle = folder / "oracle"
     with (oracle / "MANIFEST.csv").open() as file:
         return [
@@ -116,7 +116,7 @@ def manifest(folder: Path) -> list[Recorded]:
 
 
 def older_drives(folder: Path) -> list[Recorded]:
-    """The drives that were recorded before the manifest was made: motion only."""
+    """Return the drives that are older than the manifest; they contain the motion only."""
     arc, spiral = ((folder / name).read_text() for name in ("arc.smr", "spiral.smr"))
     then = "turnr 0.5 90\n{}\nwait {}\n"
     scripts = {
@@ -134,14 +134,15 @@ def older_drives(folder: Path) -> list[Recorded]:
 
 @dataclass
 class Replayed:
-    """What a controller of ours did with the answers of a run.
+    """Output of a controller of rhdlink for the answers of a run.
 
     Attributes:
-        ticks: requests until it was finished.
-        differences: (tick, variable, what MRC wrote, what ours wrote).
-        printed: text.
-        transcript: of the dialogue.
-        logs: by name.
+        ticks: Number of requests until the controller finished.
+        is_finished: Whether the controller finished.
+        differences: Differences between the requests: (tick, variable, value of MRC, value of rhdlink).
+        printed: Printed text.
+        transcript: Lines of the dialogue.
+        logs: Logs by name.
     """
 
     ticks: int = 0
@@ -153,7 +154,7 @@ class Replayed:
 
 
 def replay(recorded: Recorded) -> Replayed:
-    """Put a controller in MRC's place."""
+    """Run a controller in the place of MRC."""
     read, write = recorded.tables()
     controller = MissionController(recorded.conf, read, write, profile=MRC)
     sent: dict[int, list[str]] = {}
@@ -207,6 +208,6 @@ def _differences(tick: int, row: Row, written: dict[str, list[int]]) -> Sequence
 
 
 def normal(text: str) -> str:
-    """Text without what means nothing: the sign of nan, addresses, and how the end of a line is written."""
+    """Return the text without meaningless details: the sign of nan, addresses, and the kind of line ends."""
     text = text.replace("-nan", "nan").replace("\r", "").replace("\0", " ")
     return re.sub(r"\b(start|end|label) ([0-9a-f]+|<address>)(?= )", r"\1 <address>", text)

@@ -1,4 +1,4 @@
-"""Numbers as C has them."""
+"""Numbers must behave as in C."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ ANY = st.floats(allow_nan=True, allow_infinity=True)
         ("0x1p99999", math.inf, ""),
     ],
 )
-def test_numbers_are_read_as_strtod_reads_them(text: str, value: float, rest: str) -> None:
+def test_numbers_are_parsed_like_strtod(text: str, value: float, rest: str) -> None:
     found = parse_number(text)
     assert found is not None
     assert (found[0], text[found[1] :]) == (value, rest)
 
 
 @pytest.mark.parametrize("text", [".", "", "x", "-1"])
-def test_what_is_no_number_is_none(text: str) -> None:
+def test_text_that_is_not_a_number_returns_none(text: str) -> None:
     assert parse_number(text) is None
 
 
 @pytest.mark.parametrize(("text", "value"), [("  -2.5x", -2.5), ("+3", 3.0), ("", None), ("-", None), ("x1", None)])
-def test_a_text_may_begin_with_a_number(text: str, value: float | None) -> None:
+def test_leading_number_of_a_text_is_parsed(text: str, value: float | None) -> None:
     assert leading_number(text) == value
 
 
@@ -71,11 +71,11 @@ def test_a_text_may_begin_with_a_number(text: str, value: float | None) -> None:
         (-math.nan, "-nan"),
     ],
 )
-def test_numbers_are_written_as_printf_writes_them(value: float, text: str) -> None:
+def test_numbers_are_formatted_like_printf(value: float, text: str) -> None:
     assert format_number(value) == text
 
 
-def test_what_python_refuses_has_the_result_of_c() -> None:
+def test_operations_that_python_rejects_have_the_result_of_c() -> None:
     assert divide(1.0, 0.0) == math.inf
     assert divide(1.0, -0.0) == -math.inf
     assert divide(-1.0, 0.0) == -math.inf
@@ -94,7 +94,7 @@ def test_what_python_refuses_has_the_result_of_c() -> None:
     assert math.isnan(UNARY_FUNCTIONS["sqrt"](-1.0))
 
 
-def test_an_int_is_what_c_makes_of_a_double() -> None:
+def test_truncation_equals_the_conversion_of_c() -> None:
     assert [truncate(value) for value in (1.9, -1.9, 2147483647.9, 2147483648.0, math.nan, -math.inf)] == [
         *(1, -1, 2147483647),
         *(-(2**31),) * 3,
@@ -114,13 +114,13 @@ def test_an_int_is_what_c_makes_of_a_double() -> None:
         (0, 3, 0, 0),
     ],
 )
-def test_a_remainder_includes_the_divisor_or_not(a: float, b: float, inclusive: float, modulo: float) -> None:
+def test_remainder_includes_the_divisor_or_not(a: float, b: float, inclusive: float, modulo: float) -> None:
     assert (remainder_inclusive(a, b), remainder_modulo(a, b)) == (inclusive, modulo)
 
 
 @pytest.mark.property
 @given(ANY, ANY)
-def test_a_remainder_is_within_the_divisor_however_large_the_numbers_are(a: float, b: float) -> None:
+def test_remainder_is_within_the_divisor_for_any_numbers(a: float, b: float) -> None:
     modulo = remainder_modulo(a, b)
     assert math.isnan(modulo) or 0.0 <= modulo < abs(b)
     inclusive = remainder_inclusive(a, b)
@@ -129,17 +129,17 @@ def test_a_remainder_is_within_the_divisor_however_large_the_numbers_are(a: floa
 
 @pytest.mark.property
 @given(st.floats(min_value=-1e15, max_value=1e15))
-def test_an_angle_is_brought_within_half_a_turn(angle: float) -> None:
+def test_angle_is_normalised_to_half_a_turn(angle: float) -> None:
     normal = normalize_angle(angle)
     assert -math.pi <= normal <= math.pi
     if abs(angle) < 1e5:
-        # Each turn that is taken off rounds.
+        # Each subtracted turn adds a rounding error.
         assert math.isclose(math.cos(normal), math.cos(angle), abs_tol=1e-9 + 1e-12 * abs(angle))
 
 
 @pytest.mark.property
 @given(ANY, ANY)
-def test_no_function_raises(a: float, b: float) -> None:
+def test_no_function_raises_for_any_number(a: float, b: float) -> None:
     for function in UNARY_FUNCTIONS.values():
         assert isinstance(function(a), float)
     for two in (*BINARY_FUNCTIONS.values(), divide, power):
@@ -148,7 +148,7 @@ def test_no_function_raises(a: float, b: float) -> None:
 
 @pytest.mark.property
 @given(ANY)
-def test_what_is_written_is_read_again_to_six_decimals(value: float) -> None:
+def test_formatted_number_is_parsed_back_to_six_decimals(value: float) -> None:
     text = format_number(value)
     if math.isfinite(value):
         found = leading_number(text)

@@ -1,4 +1,4 @@
-"""No script and no client makes a mission run away."""
+"""Scripts and clients cannot make a mission exceed its bounds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PROFILES = pytest.mark.parametrize("profile", [SOUND, MRC], ids=lambda profile: 
         ("return\n", "return without a call"),
     ],
 )
-def test_what_has_no_end_is_ended(profile: Profile, source: str, reason: str) -> None:
+def test_endless_scripts_are_ended(profile: Profile, source: str, reason: str) -> None:
     bench = Bench("velomega", profile, options={"limits": MissionLimits(lines=2000, calls=500)}).run(source)
     assert bench.reason.startswith(reason)
     assert tuple(bench.written["cmdtransvel"]) == tuple(bench.written["cmdrotvel"]) == (0,)
@@ -50,7 +50,7 @@ def test_what_has_no_end_is_ended(profile: Profile, source: str, reason: str) ->
         ('x = 1/0\nsetpar "motioncontrol" "followwall" "gain" x', "setpar of gain takes a number of at most"),
     ],
 )
-def test_a_number_that_is_none_ends_a_sound_mission(source: str, reason: str) -> None:
+def test_invalid_number_ends_a_sound_mission(source: str, reason: str) -> None:
     assert Bench("differential", SOUND).run(source).reason.startswith(reason)
 
 
@@ -72,34 +72,34 @@ def test_a_number_that_is_none_ends_a_sound_mission(source: str, reason: str) ->
         *('set "odowidth" 0', 'set "$odoth" x', 'set "odoratio" x', 'set "odoc0" x', 'set "$odocovE2" x'),
     ],
 )
-def test_under_mrc_s_profile_a_number_that_is_none_ends_nothing_but_its_mission(motion: str, x: str) -> None:
-    """Python raises where C computes nan: at the sine of inf, or a division by 0."""
+def test_invalid_number_ends_at_most_its_mission_in_mrc_profile(motion: str, x: str) -> None:
+    """Python raises exceptions where C computes nan, for example for the sine of inf or a division by 0."""
     for robot in ("velomega", "differential"):
         bench = Bench(robot, MRC).run(f"x = {x}\nfwd 0.02\n{motion} : ($cmdtime > 0.2)\nfwd 0.05 : ($cmdtime > 0.2)\n")
         assert all(abs(word) <= 2**31 for words in bench.written.values() for word in words)
         assert bench.controller.failure is None or "no way to the goal" in bench.reason
 
 
-def test_an_infinite_way_is_driven_until_its_condition_under_mrc_s_profile() -> None:
+def test_infinite_distance_ends_by_its_condition_in_mrc_profile() -> None:
     bench = Bench("velomega", MRC).run("a = 1\na = 1e308*10\nfwd a : ($drivendist > 0.2)\neval $odox\n")
     assert bench.value == pytest.approx(0.2, abs=0.02)
 
 
-def test_a_line_of_a_thousand_operators_is_a_mistake() -> None:
+def test_line_of_a_thousand_operators_is_rejected() -> None:
     (mistake,) = Mission("eval 1" + "+1" * 1000 + "\nfwd 1\n").check()
     assert (mistake.line, mistake.column) == (1, 256)
     assert mistake.message == "the line has 2006 characters; 255 are allowed"
 
 
 @pytest.mark.slow
-def test_variables_have_an_end() -> None:
+def test_number_of_variables_is_limited() -> None:
     bench = Bench("velomega", options={"limits": MissionLimits(lines=30_000)})
     bench.run("".join(f"v{number}x = 1\n" for number in range(10_001)))
     assert bench.reason == "there is no room for more variables"
 
 
 @pytest.mark.slow
-def test_a_limit_says_that_it_is_one() -> None:
+def test_failure_by_a_limit_is_marked_as_limit() -> None:
     bench = Bench().run('label "a"\ngoto "a"\n')
     assert bench.controller.failure is not None
     assert bench.controller.failure.is_limit
@@ -107,14 +107,14 @@ def test_a_limit_says_that_it_is_one() -> None:
 
 @PROFILES
 @pytest.mark.parametrize("speed", ["1e300", "x"])
-def test_no_speed_is_written_that_is_no_number(profile: Profile, speed: str) -> None:
+def test_written_speeds_are_always_valid_numbers(profile: Profile, speed: str) -> None:
     bench = Bench("velomega", profile).run(f"x = 0/0\nmotorcmds {speed} {speed}\nwait 0.1\n", cycles=40)
     assert all(abs(word) <= 2**31 for words in bench.written.values() for word in words)
 
 
 @PROFILES
-def test_a_line_of_a_script_is_read_within_its_time(profile: Profile) -> None:
-    """However deep it is nested, and however huge its numbers are."""
+def test_line_is_parsed_in_bounded_time(profile: Profile) -> None:
+    """The time must not depend on the depth of nesting or on the size of numbers."""
     lines = ["eval " + "-" * 240 + "1", "eval " + "(" * 120 + "1" + ")" * 120, "eval rem(1e300,1) ; sin(1e300)"]
     lines += ["eval normalizeangledeg(1e200) ; 2^2^2^2^2^2^2 ; exp(exp(exp(10)))", "eval " + "1+" * 120 + "1"]
     for line in lines:
@@ -241,7 +241,7 @@ def test_random_clients_stay_within_their_bounds(profile: Profile, chunks: list[
     counters=st.lists(st.tuples(st.integers(-(2**31), 2**31 - 1), st.integers(-(2**31), 2**31 - 1)), max_size=30),
     is_smr=st.booleans(),
 )
-def test_whatever_the_counters_do_the_pose_stays_a_number(counters: list[tuple[int, int]], is_smr: bool) -> None:
+def test_pose_stays_finite_for_any_counters(counters: list[tuple[int, int]], is_smr: bool) -> None:
     conf = SMR if is_smr else VELOMEGA
     names = conf.reads
     controller = MissionController(conf, {"tick": 1, **dict.fromkeys(names, 1)}, {name: [0] for name in conf.writes})

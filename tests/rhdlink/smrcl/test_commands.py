@@ -1,4 +1,4 @@
-"""The table of commands: what each row promises."""
+"""The table of commands: every row must be consistent with its function and the documentation."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from tests.rhdlink.smrcl.bench import Bench
 
 ROOT = Path(__file__).resolve().parents[3]
 
-#: What the function of a row may declare for a parameter of each kind.
+#: Annotations that the function of a row may have for a parameter of each kind.
 TAKEN = {
     ParameterKind.NUMBER: {"float", "float | str"},
     ParameterKind.LENGTH: {"float"},
     ParameterKind.TEXT: {"str", "float | str"},
     ParameterKind.LABEL: {"str"},
     ParameterKind.NEW_NAME: {"str"},
-    # A further parameter of which only its presence counts, or one of either kind.
+    # Only the presence of the parameter matters, or it may have either kind.
     ParameterKind.ANY: {"object", "float", "float | str"},
 }
 
 
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
-def test_the_function_of_a_row_takes_the_kinds_of_its_parameters(command: ScriptCommand) -> None:
+def test_function_accepts_the_kinds_of_its_parameters(command: ScriptCommand) -> None:
     effects, *parameters = inspect.signature(command.carry_out).parameters.values()
     assert effects.annotation == "MissionEffects"
     declared = [each.annotation for each in parameters]
@@ -41,7 +41,7 @@ def test_the_function_of_a_row_takes_the_kinds_of_its_parameters(command: Script
     assert [found for found, kind in zip(declared, command.kinds, strict=True) if found not in TAKEN[kind]] == []
 
 
-def test_the_page_has_every_command() -> None:
+def test_smrcl_page_documents_every_command() -> None:
     page = (ROOT / "docs" / "smrcl.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
     named = {code.split()[0] for row in rows for code in re.findall(r"`([^`]+)`", row)}
@@ -62,13 +62,13 @@ def one_text(effects: MissionEffects, text: str) -> Outcome:
         {"kinds": (ParameterKind.TEXT,), "repeats": True},
     ],
 )
-def test_a_row_whose_function_does_not_take_its_parameters_is_refused(options: dict[str, object]) -> None:
+def test_row_with_a_mismatching_function_is_rejected(options: dict[str, object]) -> None:
     assert ScriptCommand("one", one_text, (ParameterKind.TEXT,)).most == 1
     with pytest.raises(TypeError, match=r"^one takes .*, but its function does not: "):
         ScriptCommand("one", one_text, **options)  # type: ignore[arg-type]
 
 
-def test_the_count_of_parameters_in_words() -> None:
+def test_number_of_parameters_is_described_in_words() -> None:
     assert [COMMANDS[name].count for name in ("stop", "fwd", "turn", "log")] == [
         "0 parameters",
         "1 parameter",
@@ -89,17 +89,17 @@ def test_the_count_of_parameters_in_words() -> None:
         ('addwatch "a" 1', 'addwatch needs a condition, as in addwatch "name" 1 : ($odox > 1)'),
     ],
 )
-def test_a_mistake_in_a_command_is_found_before_the_script_runs(line: str, message: str) -> None:
+def test_errors_in_commands_are_found_before_the_run(line: str, message: str) -> None:
     (mistake,) = Mission(f"{line}\nfwd 1\n").check()
     assert (mistake.line, mistake.column, mistake.message) == (1, 1, message)
 
 
-def test_under_mrc_s_profile_a_number_is_no_mistake() -> None:
+def test_mrc_profile_accepts_large_numbers() -> None:
     assert Mission("fwd 1e7\nstop\n", compat="mrc").check() == []
 
 
-def test_what_settings_and_routes_set_is_there() -> None:
-    """A path that is misspelt would set an attribute that nothing reads."""
+def test_settings_and_routes_set_existing_attributes() -> None:
+    """A misspelt path would set an attribute that no code reads."""
     vehicle = Bench().controller.vehicle
     before = attributes(vehicle)
     effects = Bench(profile="mrc").controller.effects
@@ -115,5 +115,5 @@ def test_what_settings_and_routes_set_is_there() -> None:
 
 
 def attributes(vehicle: Vehicle) -> list[set[str]]:
-    """The names of what settings set, and of what stands beside it."""
+    """Return the names of the attributes of all objects that settings change."""
     return [set(vars(each)) for each in (vehicle, vehicle.odometry, vehicle.odometry.pose, vehicle.covariance)]

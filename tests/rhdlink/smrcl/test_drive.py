@@ -21,7 +21,7 @@ from tests.waiting import interrupted, until
 
 pytestmark = pytest.mark.simulated_time
 
-#: Simulated time is quick, but a loaded machine is not.
+#: Timeout in s; simulated time passes quickly, but not on a loaded machine.
 SECONDS = 30.0
 
 
@@ -38,12 +38,12 @@ def drive(robot: Turtle | SmrTurtle) -> Iterator[Drive]:
 
 
 def pose(robot: Turtle | SmrTurtle) -> tuple[float, float, float]:
-    """m, m, degrees."""
+    """Return the pose of the robot in m, m and degrees."""
     x, y, theta = robot.world.odometry
     return x, y, math.degrees(theta)
 
 
-def stands(robot: Turtle | SmrTurtle) -> bool:
+def is_stopped(robot: Turtle | SmrTurtle) -> bool:
     if isinstance(robot, Turtle):
         return robot.cmdtransvel == robot.cmdrotvel == 0
     return robot.speedl == robot.speedr == 0
@@ -62,7 +62,7 @@ def stands(robot: Turtle | SmrTurtle) -> bool:
         (lambda drive: drive.stop(), (0.0, 0.0, 0.0)),
     ],
 )
-def test_a_motion_ends_where_it_was_to(
+def test_motion_ends_at_its_goal(
     robot: Turtle | SmrTurtle, motion: Callable[[Drive], object], end: tuple[float, float, float]
 ) -> None:
     with Drive(robot) as drive:
@@ -70,16 +70,16 @@ def test_a_motion_ends_where_it_was_to(
         handle.wait(SECONDS)  # type: ignore[attr-defined]
         assert handle.phase is Phase.DONE  # type: ignore[attr-defined]
         assert handle.progress == 1.0  # type: ignore[attr-defined]
-    # It comes to rest after the end of its last motion.
+    # The robot comes to rest after the end of its last motion.
     assert pose(robot) == pytest.approx(end, abs=0.03, rel=0.05)
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
-def test_lengths_and_headings_do_not_add_up_their_errors(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+def test_errors_of_successive_motions_do_not_accumulate(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     for _ in range(4):
         drive.forward(0.4).wait(SECONDS)
         drive.turn(90).wait(SECONDS)
-    until(lambda: stands(robot))
+    until(lambda: is_stopped(robot))
     x, y, theta = pose(robot)
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.02)
     assert theta == pytest.approx(360.0, abs=2.0)
@@ -87,7 +87,7 @@ def test_lengths_and_headings_do_not_add_up_their_errors(drive: Drive, robot: Tu
 
 
 @pytest.mark.slow
-def test_a_motion_preempts_the_one_under_way_at_the_speed_it_has(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+def test_new_motion_preempts_the_current_one_at_speed(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     first = drive.forward(50.0)
     until(lambda: drive.velocity > 0.2)
     assert 0.0 < first.progress < 0.5
@@ -98,23 +98,23 @@ def test_a_motion_preempts_the_one_under_way_at_the_speed_it_has(drive: Drive, r
     assert drive.velocity > 0.2
     drive.stop().wait(SECONDS)
     assert second.phase is Phase.CANCELLED
-    until(lambda: stands(robot))
+    until(lambda: is_stopped(robot))
 
 
 @pytest.mark.slow
-def test_a_motion_begins_where_one_was_given_up(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+def test_motion_begins_where_its_predecessor_was_cancelled(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     drive.forward(50.0)
     until(lambda: drive.pose.x > 0.3)
     drive.arc(10.0, 90.0)
     drive.stop().wait(SECONDS)
-    until(lambda: stands(robot))
+    until(lambda: is_stopped(robot))
     x = drive.pose.x
     drive.forward(0.2).wait(SECONDS)
     assert drive.pose.x == pytest.approx(x + 0.2, abs=0.03)
 
 
 @pytest.mark.slow
-def test_a_cancelled_motion_stands(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+def test_cancelled_motion_stops_the_robot(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     motion = drive.wheels(0.2, 0.2)
     motion.wait(SECONDS)
     motion = drive.forward(50.0)
@@ -123,31 +123,31 @@ def test_a_cancelled_motion_stands(drive: Drive, robot: Turtle | SmrTurtle) -> N
     assert motion.phase is Phase.CANCELLED
     with pytest.raises(Cancelled):
         motion.wait(SECONDS)
-    until(lambda: stands(robot))
+    until(lambda: is_stopped(robot))
 
 
 @pytest.mark.real_time
-def test_a_motion_whose_wait_is_interrupted_is_cancelled(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+def test_interrupted_wait_cancels_the_motion(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     motion = drive.forward(500.0)
-    interrupted(lambda: motion.wait(SECONDS, cancel=False), lambda: not stands(robot))
+    interrupted(lambda: motion.wait(SECONDS, cancel=False), lambda: not is_stopped(robot))
     assert not motion.done
     interrupted(lambda: motion.wait(SECONDS))
     assert motion.phase is Phase.CANCELLED
-    until(lambda: stands(robot))
+    until(lambda: is_stopped(robot))
 
 
 @pytest.mark.slow
-def test_a_motion_that_is_left_is_cancelled(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+def test_leaving_the_with_block_cancels_the_motion(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     with drive.along(0.0, 0.0, 45.0) as motion:
         until(lambda: drive.pose.x > 0.3)
         assert motion.progress == 0.0
         assert drive.pose.y > 0.0
         assert "moving" in repr(drive)
-    until(lambda: stands(robot))
+    until(lambda: is_stopped(robot))
     until(lambda: "idle" in repr(drive))
 
 
-def test_a_motion_can_be_awaited_and_calls_back(drive: Drive) -> None:
+def test_motion_can_be_awaited_and_calls_back(drive: Drive) -> None:
     called = threading.Event()
 
     async def both() -> None:
@@ -160,7 +160,7 @@ def test_a_motion_can_be_awaited_and_calls_back(drive: Drive) -> None:
     assert called.wait(SECONDS)
 
 
-def test_wheels_turn_as_told(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+def test_wheels_turn_the_robot_on_the_spot(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     drive.wheels(-0.1, 0.1).wait(SECONDS)
     until(lambda: abs(math.degrees(robot.world.odometry.theta)) > 45.0)
     drive.stop().wait(SECONDS)
@@ -168,7 +168,7 @@ def test_wheels_turn_as_told(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     assert robot.world.odometry.theta > 0.0
 
 
-def test_speeds_and_accelerations_are_kept() -> None:
+def test_speed_and_acceleration_are_applied() -> None:
     robot = Turtle(World(1000.0))
     with Drive(robot, speed=0.1, acceleration=0.5) as drive:
         drive.forward(0.3).wait(SECONDS)
@@ -179,7 +179,7 @@ def test_speeds_and_accelerations_are_kept() -> None:
 
 
 @pytest.mark.slow
-def test_a_line_is_followed() -> None:
+def test_follow_line_stays_on_the_tape() -> None:
     world = World(11.0, (1.0, 5.0, 0.0), Scene([Tape(((1.0, 5.0), (3.0, 5.0), (6.0, 6.0)))]))
     with Drive(SmrTurtle(world)) as drive:
         motion = drive.follow_line("bm")
@@ -193,7 +193,7 @@ def test_a_line_is_followed() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_a_wall_is_followed(side: str) -> None:
+def test_follow_wall_keeps_its_distance(side: str) -> None:
     y = 5.4 if side == "left" else 4.6
     world = World(11.0, (1.0, 5.0, 0.0), Scene(walls=[((0.5, y), (10.0, y))]))
     with Drive(SmrTurtle(world)) as drive:
@@ -206,7 +206,7 @@ def test_a_wall_is_followed(side: str) -> None:
 
 
 @pytest.mark.real_time
-def test_an_obstacle_stops_a_motion_before_it() -> None:
+def test_obstacle_stops_the_robot_but_not_the_motion() -> None:
     world = World(4.0, (1.0, 2.0, 0.0), Scene(walls=[((2.0, 1.0), (2.0, 3.0))]))
     with Drive(SmrTurtle(world)) as drive:
         motion = drive.forward(2.0)
@@ -238,7 +238,7 @@ def test_an_obstacle_stops_a_motion_before_it() -> None:
         lambda drive: drive.forward(1e7),
     ],
 )
-def test_motions_that_cannot_be_are_refused(refused: Callable[[Drive], object]) -> None:
+def test_drive_rejects_invalid_motions(refused: Callable[[Drive], object]) -> None:
     with Drive(Turtle()) as drive:
         with pytest.raises(BadValue, match="expected"):
             refused(drive)
@@ -258,7 +258,7 @@ def test_motions_that_cannot_be_are_refused(refused: Callable[[Drive], object]) 
         lambda drive, speed: drive.follow_wall("left", 0.3, speed=speed),
     ],
 )
-def test_drive_rejects_speeds_that_no_robot_drives(begin: Callable[[Drive, float], object], speed: float) -> None:
+def test_drive_rejects_impossible_speeds(begin: Callable[[Drive, float], object], speed: float) -> None:
     robot = Turtle()
     with Drive(robot) as drive:
         with pytest.raises(BadValue, match=r"^speed is .* 10 m/s"):
@@ -267,14 +267,14 @@ def test_drive_rejects_speeds_that_no_robot_drives(begin: Callable[[Drive, float
 
 
 @pytest.mark.parametrize("kind", [np.int64, np.float32])
-def test_numbers_of_numpy_are_numbers(kind: Any) -> None:
+def test_drive_accepts_numpy_numbers(kind: Any) -> None:
     robot = Turtle(World(1000.0))
     with Drive(robot, speed=kind(1), acceleration=kind(1)) as drive:
         drive.forward(kind(1)).wait(SECONDS)
     assert pose(robot)[0] == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_drive_that_cannot_be_is_refused() -> None:
+def test_drive_rejects_invalid_arguments() -> None:
     refused: list[dict[str, Any]] = [
         *({"speed": speed} for speed in (math.nan, True, -0.3, 0.0, 100.0)),
         *({"acceleration": acceleration} for acceleration in (0.0, -1.0, 101.0)),
@@ -288,7 +288,7 @@ def test_a_drive_that_cannot_be_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_closed_drive_drives_no_more() -> None:
+def test_closed_drive_stops_and_rejects_motions() -> None:
     robot = Turtle(World(1000.0))
     link = PluginLink([robot])
     drive = Drive(link)
@@ -296,14 +296,14 @@ def test_a_closed_drive_drives_no_more() -> None:
     until(lambda: drive.pose.x > 0.2)
     drive.close()
     drive.close()
-    assert stands(robot)
+    assert is_stopped(robot)
     with pytest.raises(Closed):
         motion.wait(SECONDS)
     with pytest.raises(Closed):
         drive.forward(1.0)
     assert "closed" in repr(drive)
     assert link.writers == 1
-    # Whoever comes next drives it from where it stands.
+    # The next drive starts at the current pose of the robot.
     with Drive(link) as again:
         again.forward(0.2).wait(SECONDS)
         assert again.pose.x == pytest.approx(0.2, abs=0.02)

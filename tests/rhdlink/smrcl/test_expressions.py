@@ -1,7 +1,7 @@
-"""Expressions against Python's operators and the functions of C, with the rules of MRC.
+"""Expressions compared with Python's operators and the functions of C, with the rules of MRC.
 
-The text of a random tree is read and computed; the tree itself is computed here, by numpy's doubles, which divide by
-zero as C does, and by the C library's own functions.
+The text of a random tree is parsed and evaluated. The expected value is computed from the tree with numpy's doubles,
+which divide by zero as C does, and with the functions of the C library.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ LIBRARY = ctypes.util.find_library("m")
 pytestmark = pytest.mark.skipif(LIBRARY is None, reason="there is no C library to compare with")
 
 PARSER = Parser(COMMANDS)
-#: Variables of the script, and an array.
+#: Variables of the script and their values.
 VALUES = {"a": 0.0, "b": -2.5, "c": math.inf, "d": math.nan, "e": 1e-3}
 ARRAY = [4.0, -1.0, 0.5]
-#: By their names in the language, those of C.
+#: Names of functions in SMR-CL, and their names in C.
 OF_C = {
     **{name: name for name in ("sin", "cos", "asin", "acos", "tan", "atan", "exp", "sqrt", "atan2")},
     "ln": "log",
@@ -67,7 +67,7 @@ def truth(value: bool | np.bool_) -> np.float64:
 
 
 def computed(tree: Expression) -> np.float64:
-    """What a tree is worth."""
+    """Return the expected value of a tree."""
     if isinstance(tree, NumberLiteral):
         return np.float64(tree.value)
     if isinstance(tree, VariableName):
@@ -77,11 +77,11 @@ def computed(tree: Expression) -> np.float64:
     if isinstance(tree, Negate):
         return np.float64(-computed(tree.operand))
     if isinstance(tree, Call) and tree.name == "hypot":
-        # Python has its own, which is more exact: for six pairs of a thousand that of C differs in the last bit.
+        # Python's hypot is more exact: for six of a thousand pairs, the result of C differs in the last bit.
         return np.float64(math.hypot(*map(computed, tree.arguments)))
     if isinstance(tree, Call):
         return np.float64(of_c(OF_C[tree.name])(*map(computed, tree.arguments)))
-    left, right = computed(tree.left), computed(tree.right)  # both, always
+    left, right = computed(tree.left), computed(tree.right)  # both sides are always evaluated
     if tree.operator == "^":
         return np.float64(of_c("pow")(left, right))
     results: dict[str, Callable[[], np.float64]] = {
@@ -117,7 +117,7 @@ def _compound(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Express
 @pytest.mark.property
 @pytest.mark.parametrize("profile", [MRC, SOUND], ids=lambda profile: profile.name)
 @given(tree=st.recursive(leaves, _compound, max_leaves=12))
-def test_an_expression_is_worth_what_c_makes_of_it(profile: Profile, tree: Expression) -> None:
+def test_expression_has_the_value_of_c(profile: Profile, tree: Expression) -> None:
     symbols = Symbols((), {}, {})
     for name, value in VALUES.items():
         made = symbols.make(name)

@@ -1,4 +1,4 @@
-"""How lines follow each other: MRC's own rules, which both profiles have, and its corners under its profile."""
+"""Order and timing of lines: the rules of MRC, which both profiles share, and its special cases in its profile."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PROFILES = pytest.mark.parametrize("profile", ["sound", "mrc"])
 
 
 def cycles_of(line: str, profile: str) -> int:
-    """From one line to the next."""
+    """Return the number of cycles from this line to the next."""
     bench = Bench("velomega", profile).load(f"{line}\neval 1\n")
     began = ended = None
     while bench.cycle() and ended is None:
@@ -44,13 +44,13 @@ def cycles_of(line: str, profile: str) -> int:
         ("resetmotors", 8),
     ],
 )
-def test_each_kind_of_line_has_its_time(line: str, cycles: int, profile: str) -> None:
+def test_each_kind_of_line_takes_its_cycles(line: str, cycles: int, profile: str) -> None:
     found = cycles_of(line, profile)
     assert found == cycles
 
 
 @PROFILES
-def test_a_line_that_only_waits_has_the_end_of_the_command_before(profile: str) -> None:
+def test_wait_line_uses_the_end_of_the_previous_command(profile: str) -> None:
     def waited(before: str) -> float:
         bench = Bench("velomega", profile).run(f"{before}\n: ($cmdtime > 0.5)\nc = $condition\neval c\n", cycles=3000)
         return bench.value if bench.values else -1.0
@@ -64,13 +64,13 @@ def test_a_line_that_only_waits_has_the_end_of_the_command_before(profile: str) 
 
 
 @PROFILES
-def test_conditions_are_numbered_and_forgotten(profile: str) -> None:
+def test_condition_number_is_read_once(profile: str) -> None:
     source = "fwd 1 : ($cmdtime > 9) | ($drivendist > 0.1) | (0)\neval $condition\neval $condition\n"
     assert Bench("velomega", profile).run(source).values == [[2.0], [0.0]]
 
 
 @PROFILES
-def test_way_and_time_count_from_the_beginning_of_a_line(profile: str) -> None:
+def test_distance_and_time_start_at_zero_with_each_line(profile: str) -> None:
     source = "fwd 0.3\nfwd 1 : ($drivendist > 0.1)\nx = $odox\nwait 0.2\ny = $cmdtime\neval x ; y\n"
     bench = Bench("velomega", profile).run(source)
     ((way, time),) = bench.values
@@ -79,7 +79,7 @@ def test_way_and_time_count_from_the_beginning_of_a_line(profile: str) -> None:
 
 
 @PROFILES
-def test_switch_chooses_and_does_not_read_what_it_skips(profile: str) -> None:
+def test_switch_selects_a_case_and_skips_the_others(profile: str) -> None:
     source = (
         'k = 0\nlabel "again"\nswitch (k)\neval 100+k\ncase 1\neval 1\ncase 2\neval 2\ncase 1\neval 3\nendswitch\n'
         'k = k + 1\nif (k < 4) "again"\n'
@@ -89,7 +89,7 @@ def test_switch_chooses_and_does_not_read_what_it_skips(profile: str) -> None:
 
 
 @PROFILES
-def test_calls_return_behind_themselves(profile: str) -> None:
+def test_nested_calls_return_to_the_next_line(profile: str) -> None:
     inner, outer = 'label "b"\neval 2\nreturn\n', 'label "a"\ncall "b"\neval 1\nreturn\n'
     source = f'goto "begin"\n{outer}{inner}label "begin"\ncall "a"\neval 3\n'
     assert Bench("velomega", profile).run(source).values == [[2.0], [1.0], [3.0]]
@@ -114,7 +114,7 @@ def test_stringcat_builds_a_text(profile: str) -> None:
 
 
 @PROFILES
-def test_a_function_generator_feeds_an_output(profile: str) -> None:
+def test_function_generator_drives_an_output(profile: str) -> None:
     bench = Bench("velomega", profile)
     bench.load('setgain "cmdrotvel" 100\nrouteoutput "funcgen" "cmdrotvel"\nfuncgen 0 5 0.05 0.1\n')
     sent = []
@@ -124,20 +124,20 @@ def test_a_function_generator_feeds_an_output(profile: str) -> None:
 
 
 @PROFILES
-def test_a_function_generator_keeps_the_parameters_that_are_left_out(profile: str) -> None:
+def test_function_generator_keeps_omitted_parameters(profile: str) -> None:
     bench = Bench("velomega", profile)
     bench.load('routeoutput "funcgen" "cmdrotvel"\nfuncgen 1 5 0.5 0.05\nfuncgen 0 7\nfuncgen 0 9 0\n')
     sent = []
     while bench.cycle():
         sent.append(bench.controller.vehicle.symbols.pool[bench.controller.vehicle.symbols.outputs["cmdrotvel"].place])
-    # The step of 7 begins after the 0.5 s, and lasts the 0.05 s, that the square wave had for its frequency and time.
+    # The step of 7 uses the frequency and time of the square wave: it begins after 0.5 s and lasts 0.05 s.
     first = sent.index(7.0)
     assert sent[first - 50 : first].count(0.0) == 50
     assert (sent.count(7.0), sent.count(9.0)) == (5, 5)
 
 
-def test_a_gain_of_followwall_is_that_of_its_beginning() -> None:
-    """MRC copies it when the motion begins."""
+def test_followwall_uses_the_gain_at_its_start() -> None:
+    """MRC copies the gain when the motion starts."""
 
     def end(settings: str) -> tuple[float, float, float]:
         bench = Bench("differential", "mrc")
@@ -158,7 +158,7 @@ def test_a_gain_of_followwall_is_that_of_its_beginning() -> None:
 @pytest.mark.parametrize(
     ("line", "printed"), [('wallest "left" 1', "Wrong parameter \n"), ('wallest "lb" 1', ""), ('wallest "rc" 1', "")]
 )
-def test_what_mrc_prints_of_wallest(line: str, printed: str) -> None:
+def test_mrc_messages_of_wallest(line: str, printed: str) -> None:
     assert Bench("velomega", "mrc").run(line).texts(SaidKind.MESSAGE) == ([printed] if printed else [])
 
 
@@ -174,7 +174,7 @@ def test_what_mrc_prints_of_wallest(line: str, printed: str) -> None:
         ("x = y\n", (1, 5)),
     ],
 )
-def test_a_failure_has_its_line_and_column(profile: str, source: str, place: tuple[int, int]) -> None:
+def test_failure_has_its_line_and_column(profile: str, source: str, place: tuple[int, int]) -> None:
     bench = Bench("velomega", profile, options={"limits": MissionLimits(lines=100)}).run(source)
     failure = bench.controller.failure
     assert failure is not None
@@ -182,7 +182,7 @@ def test_a_failure_has_its_line_and_column(profile: str, source: str, place: tup
 
 
 @PROFILES
-def test_an_input_can_come_from_a_variable(profile: str) -> None:
+def test_input_can_be_routed_from_a_variable(profile: str) -> None:
     bench = Bench("velomega", profile)
     bench.run('routeinput "mrc" "mrccontrol" "stop" "transpos"\nfwd 1\neval 1\n')
     assert bench.controller.is_finished
@@ -195,15 +195,15 @@ def test_an_input_can_come_from_a_variable(profile: str) -> None:
     assert bench.controller.is_finished
 
 
-# -- MRC's own corners ----------------------------------------------------------------------------------------
+# -- special cases of MRC -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("source", "printed"),
     [
-        # The name behind the value of a new variable takes its place.
+        # The name after the value of a new variable becomes the name of this variable.
         ("x = 1 y = 2\neval y\n", "1.000000  \n"),
-        # A line that begins beyond ASCII waits for the end of the command before, elsewhere it is ignored.
+        # A line that begins with a non-ASCII character waits for the previous command; elsewhere it is ignored.
         ("a = 1\nidle\n\xe9 eval 1\nfwd 0.02 \xe9\neval 2\n", "2.000000  \n"),
         ("eval 1 $nosuch\neval 2\n", 'System variable "$nosuch" not found\n syntax error in line : 1 \n'),
         (
@@ -221,18 +221,18 @@ def test_an_input_can_come_from_a_variable(profile: str) -> None:
         ('speak "hi"\nopen "wifi"\n', '/usr/local/bin/flite -t "hi"open wifi \n'),
     ],
 )
-def test_mrc_says(source: str, printed: str) -> None:
+def test_mrc_messages_of_invalid_lines(source: str, printed: str) -> None:
     bench = Bench("velomega", "mrc").run(source, cycles=60)
     assert "".join(said.printed for said in bench.said if said.kind is not SaidKind.LINE) == printed
 
 
-def test_mrc_cuts_long_lines() -> None:
+def test_mrc_splits_long_lines() -> None:
     lines = list(split_lines(f"eval 1 %{'x' * 300}\neval 2", cuts=True))
     assert [(len(line.text), line.number) for line in lines] == [(255, 1), (54, 1), (6, 2)]
     assert [line.number for line in split_lines(f"{'x' * 300}\n\nb", cuts=False)] == [1, 2, 3]
 
 
-def test_labels_are_compared_up_to_the_first_other_character() -> None:
+def test_labels_are_compared_up_to_the_first_special_character() -> None:
     plan = MissionPlan(
         [PlanLine('label "a b"', 1), PlanLine("label \\x\\", 2), PlanLine('labelled "c"', 3), PlanLine('label "a"', 4)]
     )
@@ -242,7 +242,7 @@ def test_labels_are_compared_up_to_the_first_other_character() -> None:
     assert plan.labels.get("x") is None
 
 
-def test_mrc_reaches_what_stands_behind_an_array() -> None:
+def test_mrc_accesses_variables_beyond_an_array() -> None:
     bench = Bench("velomega", "mrc").run('array "q" 2\nb = 3\nset "q[2]" 9\neval b\nset "q[-1]" 4\neval q\n')
     assert bench.values == [[9.0], [4.0]]
 

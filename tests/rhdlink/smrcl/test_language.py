@@ -1,4 +1,4 @@
-"""Lines to trees, trees to lines, and what is said of lines that are wrong."""
+"""Parsing lines to trees, writing trees as lines, and the messages for invalid lines."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ ends = st.one_of(
     st.builds(Case, numbers),
     st.builds(EndSwitch),
 )
-# What begins with a minus would go on the assignment before it, so only one assignment comes before.
+# A statement that begins with a minus would continue the previous assignment, so only one assignment comes first.
 assignments = st.builds(Assign, st.one_of(variables, st.builds(ArrayElement, variables, expressions)), expressions)
 lines = st.one_of(
     st.just(ScriptLine(())),
@@ -93,7 +93,7 @@ lines = st.one_of(
 
 @pytest.mark.property
 @given(lines)
-def test_a_line_that_is_written_is_read_as_the_same_line(line: ScriptLine) -> None:
+def test_written_line_is_parsed_to_the_same_line(line: ScriptLine) -> None:
     text = write_line(line)
     assume(len(text) <= LONGEST_LINE)
     assert PARSER.parse(text) == line
@@ -101,7 +101,7 @@ def test_a_line_that_is_written_is_read_as_the_same_line(line: ScriptLine) -> No
 
 @pytest.mark.property
 @given(st.text(st.characters(codec="latin-1"), max_size=300))
-def test_any_text_is_a_line_or_a_problem_within_it(text: str) -> None:
+def test_any_text_is_a_line_or_has_a_problem_within_it(text: str) -> None:
     tree = PARSER.parse(text)
     if tree.problem is not None:
         assert 1 <= tree.problem.column <= len(text) + 1
@@ -112,8 +112,8 @@ def test_any_text_is_a_line_or_a_problem_within_it(text: str) -> None:
 
 @pytest.mark.property
 @given(expressions)
-def test_brackets_stand_where_they_are_needed_and_nowhere_else(expression: Expression) -> None:
-    """Taking a pair away changes the tree, or the text was written without it."""
+def test_expression_is_written_with_the_necessary_brackets(expression: Expression) -> None:
+    """The text is parsed to the same tree, and additional brackets around it do not change the tree."""
     text = write_expression(expression)
     assume(len(f"eval (({text}))") <= LONGEST_LINE)
     assert PARSER.parse(f"eval {text}") == ScriptLine((Evaluate((expression,)),))
@@ -121,7 +121,7 @@ def test_brackets_stand_where_they_are_needed_and_nowhere_else(expression: Expre
 
 
 def bracketed(text: str) -> str:
-    """An expression with brackets round everything."""
+    """Return an expression with brackets around every operation."""
     (statement,) = PARSER.parse(f"eval {text}").statements
     assert isinstance(statement, Evaluate)
 
@@ -155,7 +155,7 @@ def bracketed(text: str) -> str:
         ("--a", "(-(-a))"),
     ],
 )
-def test_operators_bind_as_in_mrc(text: str, meant: str) -> None:
+def test_operator_precedence_equals_that_of_mrc(text: str, meant: str) -> None:
     assert bracketed(text) == bracketed(meant)
 
 
@@ -191,7 +191,7 @@ def test_operators_bind_as_in_mrc(text: str, meant: str) -> None:
         (f"{'a' * 80} = 1", 1, "a name can have at most 79 characters; this one has 80"),
     ],
 )
-def test_a_problem_is_told_with_its_column(text: str, column: int, message: str) -> None:
+def test_problem_has_its_column_and_message(text: str, column: int, message: str) -> None:
     problem = PARSER.parse(text).problem
     if not message:
         assert problem is None
@@ -200,7 +200,7 @@ def test_a_problem_is_told_with_its_column(text: str, column: int, message: str)
     assert (problem.column, problem.message) == (column, message)
 
 
-def test_what_stands_before_a_problem_is_kept() -> None:
+def test_statements_before_a_problem_are_kept() -> None:
     line = PARSER.parse("a = 4 fwd 1 @v 0.2 )")
     assert line.statements == (
         Assign(VariableName("a"), NumberLiteral(4.0)),
@@ -209,7 +209,7 @@ def test_what_stands_before_a_problem_is_kept() -> None:
     assert line.problem is not None
 
 
-def test_the_rest_is_not_looked_at_where_mrc_does_not_look() -> None:
+def test_rest_of_a_line_is_ignored_like_in_mrc() -> None:
     for text in ('if (1) "x" )(', "switch (2) )(", "case 2 )(", "endswitch )("):
         assert PARSER.parse(text).problem is None
 
@@ -229,16 +229,16 @@ def test_the_rest_is_not_looked_at_where_mrc_does_not_look() -> None:
         ("x % y", ["x"]),
     ],
 )
-def test_a_line_falls_into_tokens(text: str, tokens: list[str]) -> None:
+def test_line_is_split_into_tokens(text: str, tokens: list[str]) -> None:
     assert [str(token) for token in tokenize(text)[:-1]] == tokens
 
 
-def test_numbers_too_large_are_written_so_that_they_are_read_again() -> None:
+def test_infinite_number_survives_a_round_trip() -> None:
     line = ScriptLine((Evaluate((NumberLiteral(math.inf),)),))
     assert PARSER.parse(write_line(line)) == line
 
 
 @pytest.mark.parametrize("line", [PARSER.parse("fwd ("), ScriptLine((CommandStatement("print", (TextLiteral('"'),)),))])
-def test_what_has_no_text_is_not_written(line: ScriptLine) -> None:
+def test_line_without_a_valid_text_cannot_be_written(line: ScriptLine) -> None:
     with pytest.raises(ValueError, match=r"no text|no string"):
         write_line(line)

@@ -1,4 +1,4 @@
-"""Missions as a program holds them: run here, started with a handle, or debugged; on a robot in this process."""
+"""Missions in a user's program: run directly, started with a handle, or debugged, on a robot in this process."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.waiting import interrupted, until
 
 pytestmark = pytest.mark.simulated_time
 
-#: Goes on until somebody ends it.
+#: Script that continues until it is ended.
 ENDLESS = 'label "on"\nwait 1\ngoto "on"\n'
 
 
@@ -35,15 +35,15 @@ def turtle() -> Turtle:
     return Turtle(World(1000.0))
 
 
-def stands(robot: Turtle) -> bool:
-    """It was told to, which is more than that it does not move because nobody asks it to."""
+def is_stopped(robot: Turtle) -> bool:
+    """Whether the last command was a stop, which differs from a robot without commands."""
     return robot.cmdtransvel == robot.cmdrotvel == 0
 
 
 # -- run ----------------------------------------------------------------------------------------------------
 
 
-def test_a_mission_runs_to_its_end() -> None:
+def test_mission_runs_to_its_end() -> None:
     robot = turtle()
     texts: list[str] = []
     mission = Mission('a = 0.5\nfwd a\nturn 90\nprint "done"\neval 3*a\n', robot)
@@ -57,7 +57,7 @@ def test_a_mission_runs_to_its_end() -> None:
     assert run.cycles > 300
     assert texts == ["done", "1.500000  "]
     assert (run.line, run.text, run.conditions) == (5, "eval 3*a", ())
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
 SPIRAL = (
@@ -78,10 +78,10 @@ ARC = 'log "$odox"\nfwd 0.3\nturnr 0.5 90\nfwd 0.3\nstop\n'
         (SmrTurtle, ARC, 650, (0.8018, 0.7991, 90.02)),
     ],
 )
-def test_drives_end_where_the_original_s_ended(
+def test_drives_end_at_the_pose_of_the_original(
     robot: type[Turtle | SmrTurtle], script: str, cycles: int, end: tuple[float, float, float]
 ) -> None:
-    """m, m and degrees of MRC's own runs in lockstep, which took as many cycles."""
+    """The poses in m, m and degrees, and the numbers of cycles, come from lockstep runs of MRC."""
     world = World(1000.0)
     run = Mission(script, robot(world), compat="mrc").run()
     x, y, theta = world.odometry
@@ -89,14 +89,14 @@ def test_drives_end_where_the_original_s_ended(
     assert run.cycles == cycles
 
 
-def test_a_mission_can_be_run_again_from_its_beginning() -> None:
+def test_mission_can_be_run_again_from_its_beginning() -> None:
     mission = Mission("n = n + 1\nfwd 0.1\n", turtle(), variables={"n": 41.0})
     first, second = mission.run(), mission.run()
     assert first.variables == second.variables == {"n": 42.0}
     assert first is not second
 
 
-def test_a_script_comes_from_a_file(tmp_path: Path) -> None:
+def test_script_is_read_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "square.smr"
     path.write_bytes("% schräg\nfwd 0.1\n".encode("latin-1"))
     for source in (path, str(path)):
@@ -113,15 +113,15 @@ def test_a_script_comes_from_a_file(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_a_run_that_takes_too_long_ends_and_the_robot_stands() -> None:
+def test_run_that_times_out_stops_the_robot() -> None:
     robot = turtle()
     with pytest.raises(LinkTimeout, match="did not end in time"):
         Mission("drive : ($drivendist > 900)\n", robot).run(timeout=0.5)
     assert robot.world.odometry.x > 0.0
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
-def test_a_script_with_mistakes_does_not_begin() -> None:
+def test_script_with_errors_does_not_start() -> None:
     robot = turtle()
     with pytest.raises(BadMission) as caught:
         Mission("fwd 1\nfwd (\nturn 2 @w 3\n", robot).run()
@@ -130,21 +130,21 @@ def test_a_script_with_mistakes_does_not_begin() -> None:
     assert robot.world.odometry.x == 0.0
 
 
-def test_a_mission_that_fails_says_where() -> None:
+def test_failing_mission_reports_its_line() -> None:
     robot = turtle()
     with pytest.raises(MissionFailed) as caught:
         Mission('fwd 0.2\narray "a" 3\na[7] = 1\nfwd 5\n', robot).run()
     assert (caught.value.line, caught.value.text) == (3, "a[7] = 1")
     assert str(caught.value).startswith("line 3")
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
-def test_limits_are_a_mission_s_own() -> None:
+def test_limits_can_be_set_for_each_mission() -> None:
     with pytest.raises(MissionLimit, match="50 lines in one cycle"):
         Mission('n = 1\nlabel "on"\ngoto "on"\n', turtle(), limits=MissionLimits(lines=50)).run()
 
 
-def test_a_speed_can_be_a_whole_number_of_the_robot() -> None:
+def test_integer_variable_of_the_robot_can_be_a_speed() -> None:
     run = Mission("drive @v $tick : ($cmdtime > 0.1)\n", turtle()).run()
     assert (run.phase, run.error) == (Phase.DONE, None)
     assert run._execution.controller.vehicle.control.speed > 0.0
@@ -152,13 +152,13 @@ def test_a_speed_can_be_a_whole_number_of_the_robot() -> None:
 
 @pytest.mark.parametrize("compat", ["sound", "mrc"])
 @pytest.mark.parametrize("variable", ["tick[99999]", "tick[-99999]"])
-def test_an_input_that_comes_from_beyond_all_variables_is_refused(variable: str, compat: str) -> None:
+def test_input_route_beyond_a_variable_is_rejected(variable: str, compat: str) -> None:
     conf = replace(VELOMEGA, routes=(InputRoute("mrc", "motionconnect", "w2odox", variable),))
     with pytest.raises(BadConfiguration, match=re.escape(f"{variable}: there is no such value")):
         Mission("fwd 0.1\n", turtle(), conf=conf, compat=compat).run()
 
 
-def test_a_mission_needs_a_robot_that_it_can_drive(tmp_path: Path) -> None:
+def test_mission_requires_a_suitable_robot(tmp_path: Path) -> None:
     with pytest.raises(BadValue, match="has no robot"):
         Mission("fwd 1\n").run()
     with pytest.raises(BadValue, match="expected a connected robot"):
@@ -174,7 +174,7 @@ def test_a_mission_needs_a_robot_that_it_can_drive(tmp_path: Path) -> None:
         Mission("fwd 1\n", compat="loud")
 
 
-def test_a_script_is_checked_without_a_robot_and_with_one() -> None:
+def test_script_is_checked_with_or_without_a_robot() -> None:
     source = "x = $odox + $nosuch\n"
     assert Mission(source).check() == []
     with pytest.raises(BadMission, match=r"line 1, column 13: the robot has no system variable \$nosuch"):
@@ -184,7 +184,7 @@ def test_a_script_is_checked_without_a_robot_and_with_one() -> None:
     assert mission.function("twice", lambda value: 2 * value).check() == []
 
 
-def test_the_profile_of_mrc_begins_with_a_mistake_and_fails_where_it_stands() -> None:
+def test_mrc_profile_runs_up_to_an_invalid_line() -> None:
     robot = turtle()
     with pytest.raises(MissionFailed) as caught:
         Mission("fwd 0.3\nfwd (\n", robot, compat="mrc").run()
@@ -192,10 +192,10 @@ def test_the_profile_of_mrc_begins_with_a_mistake_and_fails_where_it_stands() ->
     assert robot.world.odometry.x == pytest.approx(0.3, abs=0.02)
 
 
-# -- a program's part ---------------------------------------------------------------------------------------
+# -- callbacks and functions of a program -------------------------------------------------------------------
 
 
-def test_what_a_mission_says_is_told_by_kind_and_in_order() -> None:
+def test_output_is_delivered_by_kind_and_in_order() -> None:
     lines: list[str] = []
     everything: list[Said] = []
     mission = Mission('putevent "go"\nprint "a"\neval 2\n', turtle())
@@ -205,7 +205,7 @@ def test_what_a_mission_says_is_told_by_kind_and_in_order() -> None:
     assert kinds == [SaidKind.EVENT, SaidKind.TEXT, SaidKind.VALUES]
 
 
-def test_who_listens_and_raises_disturbs_nobody(caplog: pytest.LogCaptureFixture) -> None:
+def test_exception_in_a_callback_does_not_affect_others(caplog: pytest.LogCaptureFixture) -> None:
     heard: list[str] = []
 
     def broken(text: str) -> None:
@@ -217,7 +217,7 @@ def test_who_listens_and_raises_disturbs_nobody(caplog: pytest.LogCaptureFixture
     assert "no paper" in caplog.text
 
 
-def test_a_command_that_needs_hardware_is_a_function() -> None:
+def test_command_that_needs_hardware_calls_a_function() -> None:
     seen: list[tuple[object, ...]] = []
 
     def vision(*parameters: object) -> dict[str, float]:
@@ -231,7 +231,7 @@ def test_a_command_that_needs_hardware_is_a_function() -> None:
         Mission('vision "ball"\n', turtle()).run()
 
 
-def test_a_function_that_fails_ends_the_mission_on_its_line() -> None:
+def test_function_that_raises_ends_the_mission_on_its_line() -> None:
     def vision(*parameters: object) -> None:
         raise OSError("camera unplugged")
 
@@ -239,10 +239,10 @@ def test_a_function_that_fails_ends_the_mission_on_its_line() -> None:
     with pytest.raises(MissionFailed, match="camera unplugged") as caught:
         Mission('fwd 0.1\nvision "ball"\n', robot).on("vision", vision).run()
     assert caught.value.line == 2
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
-def test_sensors_and_variables_are_provided() -> None:
+def test_provided_sensors_and_variables_are_used() -> None:
     mission = Mission("x = $line3\ny = $irdistfrontmiddle\nz = $gpsdop\n", turtle())
     mission.provide("line", lambda: [1, 1, 1, 0.25, 1, 1, 1, 1]).provide("ir", lambda: [1, 2, 3, 4, 5])
     run = mission.provide("$gpsdop", lambda: 9.0).run()
@@ -259,14 +259,14 @@ def test_sensors_and_variables_are_provided() -> None:
         ("gpsdop", lambda: 1 / 0),
     ],
 )
-def test_a_provider_that_provides_nothing_sensible_ends_the_mission(name: str, provider: Callable[[], float]) -> None:
+def test_invalid_provider_ends_the_mission(name: str, provider: Callable[[], float]) -> None:
     robot = turtle()
     with pytest.raises(MissionFailed, match=f"the provider of '{name}' raised"):
         Mission("fwd 1\n", robot).provide(name, provider).run()
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
-def test_what_cannot_be_called_is_refused() -> None:
+def test_invalid_callbacks_and_names_are_rejected() -> None:
     mission = Mission("fwd 1\n")
     refusals: list[Callable[[], object]] = [
         lambda: mission.on("text", 7),  # type: ignore[arg-type]
@@ -289,7 +289,7 @@ def test_expressions_call_functions_of_the_program() -> None:
         Mission("c = 1\nd = c+dist(1)\n", turtle()).function("dist", lambda a, b: a + b).run()
 
 
-def test_arrays_are_tuples() -> None:
+def test_arrays_are_returned_as_tuples() -> None:
     run = Mission('array "a" 3\na[1] = 2\nb = 7\n', turtle()).run()
     assert run.variables == {"a": (0.0, 2.0, 0.0), "b": 7.0}
 
@@ -297,7 +297,7 @@ def test_arrays_are_tuples() -> None:
 # -- logs ---------------------------------------------------------------------------------------------------
 
 
-def test_a_log_is_saved_in_the_folder_that_is_for_it(tmp_path: Path) -> None:
+def test_log_is_saved_in_its_folder(tmp_path: Path) -> None:
     source = 'log "$odox" "$odoth"\nfwd 0.2\ncontrol "stoplog"\ncontrol "savelog"{}\n'
     Mission(source.format(' "way.txt"'), turtle(), log_folder=tmp_path).run()
     rows = [line.split() for line in (tmp_path / "way.txt").read_text().splitlines()]
@@ -306,7 +306,7 @@ def test_a_log_is_saved_in_the_folder_that_is_for_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../way.txt", "/tmp/way.txt", "a/b", ".."])
-def test_a_log_is_saved_nowhere_else(tmp_path: Path, name: str) -> None:
+def test_log_cannot_be_saved_outside_its_folder(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "logs"
     folder.mkdir()
     source = f'log "$odox"\nfwd 0.1\ncontrol "savelog" "{name}"\n'
@@ -315,7 +315,7 @@ def test_a_log_is_saved_nowhere_else(tmp_path: Path, name: str) -> None:
     assert list(tmp_path.rglob("*")) == [folder]
 
 
-def test_a_log_that_nobody_wants_is_told_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_log_without_a_folder_is_reported_as_not_saved(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         Mission('log "$odox"\nfwd 0.1\ncontrol "savelog" "way.txt"\n', turtle()).run()
     assert "'way.txt' is not saved" in caplog.text
@@ -323,10 +323,10 @@ def test_a_log_that_nobody_wants_is_told_of(caplog: pytest.LogCaptureFixture) ->
         Mission('control "savelog" "way.txt"\n', turtle(), log_folder="/no/such/folder").run()
 
 
-# -- started ------------------------------------------------------------------------------------------------
+# -- started missions ---------------------------------------------------------------------------------------
 
 
-def test_a_started_mission_is_a_handle() -> None:
+def test_started_mission_is_a_handle() -> None:
     called: list[Phase] = []
     is_called = threading.Event()
 
@@ -344,7 +344,7 @@ def test_a_started_mission_is_a_handle() -> None:
     assert run.phase is Phase.DONE
 
 
-def test_a_started_mission_can_be_awaited() -> None:
+def test_started_mission_can_be_awaited() -> None:
     async def two() -> tuple[Phase, Phase]:
         good, bad = Mission("fwd 0.3\n", turtle()).start(), Mission("a = 1\na[3] = 2\n", turtle()).start()
         await asyncio.wait_for(good, 20.0)
@@ -356,7 +356,7 @@ def test_a_started_mission_can_be_awaited() -> None:
 
 
 @pytest.mark.slow
-def test_a_run_says_which_conditions_are_true() -> None:
+def test_run_reports_its_conditions() -> None:
     robot = turtle()
     with Mission("drive : ($drivendist > 900) | ($odox < 0)\n", robot).start() as run:
         until(lambda: run.conditions == (False, False))
@@ -364,7 +364,7 @@ def test_a_run_says_which_conditions_are_true() -> None:
 
 
 @pytest.mark.slow
-def test_a_cancelled_mission_stands() -> None:
+def test_cancelled_mission_stops_the_robot() -> None:
     robot = turtle()
     run = Mission(f"drive : ($drivendist > 1)\nn = 1\n{ENDLESS}", robot, limits=MissionLimits()).start()
     until(lambda: run.line > 2)
@@ -374,29 +374,29 @@ def test_a_cancelled_mission_stands() -> None:
     with pytest.raises(Cancelled):
         run.wait(20.0)
     assert (run.phase, run.done) == (Phase.CANCELLED, True)
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
 @pytest.mark.real_time
-def test_a_mission_whose_wait_is_interrupted_is_cancelled() -> None:
+def test_interrupted_wait_cancels_the_mission() -> None:
     robot = turtle()
     run = Mission("drive\n" + ENDLESS, robot).start()
     interrupted(run.wait, lambda: robot.world.odometry.x > 0.1)
     until(lambda: run.done)
-    assert (run.phase, stands(robot)) == (Phase.CANCELLED, True)
+    assert (run.phase, is_stopped(robot)) == (Phase.CANCELLED, True)
 
 
 @pytest.mark.slow
-def test_a_mission_that_is_left_is_cancelled() -> None:
+def test_leaving_the_with_block_cancels_the_mission() -> None:
     robot = turtle()
     with Mission("drive\n" + ENDLESS, robot).start() as run:
         until(lambda: robot.world.odometry.x > 0.1)
     with pytest.raises(Cancelled):
         run.wait(20.0)
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
-def test_a_mission_that_fails_in_its_thread_tells_whoever_waits() -> None:
+def test_failure_in_the_thread_is_raised_by_wait() -> None:
     run = Mission("fwd 0.1\na[1] = 1\n", turtle(), variables={"a": 0.0}).start()
     with pytest.raises(MissionFailed, match="line 2"):
         run.wait(20.0)
@@ -406,20 +406,20 @@ def test_a_mission_that_fails_in_its_thread_tells_whoever_waits() -> None:
         Mission("fwd (\n", turtle()).start()
 
 
-def test_a_system_variable_has_to_be_there() -> None:
+def test_unknown_system_variable_is_rejected() -> None:
     run = Mission("fwd 0.1\n", turtle()).run()
     assert run.system("odox") == run.system("$odox") > 0.09
     with pytest.raises(BadValue, match="no system variable nosuch"):
         run.system("nosuch")
 
 
-# -- step by step -------------------------------------------------------------------------------------------
+# -- debugger -----------------------------------------------------------------------------------------------
 
 
 SQUARE = 'n = 0\nlabel "side"\nfwd 0.2\nturn 90\nn = n + 1\nif (n < 2) "side"\n'
 
 
-def test_a_mission_is_executed_line_by_line() -> None:
+def test_debugger_steps_line_by_line() -> None:
     robot = turtle()
     lines: list[int | None] = []
     with Mission(SQUARE, robot).debug() as debugger:
@@ -427,14 +427,14 @@ def test_a_mission_is_executed_line_by_line() -> None:
         while (line := debugger.step()) is not None:
             lines.append(line)
             assert debugger.line == line
-            assert stands(robot)
+            assert is_stopped(robot)
     assert lines == [1, 2, 3, 4, 5, 6, 2, 3, 4, 5, 6]
     assert debugger.run.variables == {"n": 2.0}
     assert debugger.run.phase is Phase.DONE
     assert debugger.step() is None
 
 
-def test_a_mission_is_executed_up_to_lines() -> None:
+def test_debugger_resumes_up_to_breakpoints() -> None:
     robot = turtle()
     with Mission(SQUARE, robot).debug([5]) as debugger:
         assert (debugger.resume(), debugger.text) == (5, "n = n + 1")
@@ -447,16 +447,16 @@ def test_a_mission_is_executed_up_to_lines() -> None:
     assert debugger.run.phase is Phase.DONE
 
 
-def test_a_debugger_that_is_left_has_the_robot_stand() -> None:
+def test_leaving_the_debugger_stops_the_robot() -> None:
     robot = turtle()
     with Mission(SQUARE, robot).debug([5]) as debugger:
         debugger.resume()
     assert debugger.run.phase is Phase.CANCELLED
     assert debugger.step() is None
-    assert stands(robot)
+    assert is_stopped(robot)
 
 
-def test_a_line_that_fails_under_a_debugger_raises() -> None:
+def test_line_that_fails_under_a_debugger_raises() -> None:
     with Mission("n = 1\nn[4] = 2\n", turtle()).debug() as debugger:
         debugger.step()
         debugger.step()
@@ -468,7 +468,7 @@ def test_a_line_that_fails_under_a_debugger_raises() -> None:
 # -- plugins in this process --------------------------------------------------------------------------------
 
 
-def test_a_robot_in_this_process_may_take_its_time() -> None:
+def test_plugin_link_can_run_in_real_time() -> None:
     robot = turtle()
     link = PluginLink([robot], period=0.001, is_realtime=True)
     run = Mission("wait 0.1\n", link).start()
@@ -480,16 +480,16 @@ def test_a_robot_in_this_process_may_take_its_time() -> None:
         link.exchange({})
 
 
-def test_the_tick_of_a_robot_in_this_process_wraps_as_that_of_a_host() -> None:
+def test_tick_of_a_plugin_link_wraps_like_that_of_a_host() -> None:
     link = PluginLink([turtle()])
     link.tick = 2**31 - 2
     ticks = [link.exchange({})["tick"] for _ in range(3)]
     assert ticks == [[2**31 - 1], [-(2**31)], [-(2**31) + 1]]
-    # The link's own goes on.
+    # The tick of the link does not wrap.
     assert link.tick == 2**31 + 1
 
 
-def test_a_link_that_was_given_is_left_open() -> None:
+def test_given_plugin_link_is_left_open() -> None:
     robot = turtle()
     link = PluginLink([robot])
     Mission("fwd 0.1\n", link).run()
@@ -500,7 +500,7 @@ def test_a_link_that_was_given_is_left_open() -> None:
     assert link.writers == 0
 
 
-def test_a_timeout_is_a_number_of_seconds() -> None:
+def test_timeout_must_be_a_number_of_seconds() -> None:
     with pytest.raises(BadValue, match=r"timeout=True; expected a number of seconds, 0 or more"):
         Mission("wait 0.1\n", turtle()).run(timeout=True)
     with Mission("wait 0.1\n", turtle()).start() as run, pytest.raises(BadValue, match="timeout=True"):
@@ -508,7 +508,7 @@ def test_a_timeout_is_a_number_of_seconds() -> None:
 
 
 class Stopping(Turtle):
-    """Stops the robot after two ticks."""
+    """Turtle that stops its host after two ticks."""
 
     def periodic(self, tick: int) -> None:
         super().periodic(tick)

@@ -1,4 +1,4 @@
-"""Every recorded run of the original MRC, tick by tick: commands, text, events, logs."""
+"""Every recorded run of the original MRC is compared tick by tick: commands, text, events and logs."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def name_of(recorded: Recorded) -> str:
 
 
 @pytest.mark.parametrize("recorded", RUNS, ids=name_of)
-def test_a_run_of_mrc_is_repeated(recorded: Recorded) -> None:
+def test_recorded_run_of_mrc_is_reproduced(recorded: Recorded) -> None:
     found = replay(recorded)
     assert found.differences == []
     assert found.is_finished
     assert found.ticks == len(recorded.rows())
     expected = recorded.file(recorded.stdout)
-    # Behind that MRC takes leave.
+    # After this text, MRC prints its final messages.
     assert normal(found.printed) == normal(expected[: expected.rindex(" logging ")])
     if recorded.transcript:
         lines = [line.rstrip() for line in normal(recorded.file(recorded.transcript)).splitlines()]
@@ -42,14 +42,14 @@ def test_a_run_of_mrc_is_repeated(recorded: Recorded) -> None:
 
 
 @pytest.mark.parametrize("recorded", OLDER, ids=name_of)
-def test_an_older_drive_is_repeated(recorded: Recorded) -> None:
+def test_older_recorded_drive_is_reproduced(recorded: Recorded) -> None:
     found = replay(recorded)
     assert found.differences == []
     assert (found.ticks, found.is_finished) == (len(recorded.rows()), True)
 
 
 def run_alone(source: str) -> tuple[int, str]:
-    """Ticks and text of a script on a velocity-omega robot that moves exactly as it is told."""
+    """Return ticks and text of a script on a velocity-omega robot that follows its commands exactly."""
     read, write = {"tick": 1, "transpos": 1, "rotpos": 1}, {"cmdtransvel": [0], "cmdrotvel": [0]}
     controller = MissionController(VELOMEGA, read, write, profile=MRC)
     controller.load(source)
@@ -69,7 +69,7 @@ def run_alone(source: str) -> tuple[int, str]:
         text += "".join(said.printed for said in controller.take_said())
 
 
-def test_tiny_scripts_say_what_mrc_says() -> None:
+def test_tiny_scripts_print_the_text_of_mrc() -> None:
     assert DRIVES is not None
     lines = (Path(DRIVES) / "oracle" / "oneliners.jsonl").read_text().splitlines()
     assert len(lines) >= 70

@@ -1,4 +1,4 @@
-"""What a `robot.conf` and the calibrations beside it say of a robot."""
+"""The description of a robot in `robot.conf` and in the calibrations next to it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rhdlink.smrcl.robot_conf import RobotConf, parse_robot_conf, read_robot_con
 from rhdlink.smrcl.robot_link import ClientLink, suitable_conf
 from tests.rhdlink.smrcl.bench import Bench
 
-#: As DTU's robots have it, for the turtle.
+#: Configuration of DTU's robots, adapted to the turtle.
 TEXT = """<?xml version="1.0" ?>
 <mrc>
  <odometry cl="0.00002" cr="0" w="0.26" ts="0.01" maxtick="10000" control="1"/>
@@ -32,7 +32,7 @@ TEXT = """<?xml version="1.0" ?>
 """
 
 
-def test_a_file_says_what_the_robot_is() -> None:
+def test_file_describes_the_robot() -> None:
     conf = parse_robot_conf(TEXT)
     assert (conf.drive, conf.name, conf.heading_source) == (DriveKind.VELOMEGA, "turtle", 1)
     assert (conf.left_scale, conf.right_scale, conf.width, conf.max_tick) == (0.00002, 0.0, 0.26, 10000.0)
@@ -45,18 +45,18 @@ def test_a_file_says_what_the_robot_is() -> None:
     assert conf.routes[0].variable == "button"
 
 
-def test_a_file_that_says_nothing_is_an_smr_as_mrc_has_it() -> None:
+def test_empty_file_gives_the_smr_defaults_of_mrc() -> None:
     assert parse_robot_conf("<mrc/>") == RobotConf()
     assert RobotConf().acceleration == 0.6
 
 
-def test_a_robot_is_driven_by_its_file() -> None:
-    """Half the counts for a metre: half the way."""
+def test_mission_uses_the_scales_of_the_file() -> None:
+    """With half the counts per metre, the robot drives half the distance."""
     conf = parse_robot_conf(TEXT.replace('cl="0.00002"', 'cl="0.00004"'))
     assert Bench("velomega", conf=conf).run("fwd 0.6\n").pose[0] == pytest.approx(0.3, abs=0.01)
 
 
-def test_calibrations_stand_beside_the_file(tmp_path: Path) -> None:
+def test_calibrations_are_read_next_to_the_file(tmp_path: Path) -> None:
     (tmp_path / "robot.conf").write_text("<mrc><linesensor size='8' k_filt='0.5'/></mrc>")
     name = platform.node()
     (tmp_path / f"{name}_demo_odo_calib.dat").write_text("0.27 1.02 0.0001 ; width, ratio, mean\n")
@@ -84,13 +84,13 @@ def test_calibrations_stand_beside_the_file(tmp_path: Path) -> None:
         ("<mrc><varscale/></mrc>", 'missing name="..."'),
     ],
 )
-def test_a_file_that_cannot_be_read_says_why(text: str, said: str) -> None:
+def test_invalid_file_raises_the_reason(text: str, said: str) -> None:
     with pytest.raises(BadConfiguration, match=said):
         parse_robot_conf(text)
 
 
 @pytest.mark.parametrize("path", ["a\0b", "nowhere"])
-def test_a_file_that_cannot_be_opened_is_no_configuration(path: str) -> None:
+def test_missing_file_is_a_configuration_error(path: str) -> None:
     with pytest.raises(BadConfiguration, match="cannot read"):
         read_robot_conf(path)
 
@@ -99,7 +99,7 @@ def test_a_file_that_cannot_be_opened_is_no_configuration(path: str) -> None:
     ("kind", "text", "said"),
     [("ls", "1 2 3", "contains 3 numbers; expected 16"), ("odo", "a b c", "could not convert")],
 )
-def test_a_calibration_that_cannot_be_read_says_why(tmp_path: Path, kind: str, text: str, said: str) -> None:
+def test_invalid_calibration_raises_the_reason(tmp_path: Path, kind: str, text: str, said: str) -> None:
     (tmp_path / "robot.conf").write_text("<mrc/>")
     (tmp_path / f"{platform.node()}_demo_{kind}_calib.dat").write_text(text)
     with pytest.raises(BadConfiguration, match=said):
@@ -107,16 +107,14 @@ def test_a_calibration_that_cannot_be_read_says_why(tmp_path: Path, kind: str, t
 
 
 def calibrated(folder: Path, *names: str) -> Path:
-    """A folder with the calibrations of the odometry of some robots: their widths are 0.21 m, 0.22 m, ..."""
+    """Return a folder with odometry calibrations of some robots; their widths are 0.21 m, 0.22 m, ..."""
     (folder / "robot.conf").write_text("<mrc/>")
     for number, name in enumerate(names):
         (folder / f"{name}_demo_odo_calib.dat").write_text(f"{21 + number}e-2 1.0 0.0001\n")
     return folder
 
 
-def test_the_calibration_is_that_of_the_robot_or_of_the_one_that_is_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_calibration_is_chosen_by_robot_or_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     calibrated(tmp_path, "smr1", "smr2", platform.node())
     assert read_robot_conf(tmp_path, robot="smr1").width == 0.21
     assert read_robot_conf(tmp_path, robot="smr2.elektro.dtu.dk").width == 0.22
@@ -128,7 +126,7 @@ def test_the_calibration_is_that_of_the_robot_or_of_the_one_that_is_named(
         read_robot_conf(tmp_path, calibration="smr3")
 
 
-def test_what_is_not_calibrated_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_calibrations_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     calibrated(tmp_path, "smr1")
     assert read_robot_conf(tmp_path).width == RobotConf().width
     assert "odometry, line sensors, infrared sensors not calibrated" in caplog.text
@@ -136,7 +134,7 @@ def test_what_is_not_calibrated_is_logged(tmp_path: Path, caplog: pytest.LogCapt
 
 
 @pytest.mark.simulated_time
-def test_a_mission_takes_the_calibration_of_its_robot(tmp_path: Path) -> None:
+def test_mission_uses_the_calibration_of_its_robot(tmp_path: Path) -> None:
     with Host([Turtle()], port=0) as host, connect(host.address, access="w") as robot:
         link = ClientLink(robot)
         link.name = "smr7.elektro.dtu.dk:24902"
@@ -145,7 +143,7 @@ def test_a_mission_takes_the_calibration_of_its_robot(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["0 1 1e-4", "0.2 -1 1e-4", "nan 1 1e-4", "0.2 1 inf"])
-def test_an_odometry_that_cannot_be_is_refused(tmp_path: Path, text: str) -> None:
+def test_invalid_odometry_calibration_is_rejected(tmp_path: Path, text: str) -> None:
     (calibrated(tmp_path) / "smr1_demo_odo_calib.dat").write_text(text)
     with pytest.raises(BadConfiguration, match=r"above 0|not finite"):
         read_robot_conf(tmp_path, calibration="smr1")

@@ -1,5 +1,7 @@
-"""Missions and drives on a robot behind a port: the same commands as in this process, and a robot that stands at the
-end, whatever the end was."""
+"""Missions and drives on a robot behind a port.
+
+The commands must be the same as for a robot in this process, and the robot must be stopped at every kind of end.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,12 @@ from tests.waiting import until
 pytestmark = pytest.mark.real_time
 
 SCRIPT = "fwd 0.3\nturn -90\nturnr 0.2 60\nfwd -0.1 @v -0.2\n"
-#: Goes on until somebody ends it.
+#: Script that continues until it is ended.
 ENDLESS = 'drive\nlabel "on"\nwait 1\ngoto "on"\n'
 
 
 class Told(Turtle):
-    """A turtle that remembers what it was told, tick by tick."""
+    """Turtle that stores its commands, tick by tick."""
 
     def __init__(self) -> None:
         super().__init__(World(1000.0))
@@ -36,12 +38,12 @@ class Told(Turtle):
         self.told.append((self.cmdtransvel, self.cmdrotvel))
 
     @property
-    def stands(self) -> bool:
+    def is_stopped(self) -> bool:
         return self.told[-1] == (0, 0)
 
 
 class ToldSmr(SmrTurtle):
-    """The same of an SMR."""
+    """SMR turtle that stores its commands, tick by tick."""
 
     def __init__(self) -> None:
         super().__init__(World(1000.0))
@@ -53,7 +55,7 @@ class ToldSmr(SmrTurtle):
 
 
 class Held(Told):
-    """One whose plugin does not return while it is held."""
+    """Turtle whose plugin blocks until the test releases it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,7 +80,7 @@ def host(robot: Told) -> Iterator[Host]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [Told, ToldSmr])
-def test_a_host_in_lockstep_is_told_the_same_as_a_plugin_in_this_process(kind: type[Told | ToldSmr]) -> None:
+def test_lockstep_host_gets_the_same_commands_as_a_plugin(kind: type[Told | ToldSmr]) -> None:
     here, there = kind(), kind()
     Mission(SCRIPT, here).run()
     with Host([there], port=0, pacing="lockstep") as host, connect(host.address, access="w") as client:
@@ -88,22 +90,22 @@ def test_a_host_in_lockstep_is_told_the_same_as_a_plugin_in_this_process(kind: t
     moved = [told for told in here.told if told != (0, 0)]
     assert [told for told in there.told if told != (0, 0)] == moved
     assert len(moved) > 300
-    # A host runs a tick before it is asked for the first time.
+    # A host runs a tick before its first request.
     first = next(place for place, told in enumerate(here.told) if told != (0, 0))
     assert there.told[first : first + 100] == here.told[first : first + 100]
 
 
 @pytest.mark.slow
-def test_a_robot_in_real_time(host: Host, robot: Told) -> None:
+def test_mission_runs_on_a_host_in_real_time(host: Host, robot: Told) -> None:
     run = Mission("fwd 0.2\nturn 45\n", host.address).run(30.0)
     assert run.phase is Phase.DONE
     x, _, theta = robot.world.odometry
     assert (x, theta) == pytest.approx((0.2, 0.785), abs=0.03)
-    until(lambda: robot.stands)  # what it is told is carried out in the next tick
+    until(lambda: robot.is_stopped)  # a command is executed in the next tick
     until(lambda: host.writers == 0)
 
 
-def test_a_connection_that_was_given_is_left_open(host: Host) -> None:
+def test_given_connection_is_left_open(host: Host) -> None:
     with connect(host.address, access="w") as robot:
         Mission("fwd 0.1\n", robot).run(30.0)
         robot.sync()
@@ -112,23 +114,23 @@ def test_a_connection_that_was_given_is_left_open(host: Host) -> None:
         Mission("fwd 0.1\n", reader).run()
 
 
-def test_a_robot_that_is_not_there() -> None:
+def test_mission_raises_when_no_host_listens() -> None:
     with Host([Turtle()], port=0) as gone:
         address = gone.address
     with pytest.raises(ConnectFailed):
         Mission("fwd 0.1\n", address).start()
 
 
-def test_a_cancelled_mission_has_told_the_robot_to_stand(host: Host, robot: Told) -> None:
+def test_cancelled_mission_stops_the_robot(host: Host, robot: Told) -> None:
     run = Mission(ENDLESS, host.address).start()
     until(lambda: robot.world.odometry.x > 0.05)
     run.cancel()
     with pytest.raises(Cancelled):
         run.wait(20.0)
-    until(lambda: robot.stands)
+    until(lambda: robot.is_stopped)
 
 
-def test_a_host_that_goes_away_ends_the_mission(robot: Told) -> None:
+def test_closed_host_ends_the_mission(robot: Told) -> None:
     with Host([robot], port=0) as host:
         run = Mission(ENDLESS, host.address).start()
         until(lambda: robot.world.odometry.x > 0.05)
@@ -137,7 +139,7 @@ def test_a_host_that_goes_away_ends_the_mission(robot: Told) -> None:
     assert run.phase is Phase.FAILED
 
 
-def test_a_host_that_is_silent_ends_the_mission_and_is_told_to_stand_when_it_comes_back() -> None:
+def test_silent_host_ends_the_mission_and_stops_later() -> None:
     robot = Held()
     with Host([robot], port=0) as host:
         try:
@@ -174,7 +176,7 @@ else:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("what", "how"), [("mission", "end"), ("drive", "end"), ("mission", "killed")])
-def test_a_process_that_ends_leaves_a_robot_that_stands(host: Host, robot: Told, what: str, how: str) -> None:
+def test_ended_process_leaves_the_robot_stopped(host: Host, robot: Told, what: str, how: str) -> None:
     process = subprocess.Popen([sys.executable, "-c", PROGRAM, what, host.address, how], stdin=subprocess.PIPE)
     try:
         until(lambda: robot.world.odometry.x > 0.05, 30.0)
@@ -185,10 +187,10 @@ def test_a_process_that_ends_leaves_a_robot_that_stands(host: Host, robot: Told,
         process.kill()
         process.communicate()
     until(lambda: host.writers == 0)
-    # Who comes to an end has told the robot to stand; for who is killed the host has to see to it.
+    # A process that ends normally sends a stop to the robot; if it is killed, the host has to stop the robot.
     if how == "end":
         assert process.returncode == 0
-        assert robot.stands
+        assert robot.is_stopped
     where = len(robot.told)
     until(lambda: len(robot.told) > where + 3)
     before = robot.world.odometry
@@ -198,16 +200,16 @@ def test_a_process_that_ends_leaves_a_robot_that_stands(host: Host, robot: Told,
 
 
 @pytest.mark.slow
-def test_a_drive_on_a_host(host: Host, robot: Told) -> None:
+def test_drive_works_on_a_host(host: Host, robot: Told) -> None:
     with Drive(host.address) as drive:
         drive.forward(0.2).wait(30.0)
         drive.turn(45).wait(30.0)
         pose = drive.pose
     assert (pose.x, pose.theta) == pytest.approx((0.2, 0.785), abs=0.03)
-    assert robot.stands
+    assert robot.is_stopped
 
 
-def test_a_drive_whose_host_goes_away(robot: Told) -> None:
+def test_closed_host_ends_the_drive(robot: Told) -> None:
     with Host([robot], port=0) as host:
         drive = Drive(host.address)
         motion = drive.forward(100.0)

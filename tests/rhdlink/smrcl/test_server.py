@@ -1,4 +1,4 @@
-"""The port of a mission server, as programs written for MRC use it; what they say is in test_dialogue."""
+"""The port of a mission server, as programs written for MRC use it; the dialogue is tested in test_dialogue."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SECONDS = 20.0
 
 
 class Client:
-    """Sends lines, and reads lines."""
+    """Client that sends and reads lines."""
 
     def __init__(self, server: MissionServer) -> None:
         self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=SECONDS)
@@ -34,7 +34,7 @@ class Client:
         self.socket.sendall("".join(f"{line}\n" for line in lines).encode("latin-1"))
 
     def line(self) -> str:
-        """The next line; "" at the end of the connection."""
+        """Return the next line, or "" at the end of the connection."""
         try:
             return self._lines.readline().rstrip("\n")
         except ConnectionResetError:
@@ -49,7 +49,7 @@ class Client:
         self.socket.close()
 
     def reset(self) -> None:
-        """Go away without a word."""
+        """Reset the connection without closing it properly."""
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         self.close()
 
@@ -71,11 +71,11 @@ def client(server: MissionServer) -> Iterator[Client]:
         yield client
 
 
-def stands(turtle: Turtle) -> bool:
+def is_stopped(turtle: Turtle) -> bool:
     return turtle.cmdtransvel == turtle.cmdrotvel == 0
 
 
-def test_a_client_drives_the_robot(client: Client, turtle: Turtle, server: MissionServer) -> None:
+def test_client_drives_the_robot(client: Client, turtle: Turtle, server: MissionServer) -> None:
     assert client.ask("fwd 0.1") == "ID1 queued"
     assert client.ask("getevent 5") == "ID1 started"
     assert float(client.ask("eval $odox")) < 0.1
@@ -100,20 +100,18 @@ def test_several_clients_share_the_robot(client: Client, server: MissionServer) 
     assert client.ask("eval shared") == "7.000000 "
 
 
-def test_a_client_that_vanishes_leaves_a_robot_that_stands(
-    client: Client, turtle: Turtle, server: MissionServer
-) -> None:
-    """It was driving, and nobody else knows what for."""
+def test_robot_stops_when_its_client_vanishes(client: Client, turtle: Turtle, server: MissionServer) -> None:
+    """The client was driving the robot, and no other client knows its intention."""
     assert client.ask("eval 1") == "1.000000 "
     other = Client(server)
     assert other.ask("drive") == "ID1 queued"
     until(lambda: turtle.cmdtransvel > 1000)
     other.reset()
-    until(lambda: stands(turtle))
+    until(lambda: is_stopped(turtle))
     assert client.ask("eval 1") == "1.000000 "
 
 
-def test_there_are_only_so_many_clients(turtle: Turtle) -> None:
+def test_number_of_clients_is_limited(turtle: Turtle) -> None:
     with MissionServer(turtle, port=0, clients=1) as server:
         first = Client(server)
         assert first.ask("eval 1") == "1.000000 "
@@ -146,12 +144,12 @@ def test_busy_clients_keep_their_slots(turtle: Turtle) -> None:
         newcomer = Client(server)
         assert newcomer.line() == ""
         assert queued.ask("eval 1") == "1.000000 "
-        assert not stands(turtle)
+        assert not is_stopped(turtle)
         for client in (driver, queued, waiting, newcomer):
             client.close()
 
 
-def test_a_client_that_sends_faster_than_it_is_read_does_not_hold_up_the_robot(client: Client, turtle: Turtle) -> None:
+def test_flood_of_lines_does_not_delay_the_robot(client: Client, turtle: Turtle) -> None:
     count = MOST_BACKLOG + 500
     client.send("fwd 0.05", *["eval 1"] * count)
     assert client.line() == "ID1 queued"
@@ -159,7 +157,7 @@ def test_a_client_that_sends_faster_than_it_is_read_does_not_hold_up_the_robot(c
     until(lambda: turtle.world.odometry.x > 0.04)
 
 
-def test_a_line_that_is_too_long_ends_its_client_only(client: Client, server: MissionServer) -> None:
+def test_too_long_line_ends_only_its_client(client: Client, server: MissionServer) -> None:
     with contextlib.closing(Client(server)) as other:
         assert other.ask("x" * 300).startswith("error a line has at most")
         assert other.line() == ""
@@ -167,7 +165,7 @@ def test_a_line_that_is_too_long_ends_its_client_only(client: Client, server: Mi
 
 
 @pytest.mark.parametrize("compat", ["sound", "mrc"])
-def test_no_client_ends_the_server(compat: str, tmp_path: Path) -> None:
+def test_errors_of_clients_do_not_end_the_server(compat: str, tmp_path: Path) -> None:
     with (
         MissionServer(SmrTurtle(World(1000.0)), port=0, compat=compat, log_folder=tmp_path) as server,
         contextlib.closing(Client(server)) as client,
@@ -181,17 +179,17 @@ def test_no_client_ends_the_server(compat: str, tmp_path: Path) -> None:
         assert any("cannot save a log as '../x'" in failure.reason for failure in server.failures)
 
 
-def test_exit_ends_the_client_or_under_mrc_s_profile_the_server(client: Client, turtle: Turtle) -> None:
+def test_exit_ends_the_client_or_the_server_in_mrc_profile(client: Client, turtle: Turtle) -> None:
     assert client.ask("exit") == "ok"
     assert client.line() == ""
     with MissionServer(turtle, port=0, compat="mrc") as server, contextlib.closing(Client(server)) as other:
-        # As MRC it connects to the robot when somebody has come.
+        # Like MRC, the server connects to the robot only when a client has connected.
         assert other.ask("exit") == "ok"
         assert other.line() == ""
         assert server.wait(SECONDS)
 
 
-def test_what_clients_said_before_the_robot_was_there_is_kept() -> None:
+def test_waiting_server_ends_when_it_cannot_connect() -> None:
     with MissionServer("localhost:1", port=0, waits=True) as server, contextlib.closing(Client(server)) as client:
         client.send("fwd 1")
         assert client.line() == ""
@@ -199,7 +197,7 @@ def test_what_clients_said_before_the_robot_was_there_is_kept() -> None:
             server.wait(SECONDS)
 
 
-def test_a_robot_that_goes_away_ends_the_server(turtle: Turtle) -> None:
+def test_server_ends_when_its_robot_disconnects(turtle: Turtle) -> None:
     with Host([turtle], port=0) as host, MissionServer(host.address, port=0) as server:
         client = Client(server)
         assert client.ask("eval 1") == "1.000000 "
@@ -211,12 +209,12 @@ def test_a_robot_that_goes_away_ends_the_server(turtle: Turtle) -> None:
         client.close()
 
 
-def test_a_server_that_ends_leaves_a_robot_that_stands(turtle: Turtle) -> None:
+def test_ended_server_leaves_the_robot_stopped(turtle: Turtle) -> None:
     with MissionServer(turtle, port=0) as server:
         client = Client(server)
         assert client.ask("drive") == "ID1 queued"
         until(lambda: turtle.cmdtransvel > 1000)
-    assert stands(turtle)
+    assert is_stopped(turtle)
     assert client.line() == ""
     client.close()
     assert "ended" in repr(server)
@@ -224,7 +222,7 @@ def test_a_server_that_ends_leaves_a_robot_that_stands(turtle: Turtle) -> None:
         server.start()
 
 
-def test_a_server_that_cannot_begin_says_why(turtle: Turtle, server: MissionServer) -> None:
+def test_start_raises_the_reason_of_a_failure(turtle: Turtle, server: MissionServer) -> None:
     with pytest.raises(BadAddress, match=str(server.port)):
         MissionServer(turtle, port=server.port).run()
     with pytest.raises(BadValue, match="at least 1"):
@@ -239,7 +237,7 @@ def test_a_server_that_cannot_begin_says_why(turtle: Turtle, server: MissionServ
         MissionServer("localhost:1", port=0).start()
 
 
-def test_a_user_s_program_hears_and_helps() -> None:
+def test_callbacks_and_providers_of_a_server_are_used() -> None:
     said: list[str] = []
     link = PluginLink([Turtle(World(1000.0))], is_realtime=True)
     server = MissionServer(link, port=0).on("vision", lambda text: {"vis0": float(len(text))})

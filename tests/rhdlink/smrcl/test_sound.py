@@ -1,4 +1,4 @@
-"""What the sound profile does where the original is wrong, beside what the original does."""
+"""Fixes of the sound profile, compared with the behaviour of the original."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from tests.rhdlink.smrcl.bench import Bench
 ROBOTS = pytest.mark.parametrize("robot", ["velomega", "differential"])
 
 
-# -- the table ----------------------------------------------------------------------------------------------
+# -- the table of differences -------------------------------------------------------------------------------
 
 
-def test_every_difference_is_told_and_used() -> None:
+def test_every_difference_is_described_and_used() -> None:
     sources = "".join(
         path.read_text(encoding="utf-8")
         for path in Path(rhdlink.smrcl.__file__).parent.rglob("*.py")
@@ -39,7 +39,7 @@ def test_every_difference_is_told_and_used() -> None:
     assert all(mrc and ours for mrc, ours in BOTH)
 
 
-def test_profiles_have_names() -> None:
+def test_profiles_are_found_by_name() -> None:
     assert find_profile("mrc") is MRC
     mixed = dataclasses.replace(SOUND, full_turns=False)
     assert find_profile(mixed) is mixed
@@ -51,7 +51,7 @@ def test_profiles_have_names() -> None:
 
 
 @ROBOTS
-def test_an_arc_ends(robot: str) -> None:
+def test_turnr_ends_at_its_angle(robot: str) -> None:
     sound = Bench(robot).run("turnr 0.5 90\nwait 3\n")
     assert sound.pose[2] == pytest.approx(90.0, abs=2.0)
     assert sound.pose[:2] == pytest.approx((0.5, 0.51), abs=0.01)
@@ -62,7 +62,7 @@ def test_an_arc_ends(robot: str) -> None:
 
 
 @ROBOTS
-def test_an_arc_goes_over_into_the_next_motion_at_full_speed(robot: str) -> None:
+def test_turnr_continues_into_the_next_motion_at_full_speed(robot: str) -> None:
     bench = Bench(robot).run("turnr 0.5 90\ndrive : ($drivendist > 0.3)\n")
     moving = [speed for speed, _ in bench.speeds if speed > 0.0]
     fastest = moving.index(max(moving))
@@ -70,7 +70,7 @@ def test_an_arc_goes_over_into_the_next_motion_at_full_speed(robot: str) -> None
 
 
 @ROBOTS
-def test_stop_stands(robot: str) -> None:
+def test_stop_stops_the_robot(robot: str) -> None:
     source = "turnr 0.5 90\nstop\nwait 5\neval $odox\n"
     sound = Bench(robot).run(source)
     assert math.dist(sound.pose[:2], (0.5, 0.5)) < 0.02
@@ -81,8 +81,8 @@ def test_stop_stands(robot: str) -> None:
 
 
 @ROBOTS
-def test_the_sign_of_the_speed_does_not_matter_to_a_turn(robot: str) -> None:
-    """MRC ramps down through 0 to a negative speed, and turns by its amount."""
+def test_sign_of_the_speed_does_not_affect_a_turn(robot: str) -> None:
+    """MRC decelerates through 0 to a negative speed, and turns by its absolute value."""
     source = "fwd 1 : ($drivendist > 0.3)\nturn 90 @v -0.3\n"
     slowest = {}
     for profile in ("sound", "mrc"):
@@ -96,15 +96,15 @@ def test_the_sign_of_the_speed_does_not_matter_to_a_turn(robot: str) -> None:
 
 @ROBOTS
 @pytest.mark.parametrize("angle", [180, 270, -200, 720])
-def test_a_turn_goes_as_far_as_it_was_told(robot: str, angle: int) -> None:
+def test_turn_covers_its_whole_angle(robot: str, angle: int) -> None:
     assert Bench(robot).run(f"turn {angle}\nwait 1\n").pose[2] == pytest.approx(angle, abs=0.3)
     mrc = Bench(robot, "mrc").run(f"turn {angle}\nwait 1\n").pose[2]
     assert mrc == pytest.approx(math.degrees(math.remainder(math.radians(angle), math.tau)), abs=0.3)
 
 
 @ROBOTS
-def test_a_turn_by_half_a_turn_ends_after_a_stall(robot: str) -> None:
-    """Ten ticks without an answer, just before the end: the heading wraps, and MRC's error jumps by a full turn."""
+def test_turn_by_180_degrees_ends_after_a_stall(robot: str) -> None:
+    """The stall of ten ticks is just before the end: the heading wraps, and the error of MRC jumps by a full turn."""
 
     def stalled(profile: str) -> Bench:
         bench = Bench(robot, profile).load("turn 180 @v 0.3\n")
@@ -114,14 +114,14 @@ def test_a_turn_by_half_a_turn_ends_after_a_stall(robot: str) -> None:
         return bench.run(cycles=2000)
 
     assert stalled("sound").is_over
-    # A velocity-omega robot creeps back over the place where the heading wraps; wheels have steps of 1 cm/s and do not.
+    # A velocity-omega robot creeps back across the wrap of the heading; wheels have steps of 1 cm/s and do not.
     assert stalled("mrc").controller.is_finished == (robot == "velomega")
 
 
 @pytest.mark.slow
 @ROBOTS
-def test_a_path_is_driven_from_any_speed(robot: str) -> None:
-    """The first arc of this one goes backward, and is short."""
+def test_drivetopoint_works_at_any_initial_speed(robot: str) -> None:
+    """The first arc of this path is short and goes backwards."""
     source = 'fwd 1 : ($drivendist > 0.5)\ndrivetopoint 0 0 180 0.3 "abs"\nwait 0.5\neval $odox\n'
     goal = {profile: Bench(robot, profile).run(source).pose for profile in ("sound", "mrc")}
     assert math.hypot(*goal["sound"][:2]) < 0.1
@@ -130,7 +130,7 @@ def test_a_path_is_driven_from_any_speed(robot: str) -> None:
 
 
 @ROBOTS
-def test_a_path_leaves_the_speed_as_it_was(robot: str) -> None:
+def test_drivetopoint_keeps_the_sign_of_the_speed(robot: str) -> None:
     source = "drivetopoint -0.5 0 0 0.3 @v 0.25\nidle\nwait 0.2\ndrive : ($cmdtime > 1)\n"
     forward = Bench(robot).run(source).speeds[-3][0]
     backward = Bench(robot, "mrc").run(source).speeds[-3][0]
@@ -139,7 +139,7 @@ def test_a_path_leaves_the_speed_as_it_was(robot: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_path_lies_where_it_was_planned_whatever_was_driven_before() -> None:
+def test_drivetopoint_does_not_depend_on_earlier_motions() -> None:
     source = "fwd 0.4\nidle\nwait 0.3\ndrivetopoint 2 0.5 0 0.3\nidle\nwait 0.1\n"
     sound, mrc = (Bench("differential", profile).run(source).pose for profile in ("sound", "mrc"))
     assert math.dist(sound[:2], (2.4, 0.5)) < 0.1
@@ -147,13 +147,13 @@ def test_a_path_lies_where_it_was_planned_whatever_was_driven_before() -> None:
 
 
 @pytest.mark.parametrize("profile", ["sound", "mrc"])
-def test_only_forward_where_that_is_asked_for(profile: str) -> None:
+def test_drivetopoint_honours_the_forward_only_option(profile: str) -> None:
     source = 'setpar "motioncontrol" "drivetopoint" "evalmethod" 1\ndrivetopoint -1 0 0 0.3\n'
     speeds = [speed for speed, _ in Bench("velomega", profile).run(source).speeds]
     assert (min(speeds) >= 0.0) == (profile == "sound")
 
 
-def test_wheels_steer_a_velocity_omega_robot() -> None:
+def test_motorcmds_and_turnc_steer_a_velocity_omega_robot() -> None:
     source = "motorcmds 0.1 0.2\nwait 1\neval $odoth\n"
     assert Bench("velomega").run(source).value == pytest.approx(0.1 / 0.26, abs=0.02)
     assert Bench("velomega", "mrc").run(source).value == 0.0
@@ -162,7 +162,7 @@ def test_wheels_steer_a_velocity_omega_robot() -> None:
     assert Bench("velomega", "mrc").run(arc).value == 0.0
 
 
-def test_outputs_are_rounded_alike_on_both_sides_of_zero() -> None:
+def test_outputs_are_rounded_symmetrically_around_zero() -> None:
     sent = {}
     for profile in ("sound", "mrc"):
         bench = Bench("differential", profile).run("motorcmds -0.255 0.255\nwait 0.1\n", cycles=30)
@@ -173,7 +173,7 @@ def test_outputs_are_rounded_alike_on_both_sides_of_zero() -> None:
     assert bench.controller.failure is None
 
 
-def test_who_has_no_infrared_sensors_knows_of_no_obstacle() -> None:
+def test_robot_without_infrared_sensors_sees_no_obstacle() -> None:
     for profile, moves in (("sound", True), ("mrc", False)):
         bench = Bench("differential", profile)
         vehicle = bench.controller.vehicle
@@ -182,15 +182,15 @@ def test_who_has_no_infrared_sensors_knows_of_no_obstacle() -> None:
         assert (bench.pose[0] > 0.1) == moves
 
 
-def test_a_robot_stands_before_its_first_motion() -> None:
+def test_robot_does_not_move_before_its_first_motion() -> None:
     source = 'set "$odoth" 1.5\nwait 1\n'
     assert abs(Bench("differential").run(source).pose[2]) == 0.0
     assert abs(Bench("differential", "mrc").run(source).pose[2]) > 10.0
 
 
 @ROBOTS
-def test_missed_answers_are_counted(robot: str) -> None:
-    """Every third answer is lost. A robot that drives on must not be thought to be three times as fast."""
+def test_ticks_of_missed_answers_are_counted(robot: str) -> None:
+    """Four of five answers are lost; the robot must not appear to be five times as fast."""
     bench = Bench(robot, conf=dataclasses.replace(SMR, max_tick=130.0) if robot == "differential" else None)
     bench.load("fwd 3\neval $odox\n")
     bench.run_until(lambda: bench.pose[0] > 0.5)
@@ -210,7 +210,7 @@ def test_missed_answers_are_counted(robot: str) -> None:
 # -- the language -------------------------------------------------------------------------------------------
 
 
-def test_a_remainder_does_not_include_the_divisor() -> None:
+def test_remainder_does_not_include_the_divisor() -> None:
     assert Bench().run("eval rem(3,3)\n").value == 0.0
     assert Bench("velomega", "mrc").run("eval rem(3,3)\n").value == 3.0
 
@@ -224,7 +224,7 @@ def test_errors_name_the_line_of_the_file() -> None:
     assert mrc.printed.endswith(" syntax error in line : 19 \n")
 
 
-def test_a_script_with_mistakes_does_not_begin() -> None:
+def test_script_with_errors_does_not_start() -> None:
     turtle = Turtle()
     with pytest.raises(BadMission) as caught:
         Mission('fwd 1\n  turn (\ngoto "x"\nfwd y\neval $odoz\nfwd 1 2\nif (1) "q"\n', turtle).run()
@@ -235,7 +235,7 @@ def test_a_script_with_mistakes_does_not_begin() -> None:
     assert mrc.pose[0] > 0.09
 
 
-def test_a_line_goes_on_behind_a_new_variable() -> None:
+def test_line_continues_after_a_new_variable() -> None:
     assert Bench().run("a = 1 b = 2 eval a ; b\n").values == [[1.0, 2.0]]
     mrc = Bench("velomega", "mrc").run("a = 1 b = 2 eval a ; b\neval b\n")
     assert mrc.values == [[1.0]]
@@ -275,7 +275,7 @@ def test_a_line_goes_on_behind_a_new_variable() -> None:
         ("wait 1 @v n", "@v -nan is not a speed"),
     ],
 )
-def test_what_cannot_be_done_is_said_and_what_mrc_goes_on_after(line: str, reason: str) -> None:
+def test_impossible_statement_fails_but_mrc_continues(line: str, reason: str) -> None:
     source = f'array "q" 3\nz = 0\nn = 0/0\n{line}\neval 1\n'
     bench = Bench().run(source, cycles=300)
     assert bench.reason.startswith(reason)
@@ -284,7 +284,7 @@ def test_what_cannot_be_done_is_said_and_what_mrc_goes_on_after(line: str, reaso
     assert mrc.controller.failure is None
 
 
-def test_what_mrc_reads_beyond_an_array_prints_as_zero_and_is_true() -> None:
+def test_mrc_reads_zero_that_is_true_beyond_an_array() -> None:
     bench = Bench("velomega", "mrc").run('array "q" 3\neval q[9]\nif (q[9]) "x"\neval 5\nlabel "x"\neval q[9] == 0\n')
     assert bench.values == [[0.0], [0.0]]
 
@@ -294,22 +294,22 @@ def test_tick_is_the_count_of_the_robot() -> None:
     assert Bench("velomega", "mrc").run("wait 0.1\neval $tick\n").value == 0.0
 
 
-def test_watches_leave_the_conditions_alone() -> None:
+def test_watches_do_not_affect_stop_conditions() -> None:
     source = 'addwatch "w" 1 : ($odox > 5)\nfwd 2 : ($drivendist > 5) | ($drivendist > 0.2)\neval $condition\n'
     assert Bench().run(source).value == 2.0
-    # MRC keeps the first value of a watch where the first condition was, and finds the second one behind it.
+    # MRC stores the first value of a watch in place of the first condition, and finds the second condition after it.
     assert Bench("velomega", "mrc").run(source).value == 2.0
     both = source.replace("$drivendist > 5", "$drivendist > 0.2")
     assert Bench().run(both).value == 1.0
     assert Bench("velomega", "mrc").run(both).value == 2.0
 
 
-def test_there_are_more_than_two_watches() -> None:
+def test_sound_profile_allows_more_than_two_watches() -> None:
     source = "".join(f'addwatch "w{number}" 1 : (1)\n' for number in range(4))
     for profile, fired in (("sound", 4), ("mrc", 2)):
         assert len(Bench("velomega", profile).run(source).texts(SaidKind.EVENT)) == fired
 
 
-def test_a_mixture_of_both_can_be_had() -> None:
+def test_profiles_can_be_mixed() -> None:
     mixed: Profile = dataclasses.replace(SOUND, turnr_ends=False)
     assert Bench("velomega", mixed).run("turnr 0.5 90\nwait 3\neval rem(3,3)\n").values == [[0.0]]

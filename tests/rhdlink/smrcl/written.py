@@ -1,4 +1,4 @@
-"""Trees of SMR-CL as text that is read back as the same tree."""
+"""Convert trees of SMR-CL to text that is parsed to the same tree."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["write_expression", "write_line"]
 
 
 def write_expression(expression: Expression, loosest: int = 0) -> str:
-    """An expression as text, in brackets if it binds looser than `loosest`."""
+    """Return an expression as text, in brackets if its precedence is below `loosest`."""
     if isinstance(expression, NumberLiteral):
         return _number(expression.value)
     if isinstance(expression, VariableName):
@@ -40,7 +40,7 @@ def write_expression(expression: Expression, loosest: int = 0) -> str:
     if isinstance(expression, Call):
         return f"{expression.name}({', '.join(map(write_expression, expression.arguments))})"
     if isinstance(expression, Negate):
-        # The operand takes what binds at least as tightly as a minus, and a minus of its own.
+        # The operand may be anything that binds at least as tightly as a minus, including another minus.
         text, level = f"-{write_expression(expression.operand, UNARY_PRECEDENCE)}", UNARY_PRECEDENCE
     else:
         level = PRECEDENCE[expression.operator]
@@ -52,10 +52,10 @@ def write_expression(expression: Expression, loosest: int = 0) -> str:
 
 
 def write_line(line: ScriptLine) -> str:
-    """A line as text that is read back as the same line. It has no problem.
+    """Return a line as text that is parsed to the same line.
 
     Raises:
-        ValueError: a line with a problem, or a text in it that cannot be written.
+        ValueError: If the line has a problem, or contains a text that cannot be written.
     """
     if line.problem is not None:
         raise ValueError(f"a line with a problem has no text: {line.problem.message}")

@@ -1,7 +1,7 @@
-"""A program that moves an arm, or makes a call, on a computer or in a process of its own: `python -m ... ROW ADDRESS`.
+"""Client program that moves an arm or makes a call, in its own computer or process: `python -m ... ROW ADDRESS`.
 
-It writes "ready", makes the call when a line comes in, waits for its end if that was "wait", and writes what became of
-it. Then it waits to be ended.
+It writes "ready", and makes the call when a line arrives. If the line is "wait", it waits for the end of the motion.
+Then it writes the result of the call, and waits until it is ended.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from urlink.motion.moves.trajectory import Trajectory
 from urlink.robot import Robot
 from urlink_compat import rtde_control, urx
 
-#: rad; where the arm stands at first, and where a motion goes from there; it takes some 8 s.
+#: Start position and goal of motions, in rad. A motion between them takes about 8 s.
 READY = np.array(controller.READY)
 GOAL = READY + np.array([0.8, 0, 0, 0, 0, 0])
 SLOW = 0.1
-#: of the tool, along y of the base
+#: Direction of tool motions: along y of the base.
 ASIDE = np.array([0, 1, 0, 0, 0, 0])
 TEXT = f"movej({GOAL.tolist()}, a=4, v={SLOW})"
-#: s for which a speed is held, and of a trajectory.
+#: Duration of speed motions and trajectories, in s.
 LONG = 8.0
-#: s in which an answer has to come, and s that a motion may take to begin.
+#: Time limit for answers and for the start of a motion, in s.
 ANSWER = 1.0
 
-#: What makes the call; what is to be open around it goes onto the stack, and what has to be done before is done.
+#: Function that prepares a call and returns a function that makes it; surrounding blocks are entered on the stack.
 Begin = Callable[[Robot, contextlib.ExitStack], Callable[[], object]]
 
 
@@ -46,12 +46,12 @@ def pose(robot: Robot) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def moved(name: str, *arguments: Any, **options: Any) -> Begin:
-    """A method of `robot.motion`."""
+    """Prepare a call of a method of `robot.motion`."""
     return lambda robot, block: lambda: getattr(robot.motion, name)(*arguments, **options)
 
 
 def entered(make: Callable[[Robot], Any], use: Callable[[Robot, Any], object]) -> Begin:
-    """A block, and what is done in it."""
+    """Prepare a block, and an action within it."""
 
     def begin(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
         return lambda: use(robot, block.enter_context(make(robot)))
@@ -86,7 +86,7 @@ def follow(robot: Robot, block: contextlib.ExitStack, **how: Any) -> Callable[[]
 
 
 def lead(robot: Robot, servo: Any) -> None:
-    """Answers each state by a set-point a little further on."""
+    """Send a set-point slightly further for each state."""
     begun = robot.realtime.wait(5).time
 
     def send(state: Any) -> None:
@@ -97,7 +97,7 @@ def lead(robot: Robot, servo: Any) -> None:
 
 
 def streamed(robot: Robot, stream: Any) -> None:
-    """Points at a steady speed, all of them at once; most of them wait in memory."""
+    """Append all points of a motion with constant speed at once; most of them are buffered in memory."""
     way = np.array(TURN)
     times = np.arange(0.1, LONG, 0.1)
     ramp = [SLOW * (max(time - 0.5, 0.0) + 0.5 * min(time, 0.5) ** 2 / 0.5) for time in times]
@@ -110,13 +110,13 @@ def streamed(robot: Robot, stream: Any) -> None:
 
 
 def drawn(robot: Robot, impedance: Any) -> None:
-    """The last joint, slowly: a radian at 0.7 rad/s."""
+    """Move the target of the last joint by one radian; the joint follows slowly, at 0.7 rad/s."""
     q = robot.realtime.wait().q_actual
     impedance.send([*q[:5], q[5] + 1.0])
 
 
 def twist(robot: Robot, torque: Any) -> None:
-    """A small torque on the last joint."""
+    """Send a small torque on the last joint for each state."""
 
     def send(state: Any) -> None:
         with contextlib.suppress(urlink.LinkError):
@@ -126,7 +126,7 @@ def twist(robot: Robot, torque: Any) -> None:
 
 
 def speed_short(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
-    """Called again and again, as a loop does, until one fails."""
+    """Prepare a short speed motion that is repeated, as in a loop, until one fails."""
     is_over = threading.Event()
     block.callback(is_over.set)
 
@@ -158,11 +158,11 @@ def dashboard_play(robot: Robot, block: contextlib.ExitStack) -> Callable[[], ob
 
 def gripper(robot: Robot, block: contextlib.ExitStack) -> Callable[[], object]:
     robot.gripper.activate()
-    return lambda: robot.gripper.set(POS=255, SPE=0, GTO=1)  # what `move` sends, after a question
+    return lambda: robot.gripper.set(POS=255, SPE=0, GTO=1)  # the same command as `move`, which first sends a query
 
 
 def off(robot: Robot) -> None:
-    """Switch the arm off, and wait until it is."""
+    """Switch the arm off, and wait until it is off."""
     robot.dashboard.power_off()
     until = time.monotonic() + 10.0
     while robot.realtime.wait(5).robot_mode != urlink.packets.RobotMode.POWER_OFF and time.monotonic() < until:
@@ -233,13 +233,13 @@ ROWS: dict[str, Begin] = {
 
 
 def program(name: str, address: str, read: Callable[[], str], write: Callable[[str], object]) -> None:
-    """The program.
+    """Run the client program.
 
     Args:
-        name: of the row.
-        address: of the controller.
-        read: waits for a line, or for the end.
-        write: writes one.
+        name: Name of the row.
+        address: Address of the controller.
+        read: Function that waits for a line, or for the end.
+        write: Function that writes a line.
     """
     with urlink.connect(address, timeout=ANSWER) as robot, contextlib.ExitStack() as block:
         robot.motion.stop(wait=10)
@@ -259,12 +259,12 @@ def program(name: str, address: str, read: Callable[[], str], write: Callable[[s
 
 
 def end(how: str, robot: Robot, block: contextlib.ExitStack, result: object) -> None:
-    """End what was begun in one of the ways of `table.ENDS`; nothing for any other line."""
+    """End the motion or call in one of the ways of `table.ENDS_HERE`; do nothing for any other line."""
     if how == "block left":
         if isinstance(result, urlink.Handle):
             with result:
                 pass
-        # In a thread: an interpreter mode is left when its statements were executed.
+        # Leave the blocks in a thread, because leaving an interpreter mode waits for its statements.
         threading.Thread(target=block.close, daemon=True).start()
     elif how == "close":
         robot.close()

@@ -1,4 +1,4 @@
-"""A simulated controller that does and reports what it is asked; as a process: `python -m ... ARM FIRMWARE`."""
+"""Simulated controller that executes and reports requests of a test; as a process: `python -m ... ARM FIRMWARE`."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from urlink.simulator import Controller, Still
 
 __all__ = ["READY", "Reports", "make"]
 
-#: s; longer than every case takes, so that nothing is left behind.
+#: Time limit for waits, in s. It is longer than every case, and ensures that no process is left behind.
 _LONGEST = 300.0
-#: rad/s above which the arm moves.
+#: Joint speed above which the arm counts as moving, in rad/s.
 _MOVES = 1e-3
-#: What is saved at its pendant.
+#: Programs that are saved on the pendant.
 FILES = {"/p.urp": "def p():\n  movej([0.8, -1.6, 1.6, -1.6, -1.6, 0.0], a=4, v=0.1)\nend\n"}
-#: rad; elbow up, tool down.
+#: Joint positions with the elbow up and the tool down, in rad.
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
-#: N, along x; what a hand pushes with.
+#: Force along x with which a hand pushes the arm, in N.
 _PUSH = 20.0
 
 
@@ -27,7 +27,7 @@ def make(arm: str, firmware: str, **where: Any) -> Controller:
 
 
 class Reports:
-    """What the test asks. The arm is looked at in each cycle; seconds are those of the robot, boots included."""
+    """Requests of the test. The arm is observed in each cycle. Times are seconds of the robot, including its boots."""
 
     def __init__(self, controller: Controller) -> None:
         self.controller = controller
@@ -49,28 +49,28 @@ class Reports:
         return max(map(abs, self.controller.arm.setpoint.qd)) > _MOVES
 
     def state(self) -> tuple[Any, ...]:
-        """What a call may change: joints, fingers, mode, outputs."""
+        """Return the values that a call may change: joints, fingers, mode and outputs."""
         controller = self.controller
         outputs = controller.signals.digital_outputs
         return list(controller.arm.setpoint.q), controller.gripper.position, controller.modes.robot_mode.name, outputs
 
     def mark(self) -> None:
-        """From now on counts what `moved` reports."""
+        """Start the measurement that `moved` reports."""
         self._marked = self._moved = self.controller.cycle
         self._longest_rest = 0
 
     def moved(self) -> tuple[float, float]:
-        """s from the mark to the last cycle in which the arm moved, and for which it rested at most until then."""
+        """Return the time from the mark to the last movement, and the longest rest before it, both in s."""
         return (self._moved - self._marked) / self.rate, self._longest_rest / self.rate
 
     def after(self, seconds: float) -> None:
-        """So much later."""
+        """Wait for this time of the robot."""
         end = self.controller.cycle + seconds * self.rate
         while self.controller.cycle < end and time.monotonic() < self.until:
             time.sleep(0.01)
 
     def end(self) -> list[float]:
-        """Where the joints are, in 1e-4 rad, when the arm has come to rest."""
+        """Wait until the arm is at rest, and return the joint positions, rounded to 1e-4 rad."""
         while self.controller.cycle - self._moved < self.rate and time.monotonic() < self.until:
             time.sleep(0.01)
         return [round(each, 4) for each in self.controller.arm.setpoint.q]

@@ -1,4 +1,4 @@
-"""Real Ctrl-C at random moments after a motion was begun: the arm stops, and the robot stays open, as in a notebook.
+"""Real Ctrl-C at random moments after a motion was started; the arm stops and the robot stays open, as in a notebook.
 
     python -m tests.urlink.afterwards.interrupts --each 75
 
@@ -31,13 +31,13 @@ from urlink.robot import Robot
 __all__ = ["KINDS", "interrupted"]
 
 _ROOT = Path(__file__).resolve().parents[3]
-#: s after the call was entered, within which it is interrupted.
+#: Latest interrupt after the start of the call, in s.
 WITHIN = 0.1
-#: s in which an arm has come to rest that was told to brake, and for which it has to stay there.
+#: Time limit for a braking arm to come to rest, and time for which it has to stay there, in s.
 _BRAKES, _STAYS = 3.0, 0.3
-#: rad/s below which an arm is at rest.
+#: Joint speed below which an arm counts as at rest, in rad/s.
 _RESTS = 1e-3
-#: s that a kind may last by itself.
+#: Maximum duration of a kind without an interrupt, in s.
 _LASTS = 10.0
 
 Kind = Callable[[Sequence[Robot]], object]
@@ -140,7 +140,7 @@ def _group_stream(robots: Sequence[Robot]) -> None:
         _until_interrupted()
 
 
-#: Kind of motion or block -> a function that begins it and stays in it; it is interrupted somewhere.
+#: Function for each kind of motion or block that starts it and stays in it; the interrupt comes at any moment.
 KINDS: dict[str, Kind] = {
     "move_joints": lambda robots: robots[0].motion.move_joints(client.GOAL, client.SLOW, 4.0, wait=True),
     "move_linear": lambda robots: robots[0].motion.move_linear(_pose(robots[0]) + client.ASIDE * 0.2, 0.03, wait=True),
@@ -178,7 +178,7 @@ KINDS: dict[str, Kind] = {
 
 @contextlib.contextmanager
 def arms() -> Iterator[list[Robot]]:
-    """Two simulated arms, each in a process of its own, and robots that are connected to them."""
+    """Start two simulated arms in separate processes, and yield robots that are connected to them."""
     with contextlib.ExitStack() as opened:
         robots = []
         for _ in range(2):
@@ -189,14 +189,14 @@ def arms() -> Iterator[list[Robot]]:
             opened.callback(process.kill)
             assert process.stdout is not None
             address = process.stdout.readline().strip()
-            # What is silent or late here is so because the machine is busy.
+            # Allow long silences and delays, because they are caused only by a busy computer here.
             robot = urlink.connect(address, silence=20.0, stale_after=20.0, start_timeout=20.0)
             robots.append(opened.enter_context(robot))
         yield robots
 
 
 def interrupted(robots: Sequence[Robot], kind: str, after: float) -> str:
-    """Begin one kind, interrupt it, and say what is wrong then; "" if the arms stop and stay where they are."""
+    """Start one kind and interrupt it; return a description of the failure, or "" if the arms stop and stay at rest."""
     for robot in robots:
         robot.motion.move_joints(controller.READY, speed=1.0, wait=20)
         robot.realtime.wait_until(_rests, timeout=_BRAKES)
@@ -218,9 +218,9 @@ def interrupted(robots: Sequence[Robot], kind: str, after: float) -> str:
         current = robot.motion.current
         if current is not None:
             with contextlib.suppress(urlink.LinkError):
-                current.wait(_BRAKES)  # a short speed ends by itself
+                current.wait(_BRAKES)  # a short speed motion ends on its own
             if not current.done:
-                return f"{current!r} was left"
+                return f"{current!r} is still running"
     there = [robot.realtime.wait().q_target for robot in robots]
     time.sleep(_STAYS)
     for robot, q in zip(robots, there, strict=True):

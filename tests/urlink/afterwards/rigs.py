@@ -1,4 +1,4 @@
-"""Both ends, with the arm at rest and the call not made yet: in simulated time, or in processes of their own."""
+"""Controller and client before the call, with the arm at rest: in simulated time, or in separate processes."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ from tests.urlink.afterwards.table import FIRMWARES
 
 __all__ = ["TIMEOUT", "Processes", "Rig", "Simulated"]
 
-#: s in which an end answers.
+#: Time limit for an answer of an end, in s.
 TIMEOUT = 100.0
 _ROOT = Path(__file__).resolve().parents[3]
 _MODULE = "tests.urlink.afterwards"
 
 
 class Rig(Protocol):
-    """What a test needs of both ends; "controller" and "client" are their names."""
+    """Interface of a test to both ends, which have the names "controller" and "client"."""
 
-    #: s for which an end is suspended, and the network is silent: longer than a robot may be (`stale_after`).
+    #: Duration of a suspended end or a silent network, in s: longer than a robot may be silent (`stale_after`).
     hold: float
 
     def ask(self, name: str, *arguments: float) -> Any:
-        """A method of `controller.Reports`."""
+        """Call a method of `controller.Reports`."""
 
     def write(self, line: str) -> None:
-        """A line for the client."""
+        """Send a line to the client."""
 
     def read(self) -> str:
-        """The client's next line."""
+        """Return the next line of the client."""
 
     def suspend(self, end: str) -> None:
-        """Returns once all of its threads stand still."""
+        """Suspend an end, and return when all of its threads have stopped."""
 
     def resume(self, end: str) -> None: ...
 
     def kill(self, end: str) -> None: ...
 
     def network(self, state: str) -> None:
-        """Have it "up" or "down"."""
+        """Switch the network "up" or "down"."""
 
     def close(self) -> None: ...
 
@@ -57,7 +57,7 @@ class Rig(Protocol):
 class Simulated:
     """Two computers in simulated time."""
 
-    #: longer than the time after which the controller does not make up for the cycles in which it was suspended
+    #: Longer than the time after which the controller does not catch up on the cycles in which it was suspended.
     hold = 6.0
 
     def __init__(self, sim: Simulation, firmware: str, row: str) -> None:
@@ -106,17 +106,17 @@ class Simulated:
         change(self._ends["client"], self._ends["controller"])
 
     def close(self) -> None:
-        """Nothing: what goes on ends with the simulation."""
+        """Do nothing, because everything ends with the simulation."""
 
 
 class Process:
-    """One that is asked line by line."""
+    """Process that is controlled line by line."""
 
     def __init__(self, *command: str) -> None:
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=_ROOT)
 
     def read(self) -> str:
-        """The next line that it prints."""
+        """Return the next line that the process prints."""
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line, f"{self.process.args!r} has ended with {self.process.wait(TIMEOUT)}"
@@ -134,7 +134,7 @@ class Process:
 
 
 class Processes:
-    """Two processes in real time; in a network of their own if it is to fall silent."""
+    """Two processes in real time, with their own network if the test has to cut it."""
 
     hold = 5.0
 

@@ -1,9 +1,9 @@
-"""What happens to each kind of motion and call when something fails, and when a program ends it or ends itself.
+"""Tables of the effects on each motion and call when something fails, or when a program ends the motion or itself.
 
     python -m tests.urlink.afterwards.table     writes both tables into docs/reliability.md and docs/motion-ends.md
 
-Every cell of the first table is a case of `test_afterwards.py`, on each firmware that has the row. Every cell of the
-second one is a case of `test_ends.py`, or of `test_interrupts.py` for Ctrl-C.
+Every cell of the first table is a case of `test_afterwards.py`, on each firmware that supports the row. Every cell of
+the second table is a case of `test_ends.py`, or of `test_interrupts.py` for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from urlink.protocol.firmware import Firmware
 
 __all__ = ["CALLED", "COLUMNS", "FIRMWARES", "ROWS", "Row", "cases", "cells", "firmwares", "pages"]
 
-#: firmware -> arm
+#: Arm for each firmware.
 FIRMWARES = {"3.15": "ur5", "5.11": "ur5e", "10.12": "ur5e"}
-#: What happens while the arm is under way.
+#: Events while the arm moves.
 UNDER_WAY = ("cut", "silence", "suspended controller", "suspended client", "killed client", "reboot")
-#: The controller is suspended; the call fails, and then the controller goes on.
+#: The call is made while the controller is suspended, and fails; then the controller resumes.
 CALLED = "called meanwhile"
 COLUMNS = (*UNDER_WAY, CALLED)
 
-#: How a program ends what it has begun, or ends itself, as `client.py` knows it.
+#: Ways in which a program ends a motion or ends itself, by their names in `client.py`.
 ENDS_HERE = ("block left", "close", "exit")
-#: The columns of the second table.
+#: Columns of the second table.
 HEADS = ("Ctrl-C during a wait", "its block ends", "`robot.close()`", "exit, SIGTERM", "SIGKILL")
 
-#: The words of the cells.
+#: Texts of the cells.
 GOES_ON, BRAKES, ENDS = "continues to its end", "brakes", "stops"
 NOT, BACK, LATE = "does not move", "is undone", "**is executed**"
 
@@ -45,20 +45,20 @@ _ALWAYS, _X = Since("1.6"), Since("10.7")
 
 @dataclass(frozen=True)
 class Row:
-    """A kind of motion or call.
+    """Kind of motion or call.
 
     Attributes:
-        title: as the page has it.
-        led: it is led over a link, so that the robot brakes when this computer is gone.
-        called: what becomes of it if it is called while the controller is suspended.
-        by_api: the same on PolyScope X, where that is something else.
-        within: s of the robot's time in which it comes to rest, where it brakes.
-        lasts: it is under way for some time.
-        since: the firmware that has it.
-        interrupted: what Ctrl-C does while a program waits for it; empty if a program cannot wait for it.
-        left: what leaving its block does, or cancelling its handle; empty if it has none.
-        closed: what closing the robot does.
-        exits: what the end of the process does, if the robot was not closed.
+        title: Title on the page.
+        led: Whether it is commanded over a link, so that the robot brakes when this computer is no longer connected.
+        called: Effect if it is called while the controller is suspended.
+        by_api: Effect on PolyScope X, if it differs from `called`.
+        within: Time limit for the arm to come to rest if it brakes, in s of the robot's time.
+        lasts: Whether it lasts for some time.
+        since: Firmware that supports it.
+        interrupted: Effect of Ctrl-C while a program waits for it; empty if a program cannot wait for it.
+        left: Effect of leaving its block or cancelling its handle; empty if it has none.
+        closed: Effect of closing the robot.
+        exits: Effect of the end of the process, if the robot was not closed.
     """
 
     title: str
@@ -74,11 +74,11 @@ class Row:
     exits: str = BRAKES
 
     def ends(self, how: str) -> str:
-        """What one of `ENDS_HERE` does to it; empty if there is no such case."""
+        """Return the effect of one of `ENDS_HERE`; empty if there is no such case."""
         return {"block left": self.left, "close": self.closed, "exit": self.exits}[how]
 
     def becomes(self, column: str, firmware: str) -> str:
-        """What is in its cell; empty where there is no such case."""
+        """Return the text of its cell; empty if there is no such case."""
         if column == CALLED:
             return self.by_api if self.by_api and Firmware.parse(firmware) in _X else self.called
         if not self.lasts:
@@ -90,7 +90,7 @@ class Row:
 
 _CB3, _REGISTERS, _E = Since("3.0"), Since("3.9/5.3"), Since("5.10")
 
-#: name, by which `client.py` begins it -> row
+#: Rows by their names in `client.py`.
 ROWS = {
     "move_joints": Row("`move_joints`"),
     "move_linear": Row("`move_linear`"),
@@ -117,7 +117,7 @@ ROWS = {
     "script": Row("`robot.script.run`"),
     "script_detached": Row("`robot.script.run(detached=True)`", closed=GOES_ON, exits=GOES_ON),
     "interpreter": Row("`interpreter.execute`", called=BACK, since=_E, left=GOES_ON),
-    # The Robot API is asked first whether the program is paused.
+    # With the Robot API, urlink first asks whether the program is paused.
     "dashboard_play": Row(
         "`robot.dashboard.play` (dashboard server or Robot API)",
         called=BACK,
@@ -139,12 +139,12 @@ ROWS = {
 
 
 def firmwares(name: str) -> list[str]:
-    """Those that have this row."""
+    """Return the firmwares that support a row."""
     return [each for each in FIRMWARES if Firmware.parse(each) in ROWS[name].since]
 
 
 def cells() -> Iterator[tuple[str, str, str]]:
-    """(firmware, row, column) of each case."""
+    """Yield (firmware, row, column) of each case."""
     for name, row in ROWS.items():
         for column in COLUMNS:
             for firmware in firmwares(name):
@@ -153,12 +153,12 @@ def cells() -> Iterator[tuple[str, str, str]]:
 
 
 def cases() -> Iterator[tuple[str, str]]:
-    """(row, way of `ENDS_HERE`) of each case of the second table."""
+    """Yield (row, way of `ENDS_HERE`) of each case of the second table."""
     yield from ((name, how) for name, row in ROWS.items() for how in ENDS_HERE if row.lasts and row.ends(how))
 
 
 def drawn() -> str:
-    """The first table as Markdown; what becomes the same everywhere is one row."""
+    """Return the first table as Markdown; kinds with the same effects share one row."""
     heads = ("Running motion or call", *UNDER_WAY, "called while the controller is suspended")
     titles: dict[tuple[str, ...], list[str]] = {}
     for name, row in ROWS.items():
@@ -170,7 +170,7 @@ def drawn() -> str:
 
 
 def drawn_ends() -> str:
-    """The second table as Markdown."""
+    """Return the second table as Markdown."""
     titles: dict[tuple[str, ...], list[str]] = {}
     for name, row in ROWS.items():
         if row.lasts:
@@ -187,7 +187,7 @@ def _table(heads: Sequence[str], titles: Mapping[tuple[str, ...], Sequence[str]]
 
 
 def pages() -> dict[Path, str]:
-    """Each page with its table in it."""
+    """Return the text of each page with its current table."""
     made = {}
     for path, table in ((_PAGE, drawn()), (_ENDS_PAGE, drawn_ends())):
         text = path.read_text(encoding="utf-8")

@@ -1,8 +1,8 @@
-"""What becomes of each kind of motion and call when something fails; `table.py` has the table.
+"""Effects on each kind of motion and call when something fails; `table.py` has the table.
 
-Each cell is tried in simulated time; `nox -f nightly.py -s fuzz` goes through all of them, and watches to its end what
-goes on, on the first firmware that has it. A cell of each column is also tried in real time, with processes of their
-own.
+The cells are tried in simulated time. `nox -f nightly.py -s fuzz` tries all of them, and observes continuing motions to
+their end on the first firmware that supports them. One cell of each column is also tried in real time, in separate
+processes.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from tests.urlink.afterwards.table import (
     pages,
 )
 
-# A client that is killed closes nothing.
+# A killed client does not close its sockets, so ignore the warnings.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 
-#: s of the robot's time for which a motion is watched beyond the time in which one would brake.
+#: Time for which a motion is observed after the time limit for braking, in s of the robot's time.
 LONGER = 0.5
-#: s for which a motion that goes on may stand still, as at the corner of a path.
+#: Longest rest of a continuing motion, for example at the corner of a path, in s.
 RESTS = 0.1
-#: rad, and counts of the gripper, by which what is undone may have begun to move.
+#: Largest movement of an undone call, in rad and in counts of the gripper.
 BEGUN = 0.1, 60
 IS_WHOLE = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
 
 
-# -- what happens ---------------------------------------------------------------------------------------------------
+# -- events ---------------------------------------------------------------------------------------------------------
 
 
 def cut(rig: Rig) -> None:
@@ -58,7 +58,7 @@ def silence(rig: Rig) -> None:
 
 def suspended_controller(rig: Rig) -> None:
     rig.suspend("controller")
-    time.sleep(rig.hold)  # until the client has given it up
+    time.sleep(rig.hold)  # until the client has aborted the connection
     rig.resume("controller")
 
 
@@ -80,15 +80,16 @@ EVENTS = dict(zip(COLUMNS, (cut, silence, suspended_controller, suspended_client
 # -- the table ------------------------------------------------------------------------------------------------------
 
 
-def test_pages_have_these_tables() -> None:
+def test_pages_contain_the_current_tables() -> None:
     for path, text in pages().items():
-        assert path.read_text(encoding="utf-8") == text, "python -m tests.urlink.afterwards.table writes it again"
+        assert path.read_text(encoding="utf-8") == text, f"run python -m tests.urlink.afterwards.table to write {path}"
 
 
 def tried() -> list[tuple[str, str, str]]:
-    """All cells; or each row with each column once, mostly with the first firmware, whose cycles are the longest.
+    """Return all cells in the profile `fuzz`; otherwise each row with each column once.
 
-    And again with each firmware on which that becomes something else.
+    Most of these cells use the first firmware, because its cycles are the longest. If the effect differs on another
+    firmware, the cell is included for that firmware, too.
     """
     whole = list(cells())
     if IS_WHOLE:
@@ -112,7 +113,7 @@ def one_of_each_column() -> list[tuple[str, str, str]]:
 
 @pytest.mark.matrix(9)
 @pytest.mark.parametrize(("firmware", "name", "column"), tried())
-def test_what_becomes_of_it(firmware: str, name: str, column: str) -> None:
+def test_motion_behaves_as_the_table_says(firmware: str, name: str, column: str) -> None:
     is_watched = IS_WHOLE and ROWS[name].becomes(column, firmware) == GOES_ON and firmware == firmwares(name)[0]
     end = undisturbed(firmware, name) if is_watched else None
     with simulated_time(seed=1, limit=300.0) as sim:
@@ -124,7 +125,7 @@ def test_what_becomes_of_it(firmware: str, name: str, column: str) -> None:
 
 @cache
 def undisturbed(firmware: str, name: str) -> list[float]:
-    """Where the joints are in the end when nothing fails."""
+    """Return the final joint positions when nothing fails."""
     with simulated_time(seed=1, limit=300.0) as sim:
         rig = Simulated(sim, firmware, name)
         begin(rig)
@@ -133,13 +134,15 @@ def undisturbed(firmware: str, name: str) -> list[float]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(120)
-@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="a process is suspended by SIGSTOP, which is of POSIX")
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="suspending a process needs SIGSTOP, a POSIX signal")
 @pytest.mark.parametrize(("firmware", "name", "column"), one_of_each_column())
 @pytest.mark.real_time
-def test_processes_do_the_same(rig: Callable[..., Processes], firmware: str, name: str, column: str) -> None:
+def test_real_processes_behave_as_the_table_says(
+    rig: Callable[..., Processes], firmware: str, name: str, column: str
+) -> None:
     is_alone = column == "silence"
     if is_alone and (os.geteuid() != 0 or not all(map(shutil.which, ("unshare", "nsenter", "ip")))):
-        pytest.skip("a network that falls silent takes root on Linux, with unshare, nsenter and ip")
+        pytest.skip("cutting a network needs root on Linux, with unshare, nsenter and ip")
     what_becomes_of_it(rig(firmware, name, is_alone=is_alone), firmware, name, column)
 
 
@@ -164,7 +167,7 @@ def what_becomes_of_it(rig: Rig, firmware: str, name: str, column: str) -> None:
     begin(rig)
     rig.ask("mark")
     EVENTS[column](rig)
-    # A process that goes on reads what had come to its kernel, and a short speed asks for no permission.
+    # A resumed process reads the data that its kernel has received, and a short speed motion asks for no permission.
     is_late = isinstance(rig, Processes) and (name, column) == ("speed_short", "suspended controller")
     within = row.within + rig.hold * is_late
     watched = within + LONGER
@@ -178,7 +181,7 @@ def what_becomes_of_it(rig: Rig, firmware: str, name: str, column: str) -> None:
 
 
 def begin(rig: Rig) -> None:
-    """Have the call made; some cycles after the arm has begun to move."""
+    """Make the client call, and return some cycles after the arm has started to move."""
     rig.write("go")
     assert rig.read() == "made"
     deadline = time.monotonic() + TIMEOUT

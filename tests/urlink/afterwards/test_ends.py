@@ -1,4 +1,4 @@
-"""What leaving a block, closing the robot and the end of the process do to each kind of motion; see `table.py`."""
+"""Effects of leaving a block, closing the robot and ending the process on each kind of motion; see `table.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.urlink.afterwards.test_afterwards import LONGER, RESTS, begin
 
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 
-#: Row -> its kind in `interrupts.py`; the calls of other libraries are made of these.
+#: Kinds in `interrupts.py` for rows with another name. Calls of the compatibility layers use these kinds internally.
 INTERRUPTED = {
     "play": "Taught.play",
     "speed_short": "speed_joints, short",
@@ -30,7 +30,7 @@ INTERRUPTED = {
 
 @pytest.mark.matrix(9)
 @pytest.mark.parametrize(("name", "how"), list(cases()))
-def test_arm_is_stopped_or_goes_on_as_the_table_says(name: str, how: str) -> None:
+def test_end_of_a_program_affects_the_arm_as_the_table_says(name: str, how: str) -> None:
     row, firmware = ROWS[name], firmwares(name)[-1]
     with simulated_time(seed=1, limit=300.0) as sim:
         rig = Simulated(sim, firmware, name)
@@ -49,8 +49,8 @@ def test_arm_is_stopped_or_goes_on_as_the_table_says(name: str, how: str) -> Non
             assert rested < RESTS
 
 
-def test_each_row_that_can_be_interrupted_is_interrupted() -> None:
+def test_rows_that_can_be_interrupted_have_a_kind() -> None:
     missing = [
         name for name, row in ROWS.items() if row.lasts and row.interrupted and INTERRUPTED.get(name, name) not in KINDS
     ]
-    assert not missing, f"KINDS of tests/urlink/afterwards/interrupts.py lacks {missing}"
+    assert not missing, f"add {missing} to KINDS in tests/urlink/afterwards/interrupts.py"

@@ -1,4 +1,4 @@
-"""Ctrl-C at a random moment after a motion was begun stops the arm; `interrupts.py` tries more of them."""
+"""Ctrl-C at a random moment after the start of a motion stops the arm; `interrupts.py` tries more moments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from urlink.robot import Robot
 pytestmark = [
     pytest.mark.real_time,
     pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="SIGALRM, which interrupts at a moment, is of POSIX"),
+    pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="interrupting at a chosen moment needs SIGALRM of POSIX"),
 ]
 
 

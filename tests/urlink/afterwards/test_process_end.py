@@ -1,4 +1,4 @@
-"""A program that ends without closing its robot leaves no arm moving, unless it has asked for that."""
+"""The arm stops when a program ends without closing its robot, unless the script was started as detached."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The public awaitables of the asyncio face, found by introspection, and sample arguments for those that need some.
+"""The public awaitables of the asyncio API, found by introspection, and sample arguments.
 
 A name is the class and the method: ``AsyncIO.wait_digital_in``. A method without required arguments is called without
 arguments, unless `SAMPLES` has a row for it. A method with required arguments needs a row.
@@ -31,9 +31,9 @@ from urlink.aio.awaited import AwaitedHandle
 
 __all__ = ["AT_ONCE", "CHANGES", "OPEN", "SAMPLES", "Cell", "awaitables", "lacking", "use_of"]
 
-#: Configuration in which the arm starts, in rad.
+#: Start configuration of the arm, in rad.
 READY = [0.3, -1.57, 1.57, -1.57, -1.57, 0.0]
-#: A configuration to which a motion takes several seconds.
+#: Configuration that a motion reaches after several seconds.
 FAR = [0.9, *READY[1:]]
 MOVEJ = f"movej({FAR}, a=1, v=0.1)"
 PROGRAM = "pick.urp"
@@ -43,7 +43,7 @@ AT_ONCE = {
     *("AsyncFeed.iterate", "AsyncFeed.__aiter__", "AsyncStream.of", "AsyncGripper.position_of"),
     *("AwaitedHandle.cancel", "AwaitedHandle.add_done_callback"),
 }
-#: Names after which the robot or its connection is not what it was: the next trial gets another one.
+#: Names that change the robot or its connection: the next trial gets another robot.
 CHANGES = {
     *("AsyncRobot.close", "AsyncStream.close", "AsyncRtde.close", "AsyncToolSerial.close", "AsyncInputs.close"),
     *("AsyncDashboard.close", "AsyncDashboard.quit", "AsyncDashboard.shutdown", "AsyncDashboard.power_off"),
@@ -52,11 +52,11 @@ CHANGES = {
 
 
 class Cell:
-    """What a part is opened on.
+    """Robots, host and files for opening the parts.
 
     Attributes:
         robot: An asyncio robot.
-        other: Another one at another controller, for groups.
+        other: An asyncio robot with another controller, for groups.
         host: Address of a host of rhdlink.
         files: Folder for files.
     """
@@ -84,7 +84,7 @@ def _modules() -> Iterator[ModuleType]:
 
 @functools.cache
 def _classes() -> Mapping[str, type]:
-    """The classes of the asyncio face. That of rhdlink has the name of that of urlink."""
+    """Return the asyncio classes by name; the class of rhdlink gets another name than the class of urlink."""
     found: dict[str, type] = {}
     for module in _modules():
         for name, kind in vars(module).items():
@@ -96,7 +96,7 @@ def _classes() -> Mapping[str, type]:
 
 @functools.cache
 def _functions() -> Mapping[str, tuple[type, Callable[..., Any]]]:
-    """The public functions by name, each with the first class that has it."""
+    """Return the public functions by name, each with the first class that has it."""
     names = {kind: name for name, kind in _classes().items()}
     found: dict[str, tuple[type, Callable[..., Any]]] = {}
     for kind in names:
@@ -113,7 +113,7 @@ def _functions() -> Mapping[str, tuple[type, Callable[..., Any]]]:
 
 
 def awaitables() -> list[str]:
-    """All of them, class by class."""
+    """Return all awaitables, class by class."""
     return sorted(set(_functions()) - AT_ONCE)
 
 
@@ -124,25 +124,25 @@ def _required(function: Callable[..., Any]) -> list[str]:
 
 
 def lacking() -> list[str]:
-    """What keeps a name from being tried: a message for each."""
+    """Return a message for each name that cannot be tested."""
     messages = []
     for name in awaitables():
         _, function = _functions()[name]
         kind = name.partition(".")[0]
         if kind not in OPEN:
-            messages.append(f"nothing opens {kind}; add a row to OPEN in {__name__}")
+            messages.append(f"{kind} cannot be opened; add a row to OPEN in {__name__}")
         if name not in SAMPLES and (missing := _required(function)):
             messages.append(f"{name}() has no sample for {', '.join(missing)}; add a row to SAMPLES in {__name__}")
         is_awaited = inspect.iscoroutinefunction(function) or inspect.isasyncgenfunction(function)
         if not is_awaited and name not in SAMPLES and name.partition(".")[2] != "__await__":
             messages.append(f"{name}() is not a coroutine; add a row to SAMPLES in {__name__}, or to AT_ONCE")
     known = set(_functions())
-    messages += [f"{name} does not exist any more; remove it from {__name__}" for name in {*SAMPLES, *CHANGES} - known]
+    messages += [f"{name} no longer exists; remove it from {__name__}" for name in {*SAMPLES, *CHANGES} - known]
     return messages
 
 
 def use_of(name: str, part: Any, cell: Cell) -> Callable[[], Awaitable[object]]:
-    """What awaits this name once."""
+    """Return a function that awaits this name once."""
     sample = SAMPLES.get(name)
     if sample is not None:
         return functools.partial(_called, sample, part, cell)
@@ -194,7 +194,7 @@ async def _points_of_all(cell: Cell) -> AsyncIterator[Any]:
 
 @contextlib.asynccontextmanager
 async def _interpreter(cell: Cell) -> AsyncIterator[Any]:
-    with contextlib.suppress(Cancelled):  # the block waits for the statements otherwise
+    with contextlib.suppress(Cancelled):  # otherwise, leaving the block waits for the statements
         async with cell.robot.interpreter() as interpreter:
             yield interpreter
             interpreter.cancel()
@@ -206,7 +206,7 @@ async def _mobile(cell: Cell) -> AsyncIterator[Any]:
         yield robot
 
 
-#: Class -> what opens an object of it. Some are opened while the arm moves, to see that a cancel ends what it should.
+#: Class -> function that opens an object of it. Some parts are opened while the arm moves: a cancel has to stop it.
 OPEN: Mapping[str, Callable[[Cell], AbstractAsyncContextManager[Any]]] = {
     "AsyncRobot": lambda cell: _is(cell.robot),
     "AsyncMotions": lambda cell: _is(cell.robot.motion),
@@ -363,6 +363,6 @@ async def _played(dashboard: Any) -> None:
 
 
 def is_busy(workers: Workers) -> bool:
-    """Whether a call is being made, or waits for a thread."""
+    """Whether a call is running, or is waiting for a thread."""
     threads = workers._threads
     return bool(threads._calls) or threads._idle < len(threads._threads)

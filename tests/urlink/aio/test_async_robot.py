@@ -1,4 +1,4 @@
-"""A robot in a program that uses asyncio, over a simulated controller."""
+"""A robot in an asyncio program, on a simulated controller."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def is_clear(controller: Controller) -> None:
 
 
 def run(test: Coroutine[Any, Any, None]) -> None:
-    """In bounded time; no task and no thread may be left."""
+    """Run a test with a time limit; no task and no thread may remain."""
 
     async def bounded() -> None:
         await asyncio.wait_for(test, SOON)
@@ -73,7 +73,7 @@ def test_streams_are_read_without_a_thread(controller: Controller) -> None:
     run(read())
 
 
-def test_a_motion_is_awaited_and_commands_are(controller: Controller, tmp_path: Path) -> None:
+def test_motions_and_commands_are_awaited(controller: Controller, tmp_path: Path) -> None:
     async def command() -> None:
         async with urlink.connect_async(controller.address) as robot:
             begin = (await robot.realtime.wait()).q_actual
@@ -100,8 +100,8 @@ def test_a_motion_is_awaited_and_commands_are(controller: Controller, tmp_path: 
         assert robot.realtime.wait().q_actual.shape == (6,)
 
 
-def test_what_begins_a_motion_does_so_only_with_wait(controller: Controller) -> None:
-    """The first releases waited for the arm where `await` stood; an arm that moves must not be taken for arrived."""
+def test_starting_a_motion_requires_wait(controller: Controller) -> None:
+    """A moving arm must not be mistaken for an arm at its target: in the first releases, `await` waited for the arm."""
 
     async def command() -> None:
         async with urlink.connect_async(controller.address) as robot:
@@ -124,7 +124,7 @@ def test_what_begins_a_motion_does_so_only_with_wait(controller: Controller) -> 
                     await begun
             assert motion.current is None
             assert np.array_equal((await robot.realtime.wait()).qd_actual, np.zeros(6))
-            # A stop is sent whatever is given.
+            # A stop is sent in any case.
             moving = await motion.speed_joints([0.1] * 6, duration=10.0, wait=False)
             with pytest.raises(LocalError, match="await it in asyncio"):
                 moving.wait(cancel=False)
@@ -137,7 +137,7 @@ def test_what_begins_a_motion_does_so_only_with_wait(controller: Controller) -> 
     run(command())
 
 
-def test_each_part_works_as_the_blocking_one(controller: Controller) -> None:
+def test_each_part_works_like_the_blocking_part(controller: Controller) -> None:
     async def use() -> None:
         async with urlink.connect_async(controller.address) as robot:
             async with robot.interpreter() as interpreter:
@@ -176,7 +176,7 @@ def test_each_part_works_as_the_blocking_one(controller: Controller) -> None:
 
 
 @pytest.mark.slow
-def test_the_last_seconds_of_a_stream_and_a_live_plot(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_history_and_live_plot_of_a_stream(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[tuple[plotting.Plot, float]] = []
     monkeypatch.setattr(plotting.LivePlot, "update", lambda self, plot, pause: drawn.append((plot, pause)))
 
@@ -189,7 +189,7 @@ def test_the_last_seconds_of_a_stream_and_a_live_plot(controller: Controller, mo
                 await robot.realtime.plot("nothing", seconds=1.0)
             plotting_it = asyncio.create_task(robot.realtime.plot("q_actual", seconds=0.3, period=0.05))
             turns = 0
-            while not plotting_it.done():  # the loop goes on meanwhile
+            while not plotting_it.done():  # the loop continues meanwhile
                 await asyncio.sleep(0.001)
                 turns += 1
             await plotting_it
@@ -200,7 +200,7 @@ def test_the_last_seconds_of_a_stream_and_a_live_plot(controller: Controller, mo
     run(look())
 
 
-def test_a_block_of_interpreter_mode_that_is_given_up_stops_the_arm(controller: Controller) -> None:
+def test_cancelled_interpreter_block_stops_arm(controller: Controller) -> None:
     async def use() -> None:
         async with urlink.connect_async(controller.address) as robot:
 
@@ -208,7 +208,7 @@ def test_a_block_of_interpreter_mode_that_is_given_up_stops_the_arm(controller: 
                 async with robot.interpreter() as interpreter:
                     await interpreter.execute("speedj([0.1, 0, 0, 0, 0, 0], 1.0, 60)")
                     entered.set()
-                # leaving it waits for the statement
+                # leaving the block waits for the statement
 
             waiting = asyncio.create_task(wait_long())
             await entered.wait()
@@ -224,7 +224,7 @@ def test_a_block_of_interpreter_mode_that_is_given_up_stops_the_arm(controller: 
     run(use())
 
 
-def test_who_gives_up_a_motion_stops_the_arm(controller: Controller) -> None:
+def test_cancelled_or_timed_out_motion_stops_arm(controller: Controller) -> None:
     async def give_up() -> None:
         async with urlink.connect_async(controller.address) as robot:
             begin = (await robot.realtime.wait()).q_actual
@@ -236,7 +236,7 @@ def test_who_gives_up_a_motion_stops_the_arm(controller: Controller) -> None:
                 await asyncio.wait_for(motion, 0.01)
             await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)))
             assert handle.phase is urlink.Phase.CANCELLED
-            # Given up before it is sent, it is not sent.
+            # A call that is cancelled before it is sent is not sent.
             never = asyncio.create_task(robot.motion.move_joints(begin, wait=True))
             await asyncio.sleep(0)
             never.cancel()
@@ -247,7 +247,7 @@ def test_who_gives_up_a_motion_stops_the_arm(controller: Controller) -> None:
     run(give_up())
 
 
-def test_the_arm_stands_when_a_task_is_cancelled(controller: Controller) -> None:
+def test_cancelled_task_stops_arm(controller: Controller) -> None:
     async def drive() -> None:
         async with urlink.connect_async(controller.address) as robot:
             q = (await robot.realtime.wait()).q_actual
@@ -270,7 +270,7 @@ def test_the_arm_stands_when_a_task_is_cancelled(controller: Controller) -> None
     run(cancel())
 
 
-def test_a_stop_does_not_stand_behind_what_waits(controller: Controller) -> None:
+def test_stop_does_not_queue_behind_waiting_calls(controller: Controller) -> None:
     async def stop() -> None:
         async with urlink.connect_async(controller.address) as robot:
             waiting = asyncio.create_task(_awaited(robot.io.wait_digital_in(5, timeout=SOON)))
@@ -285,15 +285,15 @@ def test_a_stop_does_not_stand_behind_what_waits(controller: Controller) -> None
                 await robot.motion.move_joints(begin, wait=True)
             waiting.cancel()
             controller.faults.clear()
-            # A thread that waits for the input is left; it ends with the robot.
+            # A thread that waits for the input remains; it ends with the robot.
 
     run(stop())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_handle", [True, False])
-def test_a_loop_that_was_held_up_can_still_stop_the_arm(controller: Controller, is_handle: bool) -> None:
-    """What the robot has sent meanwhile is read before it is concluded that it is silent."""
+def test_delayed_loop_can_still_stop_arm(controller: Controller, is_handle: bool) -> None:
+    """Data that the robot has sent meanwhile is read before the robot counts as silent."""
 
     async def hold_up() -> None:
         async with urlink.connect_async(controller.address, stale_after=0.3) as robot:
@@ -304,7 +304,7 @@ def test_a_loop_that_was_held_up_can_still_stop_the_arm(controller: Controller, 
             handle = robot.motion.current
             assert handle is not None
             waiting.cancel()
-            time.sleep(0.6)  # in which the loop reads nothing
+            time.sleep(0.6)  # the loop reads nothing in this time
             await asyncio.wait({waiting})
             assert waiting.cancelled()
             await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)), timeout=4.0)
@@ -317,7 +317,7 @@ async def _awaited(call: Any) -> object:
     return await call
 
 
-def test_it_connects_again(controller: Controller) -> None:
+def test_stream_reconnects(controller: Controller) -> None:
     async def lose() -> None:
         async with urlink.connect_async(controller.address) as robot:
             async with robot.realtime.iterate(urlink.block) as states:
@@ -331,7 +331,7 @@ def test_it_connects_again(controller: Controller) -> None:
     run(lose())
 
 
-def test_nobody_there_and_what_cannot_be_is_an_error(tmp_path: Path) -> None:
+def test_failed_and_cancelled_connects_raise(tmp_path: Path) -> None:
     async def connect() -> None:
         with pytest.raises(ConnectFailed):
             await urlink.connect_async("ur://127.0.0.1?primary=1&secondary=1")
@@ -341,7 +341,7 @@ def test_nobody_there_and_what_cannot_be_is_an_error(tmp_path: Path) -> None:
             urlink.connect_async("sim://", tiemout=1)  # type: ignore[call-arg]
         with pytest.raises(LocalError, match="is a recording"):
             await urlink.connect_async(tmp_path / "run.urlog")
-        # One that takes the connection and says nothing, and one that is being made.
+        # One server accepts the connection and sends nothing; the other connection is still being made.
         silent = await asyncio.start_server(lambda reader, writer: writers.append(writer), "127.0.0.1", 0)
         port = silent.sockets[0].getsockname()[1]
         for address in (f"ur://127.0.0.1?primary={port}", "sim://"):
@@ -361,8 +361,8 @@ def test_nobody_there_and_what_cannot_be_is_an_error(tmp_path: Path) -> None:
     run(connect())
 
 
-def test_it_needs_a_loop_of_asyncio(controller: Controller) -> None:
-    """As in trio, which steps coroutines itself; and in a thread without a loop."""
+def test_connect_requires_an_asyncio_loop(controller: Controller) -> None:
+    """Neither trio, which steps coroutines itself, nor a thread without a loop is supported."""
     with pytest.raises(LocalError, match=r"connect_async needs a running asyncio event loop.* trio"):
         _awaited(urlink.connect_async(controller.address)).send(None)
 
@@ -374,7 +374,7 @@ def test_it_needs_a_loop_of_asyncio(controller: Controller) -> None:
     run(command_elsewhere())
 
 
-def test_read_only_commands_nothing(controller: Controller) -> None:
+def test_read_only_robot_has_no_commands(controller: Controller) -> None:
     async def read() -> None:
         async with urlink.connect_async(controller.address, read_only=True) as robot:
             assert (await robot.realtime.wait()).q_actual.shape == (6,)

@@ -1,4 +1,4 @@
-"""Each stream, command and block of a robot, cancelled at each turn of the event loop."""
+"""Cancel each stream, command and block of a robot at each turn of the event loop."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["sends"]
 READY = [0.3, -1.57, 1.57, -1.57, -1.57, 0.0]
 POSE_STEP = 0.01
 
-#: Seconds of silence that a busy machine may cause.
+#: Time in s of silence that a busy machine may cause.
 SLOW = 10.0
 
 Use = Callable[[Any], Awaitable[object]]
@@ -38,7 +38,7 @@ def controller() -> Iterator[Controller]:
 
 
 def q(robot: Any) -> list[float]:
-    """Where to go, never far: to one side of READY or to the other."""
+    """Return a target that is never far: on one side of READY, or on the other."""
     here = robot.realtime.latest.q_actual
     return [READY[0] + (0.05 if here[0] < READY[0] else -0.05), *READY[1:]]
 
@@ -130,7 +130,7 @@ async def plotted(robot: Any) -> None:
 COMMANDS: dict[str, Use] = {
     "move_joints": lambda robot: robot.motion.move_joints(q(robot), **FAST, wait=False),
     "move_joints wait": lambda robot: robot.motion.move_joints(q(robot), wait=True, **FAST),
-    "its handle": handle,
+    "awaited handle": handle,
     "move_linear": lambda robot: robot.motion.move_linear(pose(robot), **FAST, wait=True),
     "move_circular": lambda robot: robot.motion.move_circular(*arc(robot), **FAST, wait=True),
     "path": lambda robot: robot.motion.path([Linear(pose(robot)), Joint(q(robot))], speed=0.5, wait=True),
@@ -225,10 +225,10 @@ def stands(controller: Controller) -> bool:
 
 
 def may_follow(name: str, data: bytes) -> bool:
-    """What may be sent after a task was over: what stops the arm, and what an RTDE connection begins with.
+    """Whether data may be sent after a task has ended: to stop the arm, or to open an RTDE connection.
 
-    The word of a link that stops is all zeros, and its date of 4 bytes. RTDE packages begin with their size and their
-    type; "U" is a data package, with which a link over RTDE stops.
+    The message of a link that stops is all zeros, and ends with its date of 4 bytes. RTDE packages begin with their
+    size and their type; "U" is a data package, which a link over RTDE sends to stop.
     """
     types = (b"V", b"v", b"O", b"I", b"S", *([b"U"] if name in (OVER_RTDE, STREAM_OVER_RTDE) else []))
     stops_link = len(data) > 4 and not any(data[:-4])
@@ -245,16 +245,14 @@ async def connected(address: str) -> AsyncIterator[Any]:
 def check(number: int, controller: Controller, sent: list[Sent], work: Callable[[Trial], Any], name: str = "") -> bool:
     was_cancelled, late = run_cancelled(number, work, sent)
     assert not [each for each in late if not may_follow(name, each)], number
-    # A script whose robot was closed before it was permitted waits for its permission for five seconds.
+    # A script waits five seconds for its start permission, if its robot was closed before.
     until(lambda: stands(controller), 5.0 if was_cancelled else 10.0)
     return was_cancelled
 
 
 @pytest.mark.matrix
 @pytest.mark.parametrize("name", USES)
-def test_what_is_cancelled_ends_at_once_and_leaves_nothing(
-    name: str, controller: Controller, sends: list[Sent]
-) -> None:
+def test_cancelled_call_ends_at_once_and_leaves_nothing(name: str, controller: Controller, sends: list[Sent]) -> None:
     async def work(trial: Trial) -> None:
         async with connected(controller.address) as robot:
             with trial:
@@ -266,7 +264,7 @@ def test_what_is_cancelled_ends_at_once_and_leaves_nothing(
 
 
 @pytest.mark.matrix
-def test_connecting_that_is_cancelled_leaves_nothing(controller: Controller, sends: list[Sent]) -> None:
+def test_cancelled_connect_leaves_nothing(controller: Controller, sends: list[Sent]) -> None:
     async def work(trial: Trial) -> None:
         with trial:
             async with urlink.connect_async(controller.address):
@@ -281,9 +279,7 @@ def test_connecting_that_is_cancelled_leaves_nothing(controller: Controller, sen
 
 @pytest.mark.matrix
 @pytest.mark.parametrize("row", range(6))
-def test_a_task_that_is_cancelled_while_it_connects_does_not_move_the_arm(
-    row: int, controller: Controller, sends: list[Sent]
-) -> None:
+def test_task_cancelled_while_connecting_does_not_move_arm(row: int, controller: Controller, sends: list[Sent]) -> None:
     async def work(trial: Trial) -> None:
         with trial:
             async with urlink.connect_async(controller.address) as robot:
@@ -295,7 +291,7 @@ def test_a_task_that_is_cancelled_while_it_connects_does_not_move_the_arm(
 
 
 @pytest.mark.matrix
-def test_a_recording_that_is_cancelled_is_closed(tmp_path: Path, controller: Controller, sends: list[Sent]) -> None:
+def test_cancelled_recording_is_closed(tmp_path: Path, controller: Controller, sends: list[Sent]) -> None:
     async def work(trial: Trial) -> None:
         async with connected(controller.address) as robot:
             with trial:
@@ -307,10 +303,8 @@ def test_a_recording_that_is_cancelled_is_closed(tmp_path: Path, controller: Con
             break
 
 
-def test_a_claim_of_inputs_that_is_not_answered_leaves_no_task(
-    controller: Controller, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The controller has taken the connection of a link over RTDE, and hangs."""
+def test_unanswered_claim_of_inputs_leaves_no_task(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The controller has accepted the connection of an RTDE link, and hangs."""
     asked = asyncio.Event()
 
     async def servo() -> None:
@@ -323,7 +317,7 @@ def test_a_claim_of_inputs_that_is_not_answered_leaves_no_task(
 
             monkeypatch.setattr(RtdeSession, "_set_up_inputs", unanswered)
             async with robot.motion.servo(link="rtde"):
-                raise AssertionError("it was not answered")
+                raise AssertionError("the claim must not be answered")
 
     async def cancel() -> None:
         leading = asyncio.create_task(servo())

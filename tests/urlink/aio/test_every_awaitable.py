@@ -1,6 +1,6 @@
-"""Each awaitable of the asyncio face, cancelled at turns of the event loop: nothing moves, and its thread is free.
+"""Cancel each awaitable of the asyncio API at turns of the event loop: nothing moves, and its thread is free.
 
-The list comes from the face itself (`every_awaitable`), so a new method is tried without being added anywhere.
+The list comes from the API itself (`every_awaitable`), so a new method is tested automatically.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from urlink.simulator import Controller, Still
 
 pytestmark = pytest.mark.simulated_time
 
-#: Seconds within which a thread has to be free, and the arm has to be at rest; and within which no program may be left:
-#: one that was not permitted to start waits for its permission for five seconds.
+#: Time limits in s: until a thread is free, until the arm is at rest, and until no program is left. A program without
+#: start permission waits for its permission for five seconds.
 FREE, AT_REST, LEFT = 0.2, 3.0, 6.0
-#: Turns that are tried one by one, and the last turn; between the later ones the distance grows.
+#: Turns that are tried one by one, and the last turn; the distance between later turns grows.
 EACH, MOST = 60, 2000
 #: Blocks in which a person may move the arm.
 BY_HAND = ("AsyncRobot.freedrive", "AsyncRobot.teach", "AsyncTeaching")
@@ -47,7 +47,7 @@ class Bench:
         return Controller("UR5e", "5.25", motion=Still(READY), files={PROGRAM: program}).start()
 
     def renew(self) -> None:
-        """Other controllers, at which nothing was switched off."""
+        """Replace the controllers by new ones with everything switched on."""
         self.close()
         self.controllers = [self._controller() for _ in range(2)]
 
@@ -88,7 +88,7 @@ async def _until(condition: Callable[[], bool], seconds: float, otherwise: str) 
 
 
 async def _cancelled(turns: Turns, number: int, name: str, bench: Bench, cell: Cell) -> bool:
-    """Whether a name was cancelled at this turn, rather than over before; with everything that is checked after it."""
+    """Cancel a call at this turn, and check the state afterwards; return whether the call was still running."""
     at = f"{name} at turn {number}"
     async with OPEN[name.partition(".")[0]](cell) as part:
         task = await turns.cancel(use_of(name, part, cell), number)
@@ -113,10 +113,10 @@ async def _cancelled(turns: Turns, number: int, name: str, bench: Bench, cell: C
 
 
 def _try(names: Iterable[str], numbers: Callable[[str], Iterable[int]], bench: Bench) -> None:
-    """Try each name at these turns, up to the first one before which it is over."""
+    """Test each name at these turns, up to the first turn that comes after the end of the call."""
 
     async def tried(name: str, left: Iterator[int], turns: Turns) -> bool:
-        """Whether it is to be tried at a later turn, with another robot."""
+        """Whether another turn has to be tested with another robot."""
         async with bench.cell() as cell:
             for number in left:
                 if not await _cancelled(turns, number, name, bench, cell):
@@ -137,18 +137,18 @@ def _by_class() -> dict[str, list[str]]:
     return {kind: list(names) for kind, names in itertools.groupby(awaitables(), lambda name: name.partition(".")[0])}
 
 
-def test_every_awaitable_can_be_tried() -> None:
+def test_every_awaitable_can_be_tested() -> None:
     assert not lacking(), "\n" + "\n".join(lacking())
 
 
 @pytest.mark.parametrize("kind", _by_class())
-def test_cancel_leaves_nothing_at_a_turn(kind: str, bench: Bench) -> None:
+def test_cancel_at_one_turn_leaves_nothing(kind: str, bench: Bench) -> None:
     names = _by_class()[kind]
     _try(names, lambda name: (2 + 7 * names.index(name) % 16,), bench)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", awaitables())
-def test_cancel_leaves_nothing_at_every_turn(name: str, bench: Bench) -> None:
+def test_cancel_at_every_turn_leaves_nothing(name: str, bench: Bench) -> None:
     later = itertools.takewhile(lambda turn: turn < MOST, (int(EACH * 1.3**n) for n in itertools.count()))
     _try([name], lambda name: itertools.chain(range(1, EACH), later), bench)

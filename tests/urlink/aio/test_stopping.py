@@ -1,4 +1,4 @@
-"""With asyncio, stops do not queue behind calls that wait, and what a cancelled task has started ends on the robot."""
+"""Stops do not queue behind waiting calls, and cancelled tasks leave nothing running."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from urlink.simulator import Controller, Still
 
 pytestmark = pytest.mark.simulated_time
 
-#: Seconds of the network in each direction.
+#: Delay of the network in each direction, in s.
 LATENCY = 0.02
 PLAYED = {"p.urp": f"def p():\n  {MOVEJ}\nend\n"}
 
 
 def controllers(sim: urlink.Simulation, count: int) -> Iterator[list[Controller]]:
-    """Controllers on computers of their own."""
+    """Start controllers, each on its own computer."""
     with contextlib.ExitStack() as stack:
         made = []
         for number in range(count):
@@ -75,7 +75,7 @@ def target(robot: urlink.AsyncRobot) -> Any:
 
 
 async def given_up(robot: urlink.AsyncRobot, count: int) -> None:
-    """So many calls that wait for an input, and are cancelled."""
+    """Start `count` calls that wait for an input, and cancel them."""
     tasks = [asyncio.create_task(robot.io.wait_digital_in(0, True, timeout=15.0)) for _ in range(count)]
     await asyncio.sleep(0.1)
     for task in tasks:
@@ -84,7 +84,7 @@ async def given_up(robot: urlink.AsyncRobot, count: int) -> None:
 
 
 async def waiting(robot: urlink.AsyncRobot, count: int) -> list[asyncio.Task[Any]]:
-    """So many calls that wait for an input until the robot is closed."""
+    """Start `count` calls that wait for an input until the robot is closed."""
 
     async def wait() -> None:
         with contextlib.suppress(LinkError):
@@ -96,7 +96,7 @@ async def waiting(robot: urlink.AsyncRobot, count: int) -> list[asyncio.Task[Any
 
 
 async def cancelled(use: Coroutine[Any, Any, object], after: float) -> bool:
-    """Whether it was cancelled after so many seconds, rather than over before."""
+    """Whether the call was cancelled after some seconds, rather than finished before."""
     task = asyncio.create_task(use)
     await asyncio.sleep(after)
     task.cancel()
@@ -105,14 +105,14 @@ async def cancelled(use: Coroutine[Any, Any, object], after: float) -> bool:
 
 
 async def comes_to_rest(robot: urlink.AsyncRobot, seconds: float = 2.0) -> bool:
-    """Whether the arm is at rest after some time, and stays there."""
+    """Whether the arm is at rest after some time, and stays at rest."""
     await asyncio.sleep(seconds)
     here = target(robot)
     await asyncio.sleep(0.5)
     return bool(np.abs(target(robot) - here).max() < 1e-6)
 
 
-# -- stops beside calls that wait ----------------------------------------------------------------------
+# -- stops during waiting calls ------------------------------------------------------------------------
 
 
 def test_cancelled_waits_free_their_threads_at_once(controller: Controller) -> None:
@@ -154,7 +154,7 @@ def test_block_is_left_while_calls_wait(controller: Controller) -> None:
     asyncio.run(main())
 
 
-def test_close_takes_two_seconds_while_calls_wait(controller: Controller) -> None:
+def test_close_takes_at_most_two_seconds_while_calls_wait(controller: Controller) -> None:
     async def main() -> None:
         async with connected(controller) as robot:
             await robot.motion.move_joints(FAR, speed=0.1, wait=False)
@@ -183,7 +183,7 @@ def test_stops_need_no_new_thread(controller: Controller, monkeypatch: pytest.Mo
     asyncio.run(main())
 
 
-# -- what a cancelled task has started -----------------------------------------------------------------
+# -- effects of cancelled tasks ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("after", [0.01, 0.03, 0.05, 0.5])
@@ -222,8 +222,8 @@ def test_cancelled_replace_does_not_move_the_arm(controller: Controller, after: 
     asyncio.run(main())
 
 
-def test_replace_that_was_not_sent_keeps_the_points(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its task is cancelled while the new points are computed."""
+def test_unsent_replace_keeps_points(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The task is cancelled while the new points are computed."""
     call = PendingCall()
     with urlink.connect(controller.address) as robot:
         q = robot.realtime.wait().q_target
@@ -287,7 +287,7 @@ def test_cancelled_gripper_motion_is_undone(controller: Controller) -> None:
     asyncio.run(main())
 
 
-def test_cancelled_wait_of_a_stream_cancels_it(controller: Controller) -> None:
+def test_cancelled_wait_of_a_stream_cancels_stream(controller: Controller) -> None:
     async def main() -> None:
         async with connected(controller) as robot, robot.motion.stream() as stream:
             assert await cancelled(stream.wait(), 0.1)
@@ -297,7 +297,7 @@ def test_cancelled_wait_of_a_stream_cancels_it(controller: Controller) -> None:
     asyncio.run(main())
 
 
-# -- waits that end ------------------------------------------------------------------------------------
+# -- cancelled waits -----------------------------------------------------------------------------------
 
 _WAITS: dict[str, tuple[float, Callable[[urlink.AsyncRobot], Awaitable[object]]]] = {
     "wait_digital_in": (0.5, lambda robot: robot.io.wait_digital_in(0, True, timeout=15.0)),
@@ -312,7 +312,7 @@ _WAITS: dict[str, tuple[float, Callable[[urlink.AsyncRobot], Awaitable[object]]]
 
 
 @pytest.mark.parametrize("name", _WAITS)
-def test_cancelled_wait_frees_its_thread(name: str, controller: Controller) -> None:
+def test_cancelled_wait_frees_thread(name: str, controller: Controller) -> None:
     after, wait = _WAITS[name]
 
     async def main() -> None:

@@ -1,4 +1,4 @@
-"""The streams of an `AsyncRobot` are those of the robot, and end with it."""
+"""The streams of an `AsyncRobot` belong to its robot, and end with the robot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.simulated_time
 
 
 def _with_robot(test: Callable[[AsyncRobot], Coroutine[Any, Any, None]]) -> AsyncRobot:
-    """Run a coroutine with a robot on a simulator; the robot, after its block."""
+    """Run a coroutine with a robot on a simulator; return the robot after its block."""
 
     async def run() -> AsyncRobot:
         robot = await urlink.connect_async("sim://")
@@ -29,7 +29,7 @@ def _with_robot(test: Callable[[AsyncRobot], Coroutine[Any, Any, None]]) -> Asyn
 
 
 @pytest.mark.parametrize("name", ["realtime", "primary", "secondary"])
-def test_stream_is_the_one_of_its_name(name: str) -> None:
+def test_attribute_returns_stream_of_same_name(name: str) -> None:
     async def test(robot: AsyncRobot) -> None:
         stream = getattr(robot, name)
         assert stream.stream is getattr(robot._part, name)

@@ -1,4 +1,4 @@
-"""The asyncio face beside the blocking one: the same names, arguments and types, and nothing that is not there."""
+"""Compare the asyncio API with the blocking API: names, arguments and types."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def _pairs() -> dict[type, type]:
-    """Each class of what users hold -> its class with asyncio, which names it: ``class AsyncIO(AwaitedPart[IO])``."""
+    """Return blocking class -> asyncio class, which names it: ``class AsyncIO(AwaitedPart[IO])``."""
     pairs: dict[type, type] = {
         urlink.Stream: AsyncStream,
         urlink.Feed: AsyncFeed,
@@ -41,28 +41,28 @@ def _pairs() -> dict[type, type]:
 PAIRS = _pairs()
 each_pair = pytest.mark.parametrize(("blocking", "awaited"), PAIRS.items(), ids=[kind.__name__ for kind in PAIRS])
 
-#: What there is with asyncio alone.
+#: names that only the asyncio classes have
 MORE: dict[type, set[str]] = {
-    urlink.AsyncRobot: {"identify", "call"},  # what a property of the other asks, and calls that block
-    AsyncStream: {"stream"},  # the same for threads
+    urlink.AsyncRobot: {"identify", "call"},  # replaces properties that make requests, and runs calls that block
+    AsyncStream: {"stream"},  # the blocking stream
     parts.AsyncOutputStream: {"stream"},
 }
-#: Arguments that are missing with asyncio: the loop calls back, so nothing is queued, and closing waits for the task.
+#: Arguments that are missing in asyncio: the loop calls callbacks without a queue, and closing waits for the task.
 LESS = {
     "subscribe": {"policy", "lifespan", "inline"},
     "close": {"timeout"},
 }
-#: Where they are missing.
+#: classes without these arguments
 STREAMS = (AsyncStream, AsyncFeed)
 
-#: What is read there and asked for here.
+#: names that are attributes in the blocking API, and methods in asyncio
 ASKED = {(parts.AsyncInterpreter, "state")}
-#: What returns at once in both.
+#: names that return immediately in both APIs
 AT_ONCE = {"of", "iterate", "states", "position_of", "cancel", "add_done_callback"}
 
 
 def surface(kind: type) -> set[str]:
-    """The public names of a class, with the attributes that are set in __init__ and documented."""
+    """Return the public names of a class, including documented attributes that are set in __init__."""
     _, _, attributes = (inspect.getdoc(kind) or "").partition("\nAttributes:\n")
     lines = itertools.takewhile(lambda line: line.startswith(" ") or not line, attributes.splitlines())
     documented = [re.match(r" {4}([a-z_, ]+):", line) for line in lines]
@@ -79,7 +79,7 @@ def methods(kind: type) -> list[str]:
 
 
 def line_for(blocking: type, name: str) -> str:
-    """The line that gives the asyncio face this name."""
+    """Return the line that adds this name to the asyncio class."""
     owner = blocking.__name__
     if not is_method(blocking, name):
         return f"    {name} = attribute({owner}, lambda part: part.{name})"
@@ -87,7 +87,7 @@ def line_for(blocking: type, name: str) -> str:
 
 
 @each_pair
-def test_both_have_the_same_names(blocking: type, awaited: type) -> None:
+def test_both_classes_have_the_same_names(blocking: type, awaited: type) -> None:
     here, there = surface(awaited) - MORE.get(awaited, set()), surface(blocking)
     place = f"class {awaited.__name__} in src/{awaited.__module__.replace('.', '/')}.py"
     missing = "".join(f"\n{line_for(blocking, name)}" for name in sorted(there - here))
@@ -99,7 +99,7 @@ def test_both_have_the_same_names(blocking: type, awaited: type) -> None:
 
 
 @each_pair
-def test_the_same_names_take_the_same_arguments(blocking: type, awaited: type) -> None:
+def test_methods_have_the_same_arguments(blocking: type, awaited: type) -> None:
     for name in methods(blocking):
         wanted, found = (
             {
@@ -114,7 +114,7 @@ def test_the_same_names_take_the_same_arguments(blocking: type, awaited: type) -
 
 
 @pytest.mark.parametrize("kind", [kind for kind in PAIRS.values() if issubclass(kind, AwaitedPart)])
-def test_every_method_is_awaited_or_a_block_and_what_is_unknown_is_an_error(kind: type[AwaitedPart[Any]]) -> None:
+def test_methods_are_awaited_or_blocks_and_typos_raise(kind: type[AwaitedPart[Any]]) -> None:
     part: Any = object.__new__(kind)
     part._part = part._workers = None
     for name in methods(kind):
@@ -122,7 +122,7 @@ def test_every_method_is_awaited_or_a_block_and_what_is_unknown_is_an_error(kind
         if name in AT_ONCE:
             assert not inspect.iscoroutinefunction(function), name
         elif not inspect.iscoroutinefunction(function):
-            # A block calls nothing before it is entered, so that any arguments will do.
+            # A block calls nothing before it is entered, so any arguments are accepted.
             required = [each for each in inspect.signature(function).parameters.values() if each.default is each.empty]
             positional = [each for each in required[1:] if each.kind is each.POSITIONAL_OR_KEYWORD]
             assert isinstance(function(part, *[None for _ in positional]), Block), name
@@ -139,15 +139,15 @@ def full_name(kind: type) -> str:
     return f"{kind.__module__}.{kind.__name__}"
 
 
-#: Types of results there -> here.
+#: types of results: blocking -> asyncio
 GIVEN = {
     **{full_name(blocking): full_name(awaited) for blocking, awaited in PAIRS.items()},
     "typing.Iterator[tuple": "typing.AsyncIterator[tuple",
     "typing.Iterator": "linkcore.aio.packets.Packets",
 }
-#: What has the same type in both: handles of single arms, which are awaited as any handle.
+#: results with the same type in both: handles of single arms, which are awaited like any handle
 SAME = {"GroupStream.motions"}
-#: What the generic classes are asked about with.
+#: type arguments for the generic classes
 ARGUMENTS: dict[type, str] = {
     urlink.Stream: "urlink.packets.RealtimeState",
     urlink.Feed: "urlink.packets.RealtimeState",
@@ -175,13 +175,13 @@ class Cell(urlink.rtde.Outputs):
 
 """
 
-#: What mypy has to find, and pyright too: five mistakes in each function, and nothing else.
+#: mypy and pyright must find five mistakes in each function, and no others
 MISTAKES = """
 import urlink
 
 
 async def awaited() -> None:
-    urlink.connect_async("sim://", tiemout=3)  # by itself: after it, pyright takes the result for Unknown
+    urlink.connect_async("sim://", tiemout=3)  # on its own line: pyright treats the result as Unknown
     async with urlink.connect_async("sim://") as robot:
         await robot.motion.mvoe_joints([0.0] * 6)
         await robot.motion.move_joints([0.0] * 6, sped=1)
@@ -203,7 +203,7 @@ async def awaited_elsewhere() -> None:
 
 
 def typed(tmp_path: Path, source: str) -> list[str]:
-    """What mypy prints about a file."""
+    """Return the lines that mypy prints about a file."""
     pytest.importorskip("mypy")
     file = tmp_path / "looked_at.py"
     file.write_text(source)
@@ -229,7 +229,7 @@ def revealed(lines: list[str]) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.real_time
-def test_the_types_of_all_results_are_those_of_the_blocking_face(tmp_path: Path) -> None:
+def test_types_of_all_results_match_the_blocking_api(tmp_path: Path) -> None:
     modules = sorted({kind.__module__ for pair in PAIRS.items() for kind in pair})
     source = HEAD + "".join(f"import {module}\n" for module in modules) + FUNCTIONS
     looks: dict[bool, list[str]] = {False: [], True: []}
@@ -237,7 +237,7 @@ def test_the_types_of_all_results_are_those_of_the_blocking_face(tmp_path: Path)
     for number, (blocking, awaited) in enumerate(PAIRS.items()):
         for name in sorted(surface(blocking)):
             if (blocking, name) == (urlink.rtde.Rtde, "outputs"):
-                continue  # overloaded: below
+                continue  # overloaded, so it is tested below
             whats.append(f"{blocking.__name__}.{name}")
             value = f"part{number}.{name}"
             is_called = is_method(blocking, name)

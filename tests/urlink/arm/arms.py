@@ -1,4 +1,4 @@
-"""Arms, joint positions and poses to try kinematics with."""
+"""Arms, joint positions and poses for tests of kinematics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ joints = st.lists(angles, min_size=6, max_size=6)
 models = st.sampled_from(list(MODELS.values()))
 lengths = st.floats(-2.0, 2.0)
 directions = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array).filter(lambda v: float(np.linalg.norm(v)) > 0.1)
-#: From nothing to half a turn, with extra weight on both ends, where the rotation vector is delicate.
+#: From zero to half a turn, with extra weight on both ends, where rotation vectors are delicate.
 turns = st.one_of(
     st.floats(0.0, math.pi),
     st.floats(0.0, 1e-6),
@@ -48,7 +48,7 @@ tcps = st.none() | poses()
 
 
 def dh_matrix(a: float, d: float, alpha: float, theta: float) -> Array:
-    """Rz(theta) Tz(d) Tx(a) Rx(alpha), written out as it is defined."""
+    """Return Rz(theta) Tz(d) Tx(a) Rx(alpha), written out as defined."""
     ct, s, ca, sa = math.cos(theta), math.sin(theta), math.cos(alpha), math.sin(alpha)
     about_z = np.array([[ct, -s, 0, 0], [s, ct, 0, 0], [0, 0, 1, d], [0, 0, 0, 1]])
     about_x = np.array([[1, 0, 0, a], [0, ca, -sa, 0], [0, sa, ca, 0], [0, 0, 0, 1]])
@@ -57,7 +57,7 @@ def dh_matrix(a: float, d: float, alpha: float, theta: float) -> Array:
 
 
 def rotation_of(vector: Array) -> Array:
-    """The rotation of a rotation vector as a power series in its cross-product matrix: slow, and right."""
+    """Return the rotation of a rotation vector as a power series of its cross-product matrix: slow, but right."""
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     total = np.eye(3)
@@ -73,7 +73,7 @@ def rotation_of(vector: Array) -> Array:
 
 @dataclass(frozen=True)
 class Table:
-    """A DH table as a controller sends it."""
+    """DH table, as a controller sends it."""
 
     dh_theta: Sequence[float]
     dh_a: Sequence[float]
@@ -81,14 +81,14 @@ class Table:
     dh_alpha: Sequence[float]
 
     def frames(self, q: Sequence[float]) -> list[Array]:
-        """The products of the DH matrices: where the frames of this very table are."""
+        """Return the products of the DH matrices: the frames of exactly this table."""
         found = [np.eye(4)]
         for angle, theta, a, d, alpha in zip(q, self.dh_theta, self.dh_a, self.dh_d, self.dh_alpha, strict=True):
             found.append(found[-1] @ dh_matrix(a, d, alpha, angle + theta))
         return found
 
 
-#: What a calibrated UR5 sent, as somebody reported to the maintainers of the vendor's ROS driver (issue 457 there).
+#: Table of a calibrated UR5, from a report to the maintainers of the vendor's ROS driver (issue 457 there).
 REPORTED_UR5 = Table(
     dh_theta=(-9.62699668632896e-06, -1.43707039992005, 2.02543119975016, -0.588254688694989, 4.136e-05, 8.17e-06),
     dh_a=(0.000279332356195598, -0.0566854832098269, -0.32646702272051, 1.49388687216263e-05, 2.2369e-07, 0.0),
@@ -98,14 +98,14 @@ REPORTED_UR5 = Table(
 
 
 def calibration(model: Model, seed: int, off: float = 1e-3, tilt: float = 2e-3) -> Table:
-    """The DH table of an arm whose joints are off by up to `off` m and `tilt` rad, found from where its axes are."""
+    """Return the DH table of an arm with errors of up to `off` m and `tilt` rad per joint, from its axes."""
     rng = np.random.default_rng(seed)
     frame = np.eye(4)
     axes: list[tuple[Array, Array]] = [(frame[:3, 3], frame[:3, 2])]
     for i in range(6):
         frame = frame @ dh_matrix(model.dh_a[i], model.dh_d[i], model.dh_alpha[i], 0.0)
         if i < 5:
-            # What follows is somewhere else than published, a little.
+            # The rest of the arm is slightly displaced from the published position.
             moved = np.eye(4)
             moved[:3, :3] = rotation_of(rng.uniform(-tilt, tilt, 3))
             moved[:3, 3] = rng.uniform(-off, off, 3)
@@ -115,7 +115,7 @@ def calibration(model: Model, seed: int, off: float = 1e-3, tilt: float = 2e-3) 
     x = np.array([1.0, 0.0, 0.0])
     origin = np.zeros(3)
     for (_, z), (point, next_z), alpha_published in zip(axes[:5], axes[1:6], model.dh_alpha[:5], strict=True):
-        # The common normal of two axes is DH's x. Its sign is that of the published twist.
+        # The common normal of two axes is DH's x, with the sign of the published twist.
         normal = np.cross(z, next_z)
         normal *= (-1.0 if alpha_published < 0.0 else 1.0) / np.linalg.norm(normal)
         across = point - origin
@@ -136,5 +136,5 @@ def calibration(model: Model, seed: int, off: float = 1e-3, tilt: float = 2e-3) 
 
 @lru_cache(maxsize=256)
 def calibrated(name: str, seed: int) -> Arm:
-    """An arm of a model, differently calibrated for each seed."""
+    """Return an arm of a model; each seed gives another calibration."""
     return Arm.calibrated(name, calibration(MODELS[name], seed))

@@ -1,4 +1,4 @@
-"""Lines and arcs of the tool, against their definitions."""
+"""Lines and arcs of the tool, compared with their definitions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def apart(first: list[float], second: list[float]) -> float:
 
 
 def arc_of(start: Array, via: Array, end: Array) -> Arc:
-    """The arc through three poses that are not all but in a row."""
+    """Return the arc through three poses that are clearly not on a line."""
     first, between, last = start[:3], via[:3], end[:3]
     area = np.linalg.norm(np.cross(between - first, last - first))
     assume(area > 1e-2)
@@ -31,7 +31,7 @@ def arc_of(start: Array, via: Array, end: Array) -> Arc:
 
 
 def is_even(curve: Curve, part: float) -> None:
-    """Speed and turning speed are the same everywhere."""
+    """Check that the speed and the turning speed are the same everywhere."""
     step = 1e-4
     here, there = curve.pose(part), curve.pose(part + step)
     assert math.dist(here[:3], there[:3]) == pytest.approx(curve.length * step, rel=1e-4, abs=1e-9)
@@ -41,7 +41,7 @@ def is_even(curve: Curve, part: float) -> None:
 
 @pytest.mark.property
 @given(poses(), poses(), parts)
-def test_a_line_goes_straight_and_evenly(start: Array, end: Array, part: float) -> None:
+def test_line_is_straight_and_even(start: Array, end: Array, part: float) -> None:
     line = Line(start.tolist(), end.tolist())
     assert apart(line.pose(0.0), start.tolist()) < 1e-9
     assert apart(line.pose(1.0), end.tolist()) < 1e-9
@@ -53,7 +53,7 @@ def test_a_line_goes_straight_and_evenly(start: Array, end: Array, part: float) 
 
 @pytest.mark.property
 @given(poses(), poses(), poses(), parts)
-def test_an_arc_goes_evenly_round_through_the_point_between(start: Array, via: Array, end: Array, part: float) -> None:
+def test_arc_is_even_and_passes_through_middle_point(start: Array, via: Array, end: Array, part: float) -> None:
     arc = arc_of(start, via, end)
     assert apart(arc.pose(0.0), start.tolist()) < 1e-9
     assert apart(arc.pose(1.0), end.tolist()) < 1e-9
@@ -65,7 +65,7 @@ def test_an_arc_goes_evenly_round_through_the_point_between(start: Array, via: A
         assert arc.part(arc.pose(part)) == pytest.approx(part, abs=1e-9)
 
 
-def test_beyond_the_ends_of_a_curve_the_closer_end_counts() -> None:
+def test_positions_beyond_ends_count_as_closer_end() -> None:
     line = Line([0.0] * 6, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert [line.part([x, 5.0, 0.0]) for x in (-1.0, 0.25, 2.0)] == [0.0, 0.25, 1.0]
     quarter = Arc([1.0, 0, 0, 0, 0, 0], [math.sqrt(0.5), math.sqrt(0.5), 0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0])
@@ -74,7 +74,7 @@ def test_beyond_the_ends_of_a_curve_the_closer_end_counts() -> None:
     assert Line([1.0] * 6, [1.0] * 6).part([0.0] * 3) == 0.0
 
 
-def test_a_tool_that_is_held_fast_turns_with_the_arc() -> None:
+def test_fixed_tool_turns_with_arc() -> None:
     quarter = Arc(
         [1.0, 0, 0, 0, 0, 0.5], [math.sqrt(0.5), math.sqrt(0.5), 0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0], is_fixed=True
     )
@@ -82,6 +82,6 @@ def test_a_tool_that_is_held_fast_turns_with_the_arc() -> None:
 
 
 @pytest.mark.parametrize("via", [[0.5, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
-def test_three_points_in_a_row_are_on_no_circle(via: list[float]) -> None:
+def test_arc_rejects_points_on_a_line(via: list[float]) -> None:
     with pytest.raises(BadValue, match="are on a straight line"):
         Arc([0.0] * 6, [*via, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])

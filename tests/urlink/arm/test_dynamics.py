@@ -1,4 +1,4 @@
-"""Torques and inertias against energies, each other, and what controllers report."""
+"""Torques and inertias, compared with energies, with each other, and with reports of controllers."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ speeds = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6)
 
 
 def positions(arm: Arm, q: ArrayLike, cog: ArrayLike) -> Array:
-    """The centres of mass of the six links and of a payload, (7, 3)."""
+    """Return the centres of mass of the six links and of a payload, shape (7, 3)."""
     frames = arm.frames(q)
     at = [frames[i + 1] @ [*arm.model.link_cogs[i], 1.0] for i in range(6)] + [frames[6] @ [*np.asarray(cog), 1.0]]
     return np.array(at)[:, :3]
 
 
 def kinetic_energy(arm: Arm, q: Array, qd: Array, payload: float, cog: ArrayLike) -> float:
-    """From how the centres of mass move and the links turn: 1/2 m v² + 1/2 w I w, by differences."""
+    """Return 1/2 m v² + 1/2 w I w, from the motion of the centres of mass and links, by differences."""
     step = 1e-6
     v = (positions(arm, q + step * qd, cog) - positions(arm, q - step * qd, cog)) / (2.0 * step)
     masses = np.array([*arm.model.link_masses, payload])
@@ -65,7 +65,7 @@ def test_gravity_torque_is_the_slope_of_the_potential_energy(
 
 @pytest.mark.property
 @given(models, joints, speeds, st.floats(0.0, 35.0), cogs)
-def test_mass_matrix_makes_the_kinetic_energy(
+def test_mass_matrix_gives_kinetic_energy(
     of: Model, q: list[float], qd: list[float], payload: float, cog: list[float]
 ) -> None:
     arm = Arm(of)
@@ -78,7 +78,7 @@ def test_mass_matrix_makes_the_kinetic_energy(
 
 @pytest.mark.property
 @given(models, joints, speeds, speeds)
-def test_the_parts_add_up_to_the_torque_and_back_to_the_acceleration(
+def test_parts_add_up_to_torque_and_give_acceleration(
     of: Model, q: list[float], qd: list[float], qdd: list[float]
 ) -> None:
     arm = Dynamics(of, payload=of.payload, payload_cog=(0.0, 0.02, 0.1), payload_inertia=(0.1, 0.2, 0.15, 0, 0.01, 0))
@@ -90,10 +90,8 @@ def test_the_parts_add_up_to_the_torque_and_back_to_the_acceleration(
 
 @pytest.mark.property
 @given(models, joints, speeds)
-def test_coriolis_torques_do_no_work_but_what_changes_the_mass_matrix(
-    of: Model, q: list[float], qd: list[float]
-) -> None:
-    # Energy is kept: qd' c(q, qd) is half the change of qd' M qd at constant speeds.
+def test_coriolis_work_equals_change_of_mass_matrix(of: Model, q: list[float], qd: list[float]) -> None:
+    # Energy is conserved: qd' c(q, qd) is half the change of qd' M qd at constant speeds.
     arm = Dynamics(of)
     step = 1e-6
     ahead, behind = (arm.mass_matrix(np.array(q) + sign * step * np.array(qd)) for sign in (1.0, -1.0))
@@ -102,14 +100,14 @@ def test_coriolis_torques_do_no_work_but_what_changes_the_mass_matrix(
     assert work == pytest.approx(0.5 * float(change), rel=1e-5, abs=1e-5)
 
 
-def test_a_spinning_payload_has_its_own_inertia() -> None:
+def test_spinning_payload_adds_inertia() -> None:
     q = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
     bare, loaded = Dynamics("UR5e"), Dynamics("UR5e", payload_inertia=(0.1, 0.2, 0.3, 0.0, 0.0, 0.0))
     # Joint 6 turns the flange about its z axis.
     assert loaded.mass_matrix(q)[5, 5] - bare.mass_matrix(q)[5, 5] == pytest.approx(0.3)
 
 
-def test_an_arm_that_hangs_or_lies_bears_its_weight_the_other_way() -> None:
+def test_gravity_torque_depends_on_mounting() -> None:
     q = [0.3, -1.0, 1.2, -0.7, 0.4, 0.1]
     upright = Dynamics("UR10e").gravity_torque(q)
     np.testing.assert_allclose(Dynamics("UR10e", gravity=(0, 0, GRAVITY)).gravity_torque(q), -upright)
@@ -118,7 +116,7 @@ def test_an_arm_that_hangs_or_lies_bears_its_weight_the_other_way() -> None:
     np.testing.assert_allclose(Dynamics("UR10e", gravity=(0, 0, 0)).gravity_torque(q), 0.0)
 
 
-def test_rows_are_what_one_is() -> None:
+def test_many_states_give_the_same_as_one_by_one() -> None:
     arm = Dynamics(calibrated("UR5e", 1), payload=2.0, payload_cog=(0.0, 0.0, 0.1))
     assert arm.arm.is_calibrated
     rng = np.random.default_rng(4)
@@ -151,12 +149,12 @@ def test_rotors_are_on_the_diagonal(of: Model) -> None:
 
 
 @pytest.mark.parametrize("bad", [-1.0, float("nan"), float("inf"), "2", True, None])
-def test_a_payload_is_a_mass(bad: Any) -> None:
+def test_payload_must_be_a_mass(bad: Any) -> None:
     with pytest.raises(BadValue, match="payload"):
         Dynamics("UR5e", payload=bad)
 
 
-def test_vectors_of_another_size_are_refused() -> None:
+def test_vectors_of_wrong_size_are_rejected() -> None:
     with pytest.raises(BadValue, match="a centre of mass must be 3 finite numbers"):
         Dynamics("UR5e", payload=1.0, payload_cog=[0.0, 0.0])
     with pytest.raises(BadValue, match="an inertia must be 6 finite numbers"):
@@ -169,20 +167,20 @@ def test_vectors_of_another_size_are_refused() -> None:
         Dynamics("UR5e").torque(np.zeros((3, 6)), np.zeros((2, 6)), np.zeros(6))
 
 
-# --- real bytes, parsed by hand so that they are apart from the schemas ---
+# --- real bytes, parsed by hand, independently of the schemas ---
 
 
 @pytest.mark.captures("ur")
 @pytest.mark.parametrize(
     ("name", "model", "alike"),
     [
-        # Joints with the same drive: shoulder and elbow or wrists 1 and 2, of a size each.
+        # Joints with the same drive: shoulder and elbow, or wrists 1 and 2; each pair has one size.
         ("eseries_secondary_state_716.bin", MODELS["UR3e"], [(3, 4)]),
         ("ursim_5.8_primary_state_1386.bin", MODELS["UR5e"], [(1, 2), (3, 4)]),
     ],
     ids=["UR3e", "UR5e"],
 )
-def test_currents_of_a_simulated_controller_are_proportional_to_the_torques(
+def test_currents_of_controller_are_proportional_to_torques(
     captures: Path, name: str, model: Model, alike: list[tuple[int, int]]
 ) -> None:
     state, at = (captures / name).read_bytes(), 5
@@ -197,8 +195,8 @@ def test_currents_of_a_simulated_controller_are_proportional_to_the_torques(
 
 
 @pytest.mark.captures("ur")
-def test_target_torques_of_a_real_arm(captures: Path) -> None:
-    # A CB2 UR5 standing still; its payload is not in the packet.
+def test_gravity_torques_match_a_real_arm(captures: Path) -> None:
+    # A CB2 UR5 at rest; its payload is not in the packet.
     packet = (captures / "cb2_rt_812.bin").read_bytes()
     q, torques = (np.frombuffer(packet, ">f8", 6, offset=at).astype(np.float64) for at in (12, 204))
     ours = Dynamics("UR5").gravity_torque(q)

@@ -1,4 +1,4 @@
-"""What an arm carries and which way is up, told to a simulated controller while it moves."""
+"""Payload and direction of gravity, set on a simulated controller while it moves."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INERTIA = [0.02, 0.02, 0.01, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("up", [[0.0, 9.82, 0.0], [0.0, 0.0, -9.82], [3.0, 0.0, 9.0]])
-def test_which_way_is_up(up: list[float]) -> None:
+def test_gravity_changes_target_torques(up: list[float]) -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         q = robot.realtime.wait().q_target
         motion = robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=0.5)
@@ -31,13 +31,13 @@ def test_which_way_is_up(up: list[float]) -> None:
 
 
 @pytest.mark.parametrize("up", [[0, 0, 1], [0, 0, 9820], [9.82, 0], [0, 0, float("nan")], [0, 0, 0]])
-def test_a_gravity_that_is_none(up: list[float]) -> None:
+def test_invalid_gravity_is_rejected(up: list[float]) -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot, pytest.raises(BadValue, match="gravity"):
         robot.set_gravity(up)
 
 
 @pytest.mark.slow
-def test_a_payload_is_gone_over_to_while_a_program_runs() -> None:
+def test_payload_changes_gradually_while_program_runs() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         robot.realtime.wait()
         motion = robot.motion.speed_joints([0, 0, 0, 0, 0, 0.1], duration=2.0)
@@ -70,7 +70,7 @@ def test_a_payload_is_gone_over_to_while_a_program_runs() -> None:
         ("5.9", {"cog": [0, 0, 0.1], "inertia": INERTIA}, "accepts no inertia; 5.10 or later is required"),
     ],
 )
-def test_what_a_transition_needs(firmware: str, options: dict[str, list[float]], what: str) -> None:
+def test_transition_requires_cog_and_inertia(firmware: str, options: dict[str, list[float]], what: str) -> None:
     with urlink.connect(f"sim://ur5e?firmware={firmware}") as robot:
         with pytest.raises(BadValue, match=what):
             robot.set_payload(1.0, transition_time=0.5, **options)  # type: ignore[arg-type]

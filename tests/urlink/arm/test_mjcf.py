@@ -1,4 +1,4 @@
-"""An arm as MJCF: its geometry, and its rotors. What MuJoCo makes of it: tests/interop/test_kinematics.py."""
+"""An arm as MJCF: its geometry and its rotors. `tests/interop/test_kinematics.py` loads it in MuJoCo."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def placed(element: ElementTree.Element) -> np.ndarray:
 
 
 @pytest.mark.parametrize("arm", [Arm("UR3e"), Arm("UR8 Long"), calibrated("UR10", 2)], ids=lambda arm: arm.model.name)
-def test_the_frames_lead_to_the_flange(arm: Arm) -> None:
+def test_frames_lead_to_flange(arm: Arm) -> None:
     root = ElementTree.fromstring(to_mjcf(arm))
     pose = np.zeros(6)
     body = root.find("worldbody/body")
@@ -34,12 +34,12 @@ def test_the_frames_lead_to_the_flange(arm: Arm) -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_each_joint_has_its_rotor(name: str) -> None:
+def test_each_joint_has_inertia_of_rotor(name: str) -> None:
     joints = list(ElementTree.fromstring(to_mjcf(name)).iter("joint"))
     assert [float(joint.get("armature", "")) for joint in joints] == list(motors_of(name).rotor_inertias)
 
 
-def test_the_motors_of_one_arm() -> None:
+def test_motors_can_be_replaced() -> None:
     own = Motors((1.0,) * 6, (10.0,) * 6, (0.5,) * 6, (0.25,) * 6)
     root = ElementTree.fromstring(to_mjcf("UR5e", name="mine", motors=own))
     assert root.get("model") == "mine"

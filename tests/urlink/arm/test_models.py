@@ -1,4 +1,4 @@
-"""The table of arms against itself, against data sheets, and against what controllers say about their arm."""
+"""The table of arms compared with itself, with data sheets, and with data that controllers send about their arm."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from urlink.arm.models import MODELS, Model, UnknownModel, model, model_of
 
 EVERY = pytest.mark.parametrize("arm", MODELS.values(), ids=MODELS.keys())
 
-# Weight of the whole arm as on its data sheet, kg; None where it is not known here. The fixed base is the part that the
-# link masses leave out.
+# Weight of the whole arm in kg, from its data sheet; None if it is not known here. The link masses do not include the
+# fixed base.
 WEIGHTS: dict[str, float | None] = {
     "UR3": 11.0,
     "UR5": 18.4,
@@ -37,7 +37,7 @@ WEIGHTS: dict[str, float | None] = {
 }
 
 
-def test_table_holds_every_arm_under_its_own_name() -> None:
+def test_table_contains_every_arm_by_name() -> None:
     assert list(MODELS) == list(WEIGHTS)
     assert all(arm.name == name for name, arm in MODELS.items())
     with pytest.raises(TypeError):
@@ -66,8 +66,8 @@ def test_arrays_are_read_only_float64(arm: Model) -> None:
             value[0] = 0.0
 
 
-# The lengths typed in a second time, in mm, in the order and from the view of the joint origins in `ur_description`:
-# shoulder z, forearm x, wrist 1 x, wrist 1 z, wrist 2 -y, wrist 3 y. They keep the table from changing unnoticed.
+# Lengths in mm, entered a second time, in the order and from the view of the joint origins in `ur_description`:
+# shoulder z, forearm x, wrist 1 x, wrist 1 z, wrist 2 -y, wrist 3 y. They detect accidental changes of the table.
 ORIGINS = {
     "UR3": (151.9, -243.65, -213.25, 112.35, 85.35, 81.9),
     "UR5": (89.159, -425.0, -392.25, 109.15, 94.65, 82.3),
@@ -87,13 +87,13 @@ ORIGINS = {
 
 
 @EVERY
-def test_lengths_are_those_of_the_joint_origins(arm: Model) -> None:
+def test_lengths_match_joint_origins(arm: Model) -> None:
     ours = [arm.dh_d[0], arm.dh_a[1], arm.dh_a[2], *arm.dh_d[3:]]
     np.testing.assert_allclose(ours, np.array(ORIGINS[arm.name]) / 1000.0, rtol=0.0, atol=1e-12)
 
 
 @EVERY
-def test_reach_lies_between_the_stretched_arm_and_its_wrist(arm: Model) -> None:
+def test_reach_is_between_stretched_arm_and_wrist(arm: Model) -> None:
     stretched = -arm.dh_a.sum()
     # Data sheets round to a centimetre.
     assert stretched < arm.reach < stretched + arm.dh_d[4] + 1e-3
@@ -108,17 +108,17 @@ def test_links_weigh_most_of_the_arm(arm: Model) -> None:
 
 
 @EVERY
-def test_centre_of_mass_lies_inside_the_link(arm: Model) -> None:
+def test_centre_of_mass_is_inside_link(arm: Model) -> None:
     lengths = np.abs(arm.dh_a) + np.abs(arm.dh_d)
-    # Shoulder and elbow housings stand out to the side by less than 25 cm on the largest arm.
+    # Shoulder and elbow housings extend to the side by less than 25 cm on the largest arm.
     assert (np.linalg.norm(arm.link_cogs, axis=1) < lengths + 0.25).all()
-    # From the end of each arm link, which is where its frame is, back along it.
+    # The frame of an arm link is at its end, and the centre of mass is behind it.
     assert (arm.link_cogs[1:3, 0] > 0.0).all()
     assert (arm.link_cogs[1:3, 0] < -arm.dh_a[1:3]).all()
 
 
 @EVERY
-def test_limits_are_whole_turns_and_whole_degrees_a_second(arm: Model) -> None:
+def test_limits_are_whole_turns_and_degrees_per_second(arm: Model) -> None:
     assert (arm.position_limits[:, 0] == -arm.position_limits[:, 1]).all()
     assert (arm.position_limits[:5, 1] == 2.0 * math.pi).all()
     assert math.isinf(arm.position_limits[5, 1]) == arm.name.startswith("UR3") & (arm.name != "UR30")
@@ -127,11 +127,11 @@ def test_limits_are_whole_turns_and_whole_degrees_a_second(arm: Model) -> None:
 
 
 @EVERY
-def test_inertias_are_those_of_bodies(arm: Model) -> None:
+def test_inertias_are_physically_possible(arm: Model) -> None:
     for tensor in arm.link_inertias:
         np.testing.assert_array_equal(tensor, tensor.T)
         small, middle, large = np.linalg.eigvalsh(tensor)
-        # Of any distribution of mass no principal moment is larger than the other two together.
+        # For any distribution of mass, no principal moment is larger than the other two together.
         assert small > 0.0
         assert large <= (small + middle) * (1.0 + 1e-9)
 
@@ -139,7 +139,7 @@ def test_inertias_are_those_of_bodies(arm: Model) -> None:
 @EVERY
 def test_guesses_name_attributes(arm: Model) -> None:
     assert arm.guesses <= set(vars(arm))
-    # What controllers report of their acceleration is known of two arms.
+    # The accelerations that controllers report are known for two arms.
     assert ("max_acceleration" in arm.guesses) == (arm.name not in ("UR5", "UR5e"))
 
 
@@ -150,7 +150,7 @@ def test_successors_share_lengths_and_masses() -> None:
 
 
 @pytest.mark.parametrize("spelling", ["UR8 Long", "ur8 long", "ur8long"])
-def test_a_space_in_a_name_may_be_left_out(spelling: str) -> None:
+def test_space_in_name_is_optional(spelling: str) -> None:
     assert model(spelling) is MODELS["UR8 Long"]
 
 
@@ -160,7 +160,7 @@ def test_lookup_ignores_case(spelling: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["UR6", "", "UR5 e", "ur", 5, None, b"UR5", ["UR5"]])
-def test_unknown_name_is_told_what_is_known(name: Any) -> None:
+def test_unknown_name_error_lists_known_names(name: Any) -> None:
     with pytest.raises(UnknownModel) as failure:
         model(name)
     assert isinstance(failure.value, LocalError)
@@ -185,7 +185,7 @@ def test_unknown_name_is_told_what_is_known(name: Any) -> None:
         (-1, None, None),
     ],
 )
-def test_robot_type_and_generation_name_the_arm(robot_type: int, cb: str | None, e: str | None) -> None:
+def test_robot_type_and_generation_identify_arm(robot_type: int, cb: str | None, e: str | None) -> None:
     assert model_of(robot_type, e_series=False) is (None if cb is None else MODELS[cb])
     assert model_of(robot_type, e_series=True) is (None if e is None else MODELS[e])
 
@@ -206,7 +206,7 @@ def test_models_are_equal_only_to_themselves() -> None:
         ("dh_alpha", np.array([1.5707, 0.0, 0.0, 1.5708, -1.5708, 0.0])),
     ],
 )
-def test_an_arm_that_is_not_a_nominal_one_is_refused(field: str, value: np.ndarray) -> None:
+def test_non_nominal_arm_is_rejected(field: str, value: np.ndarray) -> None:
     with pytest.raises(BadValue, match=r"UR5e.*(shape|nominal)"):
         Model(**{**vars(MODELS["UR5e"]), field: value})
 
@@ -221,9 +221,9 @@ def test_an_arm_that_is_not_a_nominal_one_is_refused(field: str, value: np.ndarr
     ids=["UR5", "UR5e"],
 )
 class TestController:
-    """What two controllers say of their arm, read by hand so that it is apart from the schemas.
+    """Data that two controllers sent about their arm, parsed by hand, independently of the schemas.
 
-    `size` is that of the configuration sub-package, which has number 6 and differs by firmware.
+    `size` is the size of the configuration sub-package, which has number 6 and differs by firmware.
     """
 
     @pytest.fixture
@@ -235,7 +235,7 @@ class TestController:
         at = state.index(struct.pack(">iB", size, 6))
         return state[at + 5 : at + size]
 
-    def test_dh_rows(self, state: bytes, configuration: bytes, name: str, e_series: bool) -> None:
+    def test_dh_rows_match_table(self, state: bytes, configuration: bytes, name: str, e_series: bool) -> None:
         arm = MODELS[name]
         # Sub-package 5 is 225 bytes; six checksums come first.
         at = state.index(struct.pack(">iB", 225, 5)) + 5 + 24
@@ -246,7 +246,7 @@ class TestController:
         again = np.frombuffer(configuration, ">f8", 24, offset=232).reshape(4, 6)
         np.testing.assert_array_equal(again, [a, d, alpha, theta])
 
-    def test_an_uncalibrated_controller_describes_the_published_arm(
+    def test_uncalibrated_controller_describes_published_arm(
         self, state: bytes, size: int, name: str, e_series: bool
     ) -> None:
         at = state.index(struct.pack(">iB", 225, 5)) + 5 + 24
@@ -254,12 +254,12 @@ class TestController:
         table = Table(theta.tolist(), a.tolist(), d.tolist(), alpha.tolist())
         assert not Arm.calibrated(name, table).is_calibrated
 
-    def test_robot_type(self, configuration: bytes, name: str, e_series: bool) -> None:
+    def test_robot_type_identifies_arm(self, configuration: bytes, name: str, e_series: bool) -> None:
         (robot_type,) = struct.unpack_from(">i", configuration, 432)
         assert robot_type == MODELS[name].robot_type
         assert model_of(robot_type, e_series) is MODELS[name]
 
-    def test_limits(self, configuration: bytes, name: str, e_series: bool) -> None:
+    def test_limits_match_table(self, configuration: bytes, name: str, e_series: bool) -> None:
         arm = MODELS[name]
         positions = np.frombuffer(configuration, ">f8", 12).reshape(6, 2)
         speeds, accelerations = np.frombuffer(configuration, ">f8", 12, offset=96).reshape(6, 2).T

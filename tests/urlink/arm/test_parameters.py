@@ -1,4 +1,4 @@
-"""The table of parameters: every row says what it rests on, is read where it says, and no guess is outside of it."""
+"""The table of parameters: each row states its evidence and its module, and the table lists every guess."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from urlink.arm.parameters import Evidence, Parameter, is_assumed, number, numbe
 
 SRC = Path(__file__).resolve().parents[3] / "src/urlink"
 ROWS = list(parameters().values())
-#: The word, not as a part of a name in the code.
+#: the word, but not as a part of a name in the code
 GUESS = re.compile(r"(?<![`_\w])guess(es|ed)?(?![`_\w])", re.IGNORECASE)
 
 
 def words(source: str) -> Iterator[str]:
-    """The docstrings of a module, and its comments: lines that are nothing else and follow each other are one."""
+    """Yield the docstrings and the comments of a module; consecutive comment lines are one comment."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
             yield ast.get_docstring(node) or ""
@@ -43,7 +43,7 @@ def words(source: str) -> Iterator[str]:
 
 
 def guesses(source: str) -> int:
-    """How many docstrings and comments speak of a guess."""
+    """Return the number of docstrings and comments that mention a guess."""
     return sum(bool(GUESS.search(text)) for text in words(source))
 
 
@@ -59,17 +59,17 @@ def test_guesses_are_counted() -> None:
 
 
 @pytest.mark.slow
-def test_no_guess_is_outside_the_table() -> None:
-    """A module with more comments and docstrings about guesses than rows that name it has one that stands nowhere."""
+def test_table_lists_every_guess() -> None:
+    """A module that mentions more guesses than the table has rows for it has a guess that is not listed."""
     listed = Counter(place(row) for row in ROWS if row.evidence == "guess")
-    # The module that reads the table says what a guess is.
+    # The module that reads the table explains the word.
     modules = sorted(path for path in SRC.rglob("*.py") if path != SRC / "arm/parameters.py")
     found = {module: guesses(module.read_text(encoding="utf-8")) for module in modules}
     missing = {str(module.relative_to(SRC)): (n, listed[module]) for module, n in found.items() if n > listed[module]}
-    assert missing == {}, "module: (comments and docstrings that speak of a guess, rows of parameters.tsv for it)"
+    assert missing == {}, "module: (comments and docstrings that mention a guess, rows of parameters.tsv for it)"
 
 
-def test_every_row_says_what_it_rests_on() -> None:
+def test_every_row_states_valid_evidence() -> None:
     for row in ROWS:
         assert row.evidence in get_args(Evidence), row
         assert row.source, row
@@ -87,24 +87,24 @@ def test_every_row_says_what_it_rests_on() -> None:
             assert value or row.value in ("yes", "no", "assumed") or row.value.startswith("as "), row
 
 
-def test_every_row_is_read_where_it_says() -> None:
+def test_every_row_is_used_in_stated_module() -> None:
     sources = {place(row): place(row).read_text(encoding="utf-8") for row in ROWS}
     for row in ROWS:
         if row.value != "assumed" and not row.value.startswith("as "):
             assert f'"{row.name}"' in sources[place(row)], row
 
 
-def test_a_number_is_of_one_module() -> None:
+def test_each_number_is_used_by_one_module() -> None:
     used = Counter(name for name, _ in {(row.name, row.used) for row in ROWS})
     assert [name for name, modules in used.items() if modules > 1] == []
 
 
-def test_the_table_has_what_arms_borrow() -> None:
+def test_table_contains_all_borrowed_values() -> None:
     borrowed = {name: {row.name for row in ROWS if (row.of, row.used) == (name, "arm.models")} for name in MODELS}
     assert borrowed == {name: set(arm.guesses) for name, arm in MODELS.items()}
 
 
-def test_a_parameter_that_is_not_there() -> None:
+def test_unknown_parameter_is_rejected() -> None:
     with pytest.raises(BadValue, match="'rotor_inertia' of 'size 9'"):
         number("rotor_inertia", "size 9")
     with pytest.raises(BadValue, match="unknown parameter 'wheels'"):
@@ -126,13 +126,13 @@ def test_every_arm_has_motors(name: str) -> None:
     assert (np.diff(np.array(motors.rotor_inertias)[order]) >= 0.0).all()
 
 
-def test_friction_has_its_full_size_from_a_speed_on() -> None:
+def test_friction_grows_to_full_size_with_speed() -> None:
     assert friction(0.2, 0.5, 0.0) == 0.0
     assert friction(0.2, 0.0, 0.005) == pytest.approx(0.1)
     assert friction(0.2, 0.5, -1.0) == pytest.approx(-0.7)
 
 
-def test_the_current_of_a_joint() -> None:
+def test_current_depends_on_torque_and_speed() -> None:
     motors = motors_of("UR10e")
     still = motors.current([11.98, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0] * 6)
     assert still == pytest.approx([1.0, 0, 0, 0, 0, 0])

@@ -1,4 +1,4 @@
-"""Poses and rotations against their definitions, each other, and at the angles where they are delicate."""
+"""Poses and rotations, compared with definitions and with each other, including delicate angles."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ angles = st.one_of(st.floats(-math.pi, math.pi), quarters, quarters.map(lambda a
 
 
 def apart(first: Array, second: Array) -> float:
-    """The largest difference between two matrices."""
+    """Return the largest difference between two matrices."""
     return float(np.abs(first - second).max())
 
 
@@ -44,7 +44,7 @@ def apart(first: Array, second: Array) -> float:
 
 @pytest.mark.property
 @given(poses())
-def test_a_pose_to_its_matrix_and_back(there: Array) -> None:
+def test_pose_survives_conversion_to_matrix(there: Array) -> None:
     matrix = to_matrix(there)
     assert apart(matrix[:3, :3], rotation_of(there[3:])) < 1e-14
     np.testing.assert_array_equal(matrix[:, 3], [*there[:3], 1.0])
@@ -54,7 +54,7 @@ def test_a_pose_to_its_matrix_and_back(there: Array) -> None:
     angle = float(np.linalg.norm(there[3:]))
     if angle < math.pi - 1e-12:
         np.testing.assert_allclose(back[3:], there[3:], rtol=0.0, atol=1e-14)
-    # At half a turn the opposite axis may come back.
+    # At half a turn, the opposite axis may be returned.
     assert apart(to_matrix(back), matrix) < 1e-14
 
 
@@ -66,14 +66,14 @@ def test_compose_is_the_product_of_the_matrices(first: Array, second: Array) -> 
 
 @pytest.mark.property
 @given(poses())
-def test_invert_undoes_on_both_sides(there: Array) -> None:
+def test_inverse_cancels_pose_on_both_sides(there: Array) -> None:
     for both in (compose(there, invert(there)), compose(invert(there), there)):
         np.testing.assert_allclose(both, 0.0, atol=1e-13)
 
 
 @pytest.mark.property
 @given(poses(), arrays.arrays(np.float64, (3, 3), elements=st.floats(-5.0, 5.0)))
-def test_transform_is_what_the_matrix_does_to_points(there: Array, points: Array) -> None:
+def test_transform_applies_matrix_to_points(there: Array, points: Array) -> None:
     matrix = to_matrix(there)
     expected = points @ matrix[:3, :3].T + matrix[:3, 3]
     np.testing.assert_allclose(transform(there, points), expected, rtol=0.0, atol=1e-13)
@@ -81,11 +81,11 @@ def test_transform_is_what_the_matrix_does_to_points(there: Array, points: Array
 
 @pytest.mark.property
 @given(poses(), poses(), st.floats(-0.5, 1.5))
-def test_interpolate_goes_straight_and_about_one_axis(first: Array, second: Array, fraction: float) -> None:
+def test_interpolate_is_straight_and_about_one_axis(first: Array, second: Array, fraction: float) -> None:
     there = interpolate(first, second, fraction)
     np.testing.assert_allclose(there[:3], first[:3] + fraction * (second[:3] - first[:3]), atol=1e-13)
     whole = from_matrix(to_matrix(invert([0.0, 0.0, 0.0, *first[3:]])) @ to_matrix([0.0, 0.0, 0.0, *second[3:]]))[3:]
-    # Half a turn may go either way round, and does not say which.
+    # A half turn may go in either direction.
     if np.linalg.norm(whole) < math.pi - 1e-6:
         part = rotvec_to_matrix(first[3:]) @ rotvec_to_matrix(fraction * whole)
         assert apart(rotvec_to_matrix(there[3:]), part) < 1e-7
@@ -118,7 +118,7 @@ def test_rotations_round_trip(rotvec: Array) -> None:
 
 @pytest.mark.property
 @given(directions, st.floats(1e-150, 1e-3))
-def test_a_small_rotation_keeps_all_its_digits(axis: Array, angle: float) -> None:
+def test_small_rotation_keeps_all_digits(axis: Array, angle: float) -> None:
     rotvec = axis / np.linalg.norm(axis) * angle
     for back in (
         matrix_to_rotvec(rotvec_to_matrix(rotvec)),
@@ -130,7 +130,7 @@ def test_a_small_rotation_keeps_all_its_digits(axis: Array, angle: float) -> Non
 
 @pytest.mark.property
 @given(directions, st.floats(math.pi, 20.0))
-def test_more_than_half_a_turn_comes_back_the_short_way(axis: Array, angle: float) -> None:
+def test_large_rotation_is_returned_the_short_way(axis: Array, angle: float) -> None:
     matrix = to_matrix([0.0, 0.0, 0.0, *(axis / np.linalg.norm(axis) * angle)])
     back = from_matrix(matrix)
     assert np.linalg.norm(back[3:]) <= math.pi + 1e-15
@@ -140,7 +140,7 @@ def test_more_than_half_a_turn_comes_back_the_short_way(axis: Array, angle: floa
 @pytest.mark.parametrize(
     "axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.6, 0.0, -0.8), (-0.6, 0.8, 0.0)]
 )
-def test_half_a_turn(axis: tuple[float, float, float]) -> None:
+def test_half_turn_is_exact(axis: tuple[float, float, float]) -> None:
     # An exact matrix, without the rounding of sin(pi): 2 axis axis' - 1.
     matrix = np.eye(4)
     matrix[:3, :3] = 2.0 * np.outer(axis, axis) - np.eye(3)
@@ -162,7 +162,7 @@ def test_rpy_turns_about_fixed_x_then_y_then_z(roll: float, pitch: float, yaw: f
     assert apart(rotation_of(rpy_to_rotvec(again)), expected) < 1e-13
 
 
-def test_where_roll_and_yaw_are_the_same_the_roll_is_zero() -> None:
+def test_roll_is_zero_if_pitch_is_a_quarter_turn() -> None:
     for pitch in (math.pi / 2.0, -math.pi / 2.0):
         roll, found, yaw = rotvec_to_rpy(rpy_to_rotvec([0.3, pitch, 0.0]))
         assert roll == 0.0
@@ -181,10 +181,10 @@ def test_quaternions_are_x_y_z_w() -> None:
 @pytest.mark.slow
 @pytest.mark.property
 @given(st.lists(st.tuples(poses(), poses()), min_size=1, max_size=9))
-def test_rows_are_what_one_pose_is(pairs: list[tuple[Array, Array]]) -> None:
+def test_many_poses_give_the_same_as_one_by_one(pairs: list[tuple[Array, Array]]) -> None:
     first, second = (np.array(column) for column in zip(*pairs, strict=True))
-    # Half a turn is the same about an axis and about its opposite, and at 90 degrees of pitch roll and yaw are one. So
-    # rotations are compared, and not the numbers that stand for them.
+    # A half turn is the same about an axis and its opposite, and at 90 degrees of pitch, roll and yaw are equivalent.
+    # Therefore, rotations are compared instead of their numbers.
     one_by_one = [
         (to_matrix(compose(first, second)), [to_matrix(compose(a, b)) for a, b in pairs]),
         (to_matrix(invert(first)), [to_matrix(invert(a)) for a in first]),
@@ -197,14 +197,14 @@ def test_rows_are_what_one_pose_is(pairs: list[tuple[Array, Array]]) -> None:
     ]
     for rows, singles in one_by_one:
         np.testing.assert_allclose(rows, np.array(singles), rtol=0.0, atol=1e-13)
-    # There are two shortest ways between orientations that are half a turn apart.
+    # There are two shortest paths between orientations that are half a turn apart.
     for a, b in pairs:
         if np.linalg.norm(compose(invert(a), b)[3:]) < math.pi - 1e-6:
             between = to_matrix(interpolate(np.array([a]), np.array([b]), 0.3))
             np.testing.assert_allclose(between, [to_matrix(interpolate(a, b, 0.3))], rtol=0.0, atol=1e-13)
 
 
-def test_shapes_broadcast_as_those_of_numpy() -> None:
+def test_shapes_broadcast_like_numpy() -> None:
     rng = np.random.default_rng(1)
     many, few = rng.uniform(-1, 1, (4, 5, 6)), rng.uniform(-1, 1, (5, 6))
     assert compose(many, few).shape == (4, 5, 6)
@@ -247,24 +247,24 @@ ONE_ARGUMENT: list[Callable[[ArrayLike], Array]] = [
     [[0.0] * 5, [], [math.nan] * 6, [[math.inf] * 6], "ur", None, [[0.0] * 6, [0.0] * 5], np.zeros((6, 1)), 1.0],
     ids=repr,
 )
-def test_what_is_no_row_of_finite_numbers_is_refused(call: Callable[[ArrayLike], Array], bad: ArrayLike) -> None:
+def test_arguments_must_be_rows_of_finite_numbers(call: Callable[[ArrayLike], Array], bad: ArrayLike) -> None:
     with pytest.raises(BadValue, match="finite numbers"):
         call(bad)
 
 
-def test_the_message_says_which_row_is_wrong() -> None:
+def test_error_names_the_wrong_row() -> None:
     rows = np.zeros((4, 6))
     rows[2, 5] = math.nan
     with pytest.raises(BadValue, match=r"at \[2, 5\] is nan"):
         compose(rows, NOWHERE)
 
 
-def test_shapes_that_do_not_broadcast_are_refused() -> None:
+def test_incompatible_shapes_are_rejected() -> None:
     with pytest.raises(BadValue, match="do not broadcast"):
         compose(np.zeros((3, 6)), np.zeros((2, 6)))
 
 
-def test_what_turns_nothing_is_refused() -> None:
+def test_non_rotations_are_rejected() -> None:
     mirror = np.diag([1.0, 1.0, -1.0])
     with pytest.raises(BadValue, match="is not a rotation"):
         matrix_to_rotvec(mirror)

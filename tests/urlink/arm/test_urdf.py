@@ -1,4 +1,4 @@
-"""The robot description, read back by hand: where its joints are, and what its links weigh."""
+"""The robot description, parsed by hand: positions of its joints, and masses of its links."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def origin(element: ElementTree.Element) -> Array:
 
 
 def flange(text: str, q: list[float]) -> Array:
-    """Along the tree from base_link to tool0."""
+    """Return the frame of tool0, along the tree from base_link."""
     at, matrix, angles = "base_link", np.eye(4), iter(q)
     by_parent = {vector_of(joint, "parent"): joint for joint in ElementTree.fromstring(text).findall("joint")}
     while at != "tool0":
@@ -54,13 +54,13 @@ def vector_of(joint: ElementTree.Element, path: str) -> str:
 
 @pytest.mark.property
 @given(models, st.integers(-1, 3), joints)
-def test_the_flange_is_where_the_arm_has_it(of: Model, seed: int, q: list[float]) -> None:
+def test_flange_matches_kinematics(of: Model, seed: int, q: list[float]) -> None:
     arm = Arm(of) if seed < 0 else calibrated(of.name, seed)
     np.testing.assert_allclose(flange(to_urdf(arm), q), to_matrix(arm.forward(q)), rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_links_and_joints_have_the_names_and_places_of_the_vendors_description(name: str) -> None:
+def test_names_and_positions_match_vendor_description(name: str) -> None:
     root, model = ElementTree.fromstring(to_urdf(name)), MODELS[name]
     assert [link.attrib["name"] for link in root.findall("link")] == [
         "base_link",
@@ -106,12 +106,12 @@ def test_shapes_reach_from_joint_to_joint(name: str) -> None:
     assert ElementTree.fromstring(to_urdf(name)).find("link/visual") is None
 
 
-def test_masses_and_limits() -> None:
+def test_masses_and_limits_match_model() -> None:
     root, model = ElementTree.fromstring(to_urdf("UR10e", name="left")), MODELS["UR10e"]
     assert root.attrib["name"] == "left"
     weighed = [float(mass.attrib["value"]) for mass in root.iter("mass")]
     assert weighed == model.link_masses.tolist()
-    # As the vendor's description has it, in the frame of the joint.
+    # In the frame of the joint, as in the vendor's description.
     shoulder = root.find("link[@name='shoulder_link']/inertial")
     assert shoulder is not None
     np.testing.assert_allclose(vector(shoulder, "origin", "xyz"), [0.021, -0.027, 0.0], atol=1e-15)
@@ -122,7 +122,7 @@ def test_masses_and_limits() -> None:
     assert float(limits[0]["lower"]) == -float(limits[0]["upper"]) == -2.0 * np.pi
 
 
-def test_a_joint_that_turns_without_end_is_continuous() -> None:
+def test_endless_joint_is_continuous() -> None:
     joint = ElementTree.fromstring(to_urdf("UR3e")).find("joint[@name='wrist_3_joint']")
     assert joint is not None
     assert joint.attrib["type"] == "continuous"

@@ -21,8 +21,8 @@ Run = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Run the command line in this process: exit status, stdout, stderr."""
-    # On a busy computer a short command may take so long that it would print its progress.
+    """Run the command line in this process; return its exit status, stdout and stderr."""
+    # On a busy computer, a short command can take so long that it would print its progress.
     monkeypatch.setattr("linkcore.cli.progress._FIRST", 600.0)
 
     def run(*argv: str) -> tuple[int, str, str]:
@@ -47,7 +47,7 @@ def address(controller: Controller) -> str:
 
 @pytest.fixture
 def old_address() -> Iterator[str]:
-    """A simulated CB2 controller: no safety mode, no program state, no outputs in real time."""
+    """A simulated CB2 controller, whose real-time states have no safety mode, program state or outputs."""
     with Controller("UR5", "1.8") as controller:
         yield controller.address
 
@@ -60,7 +60,7 @@ def silent_address(tmp_path: Path) -> str:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Half a second of both interfaces, with one gap, a number that is none, and hostile text."""
+    """Half a second of both interfaces, with one gap, a NaN, an infinite value, and hostile text."""
     realtime = [
         bytes(RealtimeState("5.11", time=number / 500, q_actual=[number, -1.5, 0.0, float("nan"), 0.0, 3.0]))
         for number in range(20)
@@ -87,7 +87,7 @@ def write(
     gap_after: int | None = None,
     info: dict[str, Any] | None = None,
 ) -> Path:
-    """A recording of these chunks, 10 ms apart."""
+    """Write a recording of these chunks, 10 ms apart."""
     writer = RecordingWriter(path)
     said = {"address": "made", "firmware": "5.11", "model": "UR5e"} | (info or {})
     for name, chunks in channels.items():
@@ -104,5 +104,5 @@ def write(
 
 @pytest.fixture
 def spawn() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start the command in a process of its own; ended with the test, if it has not ended by then."""
+    """Start the command in a new process; it is ended with the test if it is still running."""
     yield from spawning("urlink.cli")

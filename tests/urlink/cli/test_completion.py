@@ -1,4 +1,4 @@
-"""What bash completes after it has read what `completion` prints."""
+"""Completions in bash after it has executed the output of `completion`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .conftest import Run
 
 
 def completed(script: str, *words: str) -> set[str]:
-    """What bash offers for the last of these words."""
+    """Return the completions that bash offers for the last word."""
     asking = (
         f'COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _{words[0]}; printf "%s\\n" "${{COMPREPLY[@]}}"'
         if words
@@ -21,7 +21,7 @@ def completed(script: str, *words: str) -> set[str]:
     )
     bash = shutil.which("bash")
     if bash is None:
-        pytest.skip("there is no bash")
+        pytest.skip("bash is not installed")
     done = subprocess.run(
         [bash, "--norc", "-c", f"{script}\n{asking}", "bash", *words], capture_output=True, text=True, timeout=30
     )
@@ -52,18 +52,18 @@ def script(run: Run) -> str:
     ],
 )
 @pytest.mark.real_time
-def test_what_is_offered(script: str, words: tuple[str, ...], offered: set[str]) -> None:
+def test_bash_offers_completions(script: str, words: tuple[str, ...], offered: set[str]) -> None:
     assert completed(script, "urlink", *words) == offered
 
 
-def test_zsh_runs_what_bash_runs(run: Run, script: str) -> None:
+def test_zsh_script_contains_bash_script(run: Run, script: str) -> None:
     out = run("completion", "zsh")[1]
     assert out.endswith(script)
     assert "bashcompinit" in out.removesuffix(script)
 
 
 @pytest.mark.real_time
-def test_the_other_program(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rhdlink_has_completion(capsys: pytest.CaptureFixture[str]) -> None:
     assert rhdlink.cli.main(["completion", "bash"]) == 0
     script = capsys.readouterr().out
     assert completed(script, "rhdlink", "mis") == {"mission"}
@@ -79,7 +79,7 @@ def test_the_other_program(capsys: pytest.CaptureFixture[str]) -> None:
         (("echo", "sim://", "--cuont=3"), "--cuont=3; did you mean '--count'?"),
     ],
 )
-def test_what_is_misspelt(run: Run, argv: tuple[str, ...], hint: str) -> None:
+def test_misspelt_words_get_a_hint(run: Run, argv: tuple[str, ...], hint: str) -> None:
     status, out, err = run(*argv)
     assert (status, out) == (2, "")
     assert hint in err

@@ -27,11 +27,11 @@ _CAPTURES = sorted(path.name for path in (real_captures.ROOT / "ur").glob("*.bin
 
 
 def rebuilt(pieces: list[dict[str, Any]]) -> bytes:
-    """The bytes that a dissection shows, put together again: each once, at its offset."""
+    """Reassemble the bytes of a dissection, and check that each byte is shown once, at its offset."""
     shown = sorted(_hex(pieces))
     data = b""
     for offset, text in shown:
-        assert offset == len(data), f"a hole, or an overlap, at {offset}"
+        assert offset == len(data), f"gap or overlap at offset {offset}"
         data += bytes.fromhex(text)
     return data
 
@@ -80,7 +80,7 @@ def test_realtime_packet(run: Run, tmp_path: Path) -> None:
     assert any("digital_input_bits" in line and " 0x5 " in line for line in lines)
 
 
-def test_robot_state_is_walked(run: Run, tmp_path: Path) -> None:
+def test_robot_state_is_split_into_sub_packages(run: Run, tmp_path: Path) -> None:
     state = RobotState(RobotModeData("5.11", robot_mode=7), JointData("5.11", q_actual=[1, 2, 3, 4, 5, 6]))
     (piece,) = dissected(run, bytes(state), tmp_path)
     assert piece["type"] == "RobotState"
@@ -89,14 +89,14 @@ def test_robot_state_is_walked(run: Run, tmp_path: Path) -> None:
     (robot_mode,) = (row for row in mode["fields"] if row["name"] == "robot_mode")
     assert (robot_mode["value"], robot_mode["meaning"]) == ("RUNNING", "robot mode")
     names = [row["name"] for row in joints["fields"]]
-    assert names[:4] == ["size", "type", "q_actual[0]", "q_target[0]"]  # as they lie on the wire
+    assert names[:4] == ["size", "type", "q_actual[0]", "q_target[0]"]  # the order on the wire
     path = tmp_path / "bytes.bin"
     out = run("dissect", str(path))[1]
     assert "\n  RobotModeData: 47 bytes at 5, layout of firmware 3.5 and later\n" in out
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_every_firmware_whole(run: Run, tmp_path: Path, release: Any) -> None:
+def test_packets_of_every_firmware_are_dissected_completely(run: Run, tmp_path: Path, release: Any) -> None:
     controller = Controller(None, release.since)
     controller.step(3)
     realtime = controller.realtime_packet() * 2
@@ -121,7 +121,7 @@ def test_unknown_tail_is_shown(run: Run, tmp_path: Path) -> None:
     }
 
 
-def test_firmware_decides(run: Run, tmp_path: Path) -> None:
+def test_firmware_option_selects_layout(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "packet.bin"
     path.write_bytes(bytes(RealtimeState("3.0")))
     assert run("dissect", str(path), "--firmware", "3.1")[0] == 0
@@ -130,10 +130,10 @@ def test_firmware_decides(run: Run, tmp_path: Path) -> None:
     assert "!! RealtimeState of firmware 5.4: packet too short: expected 1116 bytes, got 1044" in out
 
 
-# -- what is not as it should be -----------------------------------------------------------------------
+# -- damaged data --------------------------------------------------------------------------------------
 
 
-def test_bytes_between_packets_and_a_cut_off_one(run: Run, tmp_path: Path) -> None:
+def test_bytes_between_packets_and_truncated_packet_are_shown(run: Run, tmp_path: Path) -> None:
     packet = bytes(RealtimeState("5.11", time=1.0))
     pieces = dissected(run, packet + b"\xff" * 33 + packet + packet[:500], tmp_path)
     assert [piece["type"] for piece in pieces] == [
@@ -146,7 +146,7 @@ def test_bytes_between_packets_and_a_cut_off_one(run: Run, tmp_path: Path) -> No
     assert pieces[3]["error"] == "cut off: expected 1220 bytes, got 500"
 
 
-def test_cut_off_robot_state_is_shown_as_far_as_it_goes(run: Run, tmp_path: Path) -> None:
+def test_truncated_robot_state_shows_complete_sub_packages(run: Run, tmp_path: Path) -> None:
     data = bytes(RobotState(RobotModeData("5.11"), JointData("5.11")))[:100]
     (piece,) = dissected(run, data, tmp_path)
     assert piece["error"] == "cut off: expected 303 bytes, got 100"
@@ -155,7 +155,7 @@ def test_cut_off_robot_state_is_shown_as_far_as_it_goes(run: Run, tmp_path: Path
 
 
 def test_bad_sub_package_does_not_hide_the_others(run: Run, tmp_path: Path) -> None:
-    bad = (20).to_bytes(4, "big") + bytes([1]) + bytes(15)  # joint data have 251 bytes
+    bad = (20).to_bytes(4, "big") + bytes([1]) + bytes(15)  # valid joint data have 251 bytes
     unknown = (9).to_bytes(4, "big") + bytes([77]) + b"what"
     body = bytes(RobotModeData("5.11")) + bad + unknown
     data = (5 + len(body)).to_bytes(4, "big") + bytes([16]) + body
@@ -171,7 +171,7 @@ def test_bad_sub_package_does_not_hide_the_others(run: Run, tmp_path: Path) -> N
     assert "!! 1 of 3 sub-packages could not be decoded" in run("dissect", str(tmp_path / "bytes.bin"))[1]
 
 
-def test_hostile_text(run: Run, tmp_path: Path) -> None:
+def test_hostile_text_is_escaped(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "text.bin"
     path.write_bytes(bytes(TextMessage(text=HOSTILE)))
     for options in ((), ("--json",)):
@@ -199,14 +199,14 @@ def test_dissect_reads_hex_text_and_stdin(run: Run, tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff" * 5000, b"HTTP/1.1 400 Bad Request\r\n\r\n"])
-def test_nothing_to_show(run: Run, tmp_path: Path, data: bytes) -> None:
+def test_dissect_fails_without_any_packet(run: Run, tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "x.bin"
     path.write_bytes(data)
     status, out, err = run("dissect", str(path))
     assert (status, out) == (1, "")
     assert err.count("\n") == 1
     if data:
-        # Who insists sees the bytes, and the status says that nothing could be made of them.
+        # With an explicit interface, the bytes are shown, and the exit status reports that none could be decoded.
         status, out, _ = run("dissect", str(path), "--interface", "primary")
         assert status == 1
         assert "these bytes belong to no packet" in out or "cut off" in out
@@ -225,12 +225,12 @@ def test_interface_is_guessed() -> None:
     assert guess_interface(b"\xff" * 3000) is None
 
 
-def test_count(run: Run, recording: Path) -> None:
+def test_count_limits_packets(run: Run, recording: Path) -> None:
     pieces = list(map(strict, run("dissect", str(recording), "--count", "3", "--json")[1].splitlines()))
     assert [piece["number"] for piece in pieces] == [1, 2, 3]
 
 
-def test_recording_with_both_interfaces(run: Run, recording: Path) -> None:
+def test_recording_shows_both_interfaces(run: Run, recording: Path) -> None:
     status, out, err = run("dissect", str(recording), "--json")
     assert (status, err) == (0, "")
     assert_harmless(out)
@@ -243,7 +243,7 @@ def test_recording_with_both_interfaces(run: Run, recording: Path) -> None:
     assert "contains no secondary" in err
 
 
-def test_each_connection_of_a_recording_by_itself(run: Run, tmp_path: Path) -> None:
+def test_connections_of_recording_are_dissected_separately(run: Run, tmp_path: Path) -> None:
     packet = bytes(RealtimeState("5.11"))
     path = tmp_path / "x.urlog"
     writer = RecordingWriter(path)
@@ -261,7 +261,7 @@ def test_each_connection_of_a_recording_by_itself(run: Run, tmp_path: Path) -> N
     ]
 
 
-def test_version_message_decides_what_follows() -> None:
+def test_version_message_selects_layout_of_later_packets() -> None:
     version = bytes(VersionMessage("5.4", major=5, minor=4, build_date="01-01-2024, 00:00:00"))
     short = bytes(RobotState(RobotModeData("3.0")))
     (alone,) = dissect(short, "primary", None)
@@ -271,7 +271,7 @@ def test_version_message_decides_what_follows() -> None:
     assert "firmware 5.4" in (after.parts[0].error or "")
 
 
-# -- every byte, whatever it is ------------------------------------------------------------------------
+# -- arbitrary bytes -----------------------------------------------------------------------------------
 
 
 @pytest.mark.property
@@ -297,7 +297,7 @@ _STEPPED.step()
 
 @pytest.mark.captures("ur")
 @pytest.mark.parametrize("name", _CAPTURES)
-def test_captures(run: Run, captures: Path, name: str) -> None:
+def test_dissection_of_captures_shows_every_byte(run: Run, captures: Path, name: str) -> None:
     path = captures / name
     status, out, err = run("dissect", str(path), "--json", "--interface", _interface(path))
     pieces = list(map(strict, out.splitlines()))
@@ -313,11 +313,11 @@ def _interface(path: Path) -> str:
 
 
 @pytest.mark.captures("ur")
-def test_captures_are_there() -> None:
+def test_captures_exist() -> None:
     assert _CAPTURES
 
 
-def test_library_is_what_decodes() -> None:
+def test_dissection_equals_decoded_packet() -> None:
     state = RealtimeState("5.11", q_actual=[1, 2, 3, 4, 5, 6])
     (piece,) = dissect(bytes(state), "realtime", None)
     values = {row.name: row.value for row in piece.rows}

@@ -26,7 +26,7 @@ def played(path: Path, rate: str = "max") -> str:
     return f"replay://{str(path).replace(' ', '%20')}?rate={rate}"
 
 
-def test_all_fields_on_one_line(run: Run, address: str) -> None:
+def test_echo_prints_all_fields_on_one_line(run: Run, address: str) -> None:
     status, out, err = run("echo", address, "--count", "3")
     assert (status, err) == (0, "")
     assert out.count("\n") == 3
@@ -35,7 +35,7 @@ def test_all_fields_on_one_line(run: Run, address: str) -> None:
         assert "robot_mode=RUNNING" in text
 
 
-def test_chosen_fields(run: Run, address: str) -> None:
+def test_echo_prints_chosen_fields(run: Run, address: str) -> None:
     status, out, _ = run("echo", address, "robot_mode", "q_actual", "payload_mass", "--count", "1")
     assert status == 0
     assert out.startswith("robot_mode=RUNNING q_actual=[")
@@ -47,13 +47,13 @@ def test_fields_may_follow_options(run: Run, address: str) -> None:
     assert (status, out) == (0, "robot_mode=RUNNING\n")
 
 
-def test_fields_that_are_not_sent(run: Run, old_address: str) -> None:
+def test_missing_fields_are_printed_as_dash_or_null(run: Run, old_address: str) -> None:
     assert run("echo", old_address, "safety_mode", "--count", "1")[1] == "safety_mode=-\n"
     (record,) = map(strict, run("echo", old_address, "safety_mode", "--count", "1", "--json")[1].splitlines())
     assert record["safety_mode"] is None
 
 
-def test_robot_states(run: Run, address: str) -> None:
+def test_echo_prints_fields_of_sub_packages(run: Run, address: str) -> None:
     fields = ("joint_data.q_actual", "robot_mode_data.robot_mode", "singularity_info.severity", "tool_mode_info")
     status, out, _ = run("echo", address, *fields, "--interface", "primary", "--count", "1")
     assert status == 0
@@ -62,7 +62,7 @@ def test_robot_states(run: Run, address: str) -> None:
 
 
 @pytest.mark.parametrize("interface", ["primary", "secondary"])
-def test_json_of_robot_states(run: Run, address: str, interface: str) -> None:
+def test_echo_prints_robot_states_as_json(run: Run, address: str, interface: str) -> None:
     status, out, _ = run("echo", address, "--json", "--interface", interface, "--count", "2")
     assert status == 0
     first, second = map(strict, out.splitlines())
@@ -80,11 +80,11 @@ def test_type_chooses_packets(run: Run, address: str, kind: str) -> None:
     assert strict(out)["type"] == ("JointData" if kind == "JointData" else "VersionMessage")
 
 
-def test_type_with_field(run: Run, address: str) -> None:
+def test_type_option_works_with_field(run: Run, address: str) -> None:
     assert run("echo", address, "major", "--type", "VersionMessage", "--count", "1")[1] == "major=5\n"
 
 
-def test_unknown_field_lists_those_there_are(run: Run) -> None:
+def test_unknown_field_lists_existing_fields(run: Run) -> None:
     status, out, err = run("echo", "sim://", "q_actually")
     assert (status, out) == (2, "")
     assert "RealtimeState has no field 'q_actually'" in err
@@ -94,7 +94,7 @@ def test_unknown_field_lists_those_there_are(run: Run) -> None:
     assert "did you mean joint_data.q_actual?" in err
 
 
-def test_type_of_another_interface(run: Run) -> None:
+def test_type_of_another_interface_is_rejected(run: Run) -> None:
     status, _, err = run("echo", "sim://", "--type", "JointData", "--interface", "realtime")
     assert status == 2
     assert "the realtime interface does not send JointData" in err
@@ -138,7 +138,7 @@ def test_unknown_tails_and_sub_packages_are_shown(run: Run, tmp_path: Path) -> N
     assert out.endswith(f" tail={b'newfield'.hex()}\n")
 
 
-def test_timeout(run: Run, controller: Controller, address: str) -> None:
+def test_echo_times_out(run: Run, controller: Controller, address: str) -> None:
     controller.faults.stall(30, "realtime")
     try:
         status, out, err = run("echo", address, "--timeout", "0.2")
@@ -148,18 +148,18 @@ def test_timeout(run: Run, controller: Controller, address: str) -> None:
     assert err.endswith("realtime within 0.2 s\n")
 
 
-def test_drops_are_told(capsys: pytest.CaptureFixture[str], address: str) -> None:
+def test_dropped_packets_are_reported(capsys: pytest.CaptureFixture[str], address: str) -> None:
     with connect(address) as robot, Tap(robot.realtime, RealtimeState) as tap:
         assert tap.take(5.0)
         assert capsys.readouterr().err == ""
-        # As if nobody had read for half a minute.
+        # As if the output had been blocked for half a minute.
         tap._queue.offer([robot.realtime.wait()] * 20000)
     assert "packets were dropped, because the output was too slow" in capsys.readouterr().err
 
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_lost_connections_are_told(spawn: Spawn) -> None:
+def test_lost_connection_is_reported_and_echo_continues(spawn: Spawn) -> None:
     with Controller("UR5e", "5.11") as controller:
         process = spawn("echo", controller.address, "time")
         assert process.stdout is not None
@@ -167,14 +167,14 @@ def test_lost_connections_are_told(spawn: Spawn) -> None:
         assert process.stdout.readline()
         controller.faults.cut()
         assert "connection lost: " in process.stderr.readline()
-        for text in process.stdout:  # it goes on by itself
+        for text in process.stdout:  # echo reconnects and continues automatically
             if float(text.partition("=")[2]) >= controller.time - 0.1:
                 break
         process.terminate()
         assert process.wait(20) == 143
 
 
-def test_nothing_is_lost_at_full_speed(run: Run, controller: Controller, address: str) -> None:
+def test_echo_loses_no_state_at_full_rate(run: Run, controller: Controller, address: str) -> None:
     before = controller.counters.skipped
     status, out, err = run("echo", address, "time", "--count", "400")
     assert (status, err) == (0, "")

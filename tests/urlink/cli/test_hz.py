@@ -35,19 +35,19 @@ _STATS = StreamStatistics(
 _COUNTERS = "received 9 missed 7 duplicates 0 failed 1 reconnects 3"
 
 
-def test_figures() -> None:
+def test_line_shows_rate_and_periods() -> None:
     text = line(deque([0.001, 0.002, 0.003]), 3, _STATS)
     assert text == f"500.00 Hz | period min 1.000 mean 2.000 max 3.000 std 0.816 ms | window 3 | {_COUNTERS}"
 
 
-def test_too_little_for_figures() -> None:
+def test_line_with_too_few_states() -> None:
     assert line(deque(), 0, _STATS) == f"no new states | {_COUNTERS}"
     assert line(deque(), 1, _STATS) == f"one state so far | {_COUNTERS}"
     assert line(deque([0.0]), 1, _STATS).startswith("- Hz | period min 0.000")
 
 
 @pytest.mark.parametrize(("interface", "low", "high"), [("realtime", 250, 1000), ("primary", 5, 20)])
-def test_rate_of_the_simulator(run: Run, address: str, interface: str, low: float, high: float) -> None:
+def test_hz_measures_rate_of_simulator(run: Run, address: str, interface: str, low: float, high: float) -> None:
     status, out, err = run("hz", address, "--interface", interface, "--duration", "1.3")
     assert (status, err) == (0, "")
     lines = out.splitlines()
@@ -57,7 +57,7 @@ def test_rate_of_the_simulator(run: Run, address: str, interface: str, low: floa
     assert low < float(rate[1]) < high
 
 
-def test_window_bounds_what_is_looked_back_on(run: Run, address: str) -> None:
+def test_window_limits_number_of_periods(run: Run, address: str) -> None:
     status, out, _ = run("hz", address, "--window", "50", "--duration", "0.5")
     assert status == 0
     assert "| window 50 |" in out
@@ -69,7 +69,7 @@ def test_recording_is_measured_to_its_end(run: Run, recording: Path) -> None:
     assert "| window 19 | received 20 " in out.splitlines()[-1]
 
 
-def test_nothing_came(run: Run, controller: Controller, address: str, silent_address: str) -> None:
+def test_hz_fails_without_states(run: Run, controller: Controller, address: str, silent_address: str) -> None:
     status, _, err = run("hz", silent_address)
     assert status == 1
     assert "realtime: no state arrived" in err

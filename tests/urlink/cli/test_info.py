@@ -13,7 +13,7 @@ from .conftest import Run, write
 pytestmark = pytest.mark.simulated_time
 
 
-def test_text(run: Run, controller: Controller, address: str) -> None:
+def test_info_prints_facts(run: Run, controller: Controller, address: str) -> None:
     status, out, err = run("info", address)
     assert (status, err) == (0, "")
     for part in (
@@ -29,7 +29,7 @@ def test_text(run: Run, controller: Controller, address: str) -> None:
         assert part in out
 
 
-def test_json(run: Run, address: str, controller: Controller) -> None:
+def test_info_prints_json(run: Run, address: str, controller: Controller) -> None:
     status, out, _ = run("info", address, "--json")
     assert status == 0
     facts = strict(out)
@@ -42,7 +42,7 @@ def test_json(run: Run, address: str, controller: Controller) -> None:
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_every_release(run: Run, tmp_path: Path, release: object) -> None:
+def test_info_knows_every_release(run: Run, tmp_path: Path, release: object) -> None:
     firmware = str(release.since)  # type: ignore[attr-defined]
     path = write(tmp_path / "x.urlog", {"realtime": []}, info={"firmware": firmware})
     facts = strict(run("info", f"replay://{path}", "--json")[1])
@@ -50,16 +50,16 @@ def test_every_release(run: Run, tmp_path: Path, release: object) -> None:
     assert facts["sizes"]["first_state"] == 5 + sum(facts["sizes"]["sub_packages"].values())
 
 
-def test_controller_that_does_not_say_its_version(run: Run) -> None:
+def test_info_states_whether_controller_reported_version(run: Run) -> None:
     with Controller("UR5", "1.6") as controller:
         ports = "&".join(f"{name}={port}" for name, port in controller.ports.items())
         facts = strict(run("info", f"ur://{controller.host}?{ports}", "--json")[1])
-    # Whether 1.6 says it or not, the answer is true and says which.
+    # The firmware is right whether the simulated 1.6 reports it or not; the flag shows which case it is.
     assert facts["firmware"] == "1.6"
     assert facts["firmware_is_said"] in (True, False)
 
 
-def test_simulator_behind_an_address(run: Run) -> None:
+def test_info_starts_simulator_for_sim_address(run: Run) -> None:
     status, out, _ = run("info", "sim://ur10?firmware=3.4")
     assert status == 0
     assert "model       UR10\n" in out
@@ -68,7 +68,7 @@ def test_simulator_behind_an_address(run: Run) -> None:
     assert max(map(len, out.splitlines())) <= 100
 
 
-def test_hostile_recording(run: Run, tmp_path: Path) -> None:
+def test_info_escapes_hostile_text_of_recording(run: Run, tmp_path: Path) -> None:
     path = write(tmp_path / "x.urlog", {"realtime": []}, info={"model": HOSTILE})
     for options in ((), ("--json",)):
         status, out, _ = run("info", f"replay://{path}", *options)

@@ -19,7 +19,7 @@ pty = pytest.importorskip("pty")
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, int]]:
-    """The end of a terminal that a person holds, and that of the program."""
+    """Both ends of a terminal: the end of the user, and the end of the program."""
     ends: tuple[int, int] = pty.openpty()
     yield ends
     for end in ends:
@@ -51,7 +51,7 @@ def test_keys_move_the_arm(spawn: Callable[..., subprocess.Popen[str]], terminal
     assert process.stderr.read() == ""
 
 
-def test_without_a_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_jog_fails_without_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("6"))
     status, out, err = run("jog", "sim://")
     assert (status, out) == (1, "")
@@ -61,7 +61,7 @@ def test_without_a_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("option", "message"), [("--speed=3", "3 is not from 0.01 to 1"), ("--hold=60", "60 is not from 0.05 to 10 s")]
 )
-def test_options_that_make_no_sense(run: Run, option: str, message: str) -> None:
+def test_jog_rejects_values_out_of_range(run: Run, option: str, message: str) -> None:
     status, _, err = run("jog", "sim://", option)
     assert status == 2
     assert message in err

@@ -42,7 +42,7 @@ COMMANDS = (
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
 
-def test_help_names_every_command_and_the_exit_status(run: Run) -> None:
+def test_help_lists_commands_and_exit_status(run: Run) -> None:
     status, out, err = run("--help")
     assert (status, err) == (0, "")
     listed = out.partition("commands:\n")[2].partition("\n\n")[0].splitlines()[1:]
@@ -59,7 +59,7 @@ def test_help_of_each_command_ends_in_examples(run: Run, command: str) -> None:
     assert status == 0
     examples = out.partition("examples:\n")[2].splitlines()
     assert len(examples) >= 3
-    # A program may come through a pipe.
+    # The script of `run` can be piped in, so an example can start with echo.
     assert all(example.startswith((f"  urlink {command}", "  echo ")) for example in examples)
     assert all(f" urlink {command}" in example for example in examples)
     assert max(map(len, out.splitlines())) <= 115
@@ -108,7 +108,7 @@ def test_doctor_reports_an_unknown_host_once(run: Run, monkeypatch: pytest.Monke
     assert host.startswith("BAD   host           ur5-in-the-lab is unknown (Name or service not known); check ")
 
 
-def test_help_where_python_runs_without_docstrings(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_works_without_docstrings(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """`python -OO` drops the docstrings, which are the help of the commands."""
     (row,) = (each for each in vars(info).values() if isinstance(each, Subcommand))
     monkeypatch.setattr(row.run, "__doc__", None)
@@ -118,8 +118,8 @@ def test_help_where_python_runs_without_docstrings(run: Run, monkeypatch: pytest
     assert "--json" in out
 
 
-def test_the_module_of_one_command_is_imported(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All together they take longer than most commands."""
+def test_only_module_of_called_command_is_imported(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Importing all of the modules takes longer than most commands."""
     imported = []
 
     def import_module(name: str) -> object:
@@ -143,7 +143,7 @@ def test_the_module_of_one_command_is_imported(run: Run, monkeypatch: pytest.Mon
         (("foxglove", "--help"), "pip install 'urlink-view[foxglove]'\n"),
     ],
 )
-def test_a_command_of_a_package_says_what_installs_it_when_it_is_not_installed(
+def test_command_of_missing_package_names_pip_command(
     run: Run, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...], install: str
 ) -> None:
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ())
@@ -156,8 +156,8 @@ _PLUGINS = [name for name, where in urlink.cli._COMMANDS.items() if isinstance(w
 
 
 @pytest.mark.parametrize("name", _PLUGINS)
-def test_a_command_of_a_package_is_listed_as_the_package_has_it(name: str) -> None:
-    """The help shows this line while the package is not installed."""
+def test_summary_of_plugin_command_equals_its_package(name: str) -> None:
+    """The help shows this summary while the package is not installed."""
     listed = urlink.cli._COMMANDS[name]
     assert isinstance(listed, Plugin)
     (entry,) = importlib.metadata.entry_points(group="urlink.commands", name=name)
@@ -167,16 +167,14 @@ def test_a_command_of_a_package_is_listed_as_the_package_has_it(name: str) -> No
     assert row.summary == listed.summary
 
 
-def test_help_says_which_package_has_a_command_when_it_is_not_installed(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_help_names_missing_package_of_command(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ())
     status, out, _ = run("--help")
     assert status == 0
     assert "show an arm in 3D in a browser (pip install urlink-view)" in " ".join(out.split())
 
 
-def test_a_command_of_another_distribution_is_found(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_of_another_distribution_is_found(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     entry = importlib.metadata.EntryPoint("wave", "wave_module", "urlink.commands")
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: (entry,) if "commands" in group else ())
     wave = types.ModuleType("wave_module")
@@ -187,7 +185,7 @@ def test_a_command_of_another_distribution_is_found(run: Run, monkeypatch: pytes
     assert "did you mean 'wave'?" in run("wvae")[2]
 
 
-def test_version(run: Run) -> None:
+def test_version_is_printed(run: Run) -> None:
     status, out, _ = run("--version")
     assert status == 0
     assert out.startswith("urlink ")
@@ -210,7 +208,7 @@ def test_version(run: Run) -> None:
         ("replay", "x", "--rate", "-1"),
     ],
 )
-def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
+def test_wrong_usage_exits_with_2(run: Run, argv: tuple[str, ...]) -> None:
     status, out, err = run(*argv)
     assert (status, out) == (2, "")
     assert err.startswith("usage: urlink")
@@ -232,7 +230,7 @@ def test_wrong_usage_is_2(run: Run, argv: tuple[str, ...]) -> None:
     ],
 )
 @pytest.mark.real_time
-def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...], said: str) -> None:
+def test_failure_prints_one_line_and_exits_with_1(run: Run, argv: tuple[str, ...], said: str) -> None:
     status, out, err = run(*argv)
     assert (status, out) == (1, "")
     assert err.startswith("urlink: ")
@@ -241,7 +239,7 @@ def test_what_fails_is_one_line_on_stderr_and_1(run: Run, argv: tuple[str, ...],
     assert "Traceback" not in err
 
 
-def test_text_of_errors_is_harmless(run: Run, tmp_path: Path) -> None:
+def test_error_message_escapes_hostile_path(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "x\x1b[2J\u202ey"
     status, _, err = run("replay", str(path))
     assert status == 1
@@ -271,7 +269,7 @@ def test_warnings_are_shown_without_verbose(run: Run, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> None:
+def test_closed_pipe_is_not_an_error(spawn: Spawn, address: str) -> None:
     process = spawn("echo", "--quiet", address, "q_actual")
     assert process.stdout is not None
     assert process.stderr is not None
@@ -285,7 +283,7 @@ def test_reader_that_has_had_enough_is_no_error(spawn: Spawn, address: str) -> N
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("command", ["echo", "hz", "monitor"])
 @pytest.mark.real_time
-def test_signals_end_quietly(spawn: Spawn, address: str, command: str, number: int, status: int) -> None:
+def test_signals_end_command_quietly(spawn: Spawn, address: str, command: str, number: int, status: int) -> None:
     process = spawn(command, "--quiet", address)
     assert process.stdout is not None
     assert process.stdout.readline()

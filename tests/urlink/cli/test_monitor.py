@@ -63,7 +63,7 @@ def painted(view: MonitorView, width: int = 100, colour: bool = False) -> str:
 
 
 def until(views: Iterator[MonitorView], wanted: Callable[[MonitorView], bool]) -> MonitorView:
-    """The first view that is wanted; within ten seconds."""
+    """Return the first view that meets the condition, within ten seconds."""
     deadline = linkcore.clock.now() + 10
     for view in views:
         if wanted(view):
@@ -76,7 +76,7 @@ def until(views: Iterator[MonitorView], wanted: Callable[[MonitorView], bool]) -
 # -- lines ---------------------------------------------------------------------------------------------
 
 
-def test_lines_have_what_matters(run: Run, address: str) -> None:
+def test_plain_lines_show_rate_pose_and_modes(run: Run, address: str) -> None:
     status, out, err = run("monitor", address, "--duration", "1.3")
     assert status == 0
     watched, step = err.splitlines()
@@ -87,19 +87,19 @@ def test_lines_have_what_matters(run: Run, address: str) -> None:
     )
     assert step == f"urlink: next: urlink record '{address}' run.urlog to record what the robot sends"
     lines = out.splitlines()
-    assert len(lines) == 3  # at once, after a second, and at the end
+    assert len(lines) == 3  # immediately, after a second, and at the end
     for text in lines:
         assert re.match(r"\d\d:\d\d:\d\d (CONNECTED|SLOW) \| UR5e  firmware 5\.11 \| ", text)
         for part in ("age ", "q ", " deg", "tool ", "robot RUNNING", "safety NORMAL", "program STOPPED", "failed 0"):
             assert part in text
     rate = re.search(r"([\d.]+)(?: of 500)? Hz", lines[-1])
     assert rate is not None
-    assert 100 < float(rate[1]) < 1000  # whatever else this machine is doing
-    assert "- Hz" in lines[0]  # nothing can be said of the rate at first
+    assert 100 < float(rate[1]) < 1000  # wide limits, because the computer might be busy
+    assert "- Hz" in lines[0]  # the rate is unknown at first
 
 
 @pytest.mark.parametrize("interface", ["realtime", "primary"])
-def test_old_firmware_lacks_fields_and_says_nothing_of_them(run: Run, old_address: str, interface: str) -> None:
+def test_monitor_omits_missing_fields_of_old_firmware(run: Run, old_address: str, interface: str) -> None:
     status, out, _ = run("monitor", old_address, "--interface", interface, "--duration", "0.3", "--plain")
     assert status == 0
     assert "robot RUNNING" in out
@@ -110,13 +110,13 @@ def test_old_firmware_lacks_fields_and_says_nothing_of_them(run: Run, old_addres
     ("address", "program"),
     [("sim://", "PLAYING"), ("sim://ur10?firmware=3.4", "PLAYING"), ("sim://?motion=still", "STOPPED")],
 )
-def test_a_simulated_arm_moves_unless_it_is_to_stand(run: Run, address: str, program: str) -> None:
+def test_simulated_arm_moves_unless_motion_is_still(run: Run, address: str, program: str) -> None:
     status, out, _ = run("monitor", address, "--plain", "--duration", "0.5", "--interface", "primary")
     assert status == 0
     assert f"program {program}" in out.splitlines()[-1]
 
 
-def test_recording_ends_by_itself(run: Run, recording: Path) -> None:
+def test_monitor_ends_with_recording(run: Run, recording: Path) -> None:
     status, out, _ = run("monitor", f"replay://{str(recording).replace(' ', '%20')}", "--plain")
     assert status == 0
     assert " ENDED | " in out.splitlines()[-1]
@@ -134,7 +134,7 @@ def test_recording_ends_by_itself(run: Run, recording: Path) -> None:
         (StreamStatus.ENDED, {}, "replay:///tmp/run%20one.urlog?rate=2", "urlink replay '/tmp/run one.urlog'"),
     ],
 )
-def test_next_step_depends_on_what_was_shown(
+def test_next_step_depends_on_status_and_counts(
     status: StreamStatus, counts: dict[str, int], address: str, step: str
 ) -> None:
     stats = replace(_STATS, **({"missed": 0, "reconnects": 0} | counts))
@@ -149,14 +149,14 @@ def test_summary_counts_states_and_names_the_longest_gap() -> None:
     assert monitor.summary(view, 0.5) == f"watched for 0.5 s; {counts}"
 
 
-def test_nothing_ever_came(run: Run, silent_address: str) -> None:
+def test_monitor_fails_when_recording_has_no_states(run: Run, silent_address: str) -> None:
     status, out, err = run("monitor", silent_address)
     assert status == 1
     assert "no state yet" in out
     assert err == f"urlink: {silent_address}: no state arrived\n"
 
 
-def test_nothing_came_in_time(run: Run, controller: Controller, address: str) -> None:
+def test_monitor_fails_when_no_state_arrives_in_time(run: Run, controller: Controller, address: str) -> None:
     controller.faults.stall(30, "realtime")
     try:
         status, out, err = run("monitor", address, "--duration", "0.2")
@@ -167,7 +167,7 @@ def test_nothing_came_in_time(run: Run, controller: Controller, address: str) ->
     assert "no state arrived within 0.2 s" in err
 
 
-def test_lost_connection_is_loud_and_its_data_old() -> None:
+def test_lost_connection_marks_data_as_old() -> None:
     with Controller("UR5e", "5.11") as controller:
         where = controller.address
         with urlink.connect(where, silence=0.7, backoff=urlink.Backoff(first=0.2, most=0.2)) as robot:
@@ -193,7 +193,7 @@ def test_lost_connection_is_loud_and_its_data_old() -> None:
             assert again.trouble is None
 
 
-def test_controller_that_comes_back_with_other_firmware() -> None:
+def test_monitor_shows_new_firmware_after_reboot() -> None:
     with Controller("UR5e", "5.4") as controller:
         where = controller.address
         with urlink.connect(where, backoff=urlink.Backoff(first=0.05, most=0.1)) as robot:
@@ -217,7 +217,9 @@ def test_controller_that_comes_back_with_other_firmware() -> None:
         (ConnectionState.CLOSED, False, 0.0, StreamStatus.ENDED),
     ],
 )
-def test_status(connection: ConnectionState, has_latest: bool, age: float | None, status: StreamStatus) -> None:
+def test_status_follows_connection_and_age(
+    connection: ConnectionState, has_latest: bool, age: float | None, status: StreamStatus
+) -> None:
     reading = None if age is None else Reading(urlink.packets.Stamp(linkcore.clock.now() - age, 0.0))
     assert status_of(connection, has_latest, reading) is status
 
@@ -234,7 +236,9 @@ def test_status(connection: ConnectionState, has_latest: bool, age: float | None
         (111.0, None, StreamStatus.CONNECTED),
     ],
 )
-def test_it_is_green_only_at_the_usual_rate(rate: float | None, usual: float | None, status: StreamStatus) -> None:
+def test_status_is_slow_below_95_percent_of_usual_rate(
+    rate: float | None, usual: float | None, status: StreamStatus
+) -> None:
     reading = Reading(urlink.packets.Stamp.now(), q=[0.0] * 6)
     seen = status_of(ConnectionState.CONNECTED, True, reading, rate, usual)
     assert seen is status
@@ -246,7 +250,7 @@ def test_it_is_green_only_at_the_usual_rate(rate: float | None, usual: float | N
 
 
 @pytest.mark.slow
-def test_a_controller_that_leaves_out_states_is_not_green(address: str, controller: Controller) -> None:
+def test_status_is_slow_when_states_are_missing(address: str, controller: Controller) -> None:
     with urlink.connect(address) as robot:
         views = monitor.watch(robot, "realtime")
         until(views, lambda view: view.rate is not None)
@@ -269,7 +273,7 @@ def test_a_controller_that_leaves_out_states_is_not_green(address: str, controll
         assert view.stats.missed
 
 
-def test_ages() -> None:
+def test_age_text_uses_suitable_unit() -> None:
     assert [age_text(age) for age in (0.0021, 3.44, 90, 1200)] == ["2 ms", "3.4 s", "90.0 s", "20 min"]
 
 
@@ -305,10 +309,10 @@ def test_state_without_sub_packages_can_be_painted() -> None:
     assert "no state" not in line(view, "12:00:00")
 
 
-# -- the picture ---------------------------------------------------------------------------------------
+# -- the panel -----------------------------------------------------------------------------------------
 
 
-def test_picture_shows_it_all() -> None:
+def test_panel_shows_every_value() -> None:
     state = urlink.packets.RealtimeState(
         "5.11",
         q_actual=[3.14159265, -1.5, 0, float("nan"), float("inf"), 99],
@@ -350,13 +354,13 @@ def test_old_values_are_dim_and_never_green() -> None:
     assert "cable" in painted(lost)
 
 
-def test_hostile_text_is_painted_harmlessly() -> None:
+def test_panel_escapes_hostile_text() -> None:
     view = MonitorView(HOSTILE, HOSTILE, StreamStatus.LOST, None, _STATS, trouble=HOSTILE, message=HOSTILE)
     assert_harmless(painted(view), line(view, "12:00:00"))
     assert "\\x1b[2J" in painted(view)
 
 
-def test_messages_of_the_controller_are_shown(recording: Path) -> None:
+def test_panel_shows_messages_of_controller(recording: Path) -> None:
     with urlink.connect(f"replay://{str(recording).replace(' ', '%20')}?rate=max") as robot:
         views = monitor.watch(robot, "primary")
         view = until(views, lambda view: view.message is not None and "TextMessage" in view.message)
@@ -364,7 +368,7 @@ def test_messages_of_the_controller_are_shown(recording: Path) -> None:
     assert "message   TextMessage text='safe\\x1b[2J" in painted(view)
 
 
-def test_hostile_recording(run: Run, tmp_path: Path) -> None:
+def test_monitor_escapes_hostile_text_of_recording(run: Run, tmp_path: Path) -> None:
     path = write(
         tmp_path / "x.urlog", {"realtime": [bytes(urlink.packets.RealtimeState("5.11"))]}, info={"model": HOSTILE}
     )
@@ -377,7 +381,7 @@ def test_hostile_recording(run: Run, tmp_path: Path) -> None:
 
 
 def on_terminal(*argv: str, interrupt_after: bytes | None = None, code: str = "") -> tuple[int, str]:
-    """Run the monitor on a terminal; exit status and all that it wrote."""
+    """Run the monitor on a terminal; return its exit status and its whole output."""
     master, slave = pty.openpty()
     program = f"import sys; {code or 'pass'}; from urlink.cli import main; sys.exit(main(sys.argv[1:]))"
     environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
@@ -389,7 +393,7 @@ def on_terminal(*argv: str, interrupt_after: bytes | None = None, code: str = ""
     while True:
         try:
             data = os.read(master, 65536)
-        except OSError:  # so Linux says that nobody has the terminal open any more
+        except OSError:  # on Linux, this means that no process has the terminal open any more
             break
         if not data:
             break
@@ -407,7 +411,7 @@ _HIDE, _SHOW = "\x1b[?25l", "\x1b[?25h"
 @pytest.mark.slow
 @pytest.mark.real_time
 def test_terminal_is_left_clean_at_the_end(address: str) -> None:
-    for seconds in ("0.5", "5", "50"):  # a busy machine may not have connected in half a second
+    for seconds in ("0.5", "5", "50"):  # on a busy computer, connecting can take more than half a second
         status, written = on_terminal("monitor", address, "--duration", seconds)
         assert status == 0
         if "wrist 3" in written:
@@ -430,7 +434,7 @@ def test_ctrl_c_leaves_the_terminal_clean(address: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_plain_lines_on_a_terminal(address: str) -> None:
+def test_plain_option_works_on_terminal(address: str) -> None:
     status, written = on_terminal("monitor", "-q", address, "--plain", "--duration", "0.2")
     assert status == 0
     assert "\x1b" not in written
@@ -438,7 +442,7 @@ def test_plain_lines_on_a_terminal(address: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_without_rich_lines_and_a_hint(address: str) -> None:
+def test_monitor_without_rich_prints_lines_and_hint(address: str) -> None:
     status, written = on_terminal("monitor", "-q", address, "--duration", "0.2", code="sys.modules['rich'] = None")
     assert status == 0
     assert "pip install 'urlink-robot[cli]'" in written
@@ -447,6 +451,6 @@ def test_without_rich_lines_and_a_hint(address: str) -> None:
 
 
 @pytest.mark.real_time
-def test_rich_is_imported_by_the_picture_alone() -> None:
+def test_rich_is_not_imported_by_the_cli() -> None:
     code = "import sys; import urlink.cli; assert 'rich' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -24,7 +24,7 @@ def payload(path: Path, name: str) -> bytes:
     return b"".join(each.payload for each in recording if each.kind is Kind.BYTES and each.channel == number)
 
 
-def test_duration(run: Run, address: str, tmp_path: Path) -> None:
+def test_record_ends_after_duration(run: Run, address: str, tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     status, out, err = run("record", address, str(path), "--duration", "0.5")
     assert status == 0
@@ -35,11 +35,11 @@ def test_duration(run: Run, address: str, tmp_path: Path) -> None:
     recording = RecordingFile(path)
     assert recording.is_complete
     assert [info["name"] for info in recording.channels.values()] == ["realtime", "primary"]
-    assert len(payload(path, "realtime")) > 1220 * 100  # 250 packets in that time, fewer on a busy machine
+    assert len(payload(path, "realtime")) > 1220 * 100  # nominally 250 packets, fewer on a busy computer
 
 
 @pytest.mark.parametrize("interface", ["realtime", "primary", "secondary"])
-def test_count_and_interface(run: Run, address: str, tmp_path: Path, interface: str) -> None:
+def test_record_obeys_count_and_interface(run: Run, address: str, tmp_path: Path, interface: str) -> None:
     path = tmp_path / "run.urlog"
     status, out, _ = run("record", address, str(path), "--interface", interface, "--count", "3")
     assert status == 0
@@ -48,7 +48,7 @@ def test_count_and_interface(run: Run, address: str, tmp_path: Path, interface: 
     assert len(decode(payload(path, interface), "realtime" if interface == "realtime" else "primary")) >= 3
 
 
-def test_never_overwrites(run: Run, address: str, tmp_path: Path) -> None:
+def test_record_never_overwrites_a_file(run: Run, address: str, tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     path.write_text("precious")
     status, out, err = run("record", address, str(path), "--count", "1")
@@ -70,7 +70,7 @@ def test_lost_connections_are_in_the_file(run: Run, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals_close_the_file_in_order(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:
+def test_signals_close_the_file_properly(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:
     path = tmp_path / "run.urlog"
     process = spawn("record", address, str(path))
     assert process.stderr is not None
@@ -84,7 +84,7 @@ def test_signals_close_the_file_in_order(spawn: Spawn, address: str, tmp_path: P
     assert recording.left_out == 0
 
 
-def test_recording_of_a_recording(run: Run, recording: Path, tmp_path: Path) -> None:
+def test_recording_of_a_recording_has_same_bytes(run: Run, recording: Path, tmp_path: Path) -> None:
     path = tmp_path / "copy.urlog"
     source = f"replay://{str(recording).replace(' ', '%20')}?rate=max"
     status, _, _ = run("record", source, str(path))

@@ -18,7 +18,7 @@ from .conftest import Run, write
 pytestmark = pytest.mark.simulated_time
 
 
-def test_summary(run: Run, recording: Path) -> None:
+def test_replay_prints_summary(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording))
     assert (status, err) == (0, "")
     assert out.startswith(f"{recording}: 0.5 s, {recording.stat().st_size} bytes, complete\n")
@@ -29,7 +29,7 @@ def test_summary(run: Run, recording: Path) -> None:
     assert out.count("  no cycle is missing\n") == 2
 
 
-def test_summary_as_json(run: Run, recording: Path) -> None:
+def test_replay_prints_summary_as_json(run: Run, recording: Path) -> None:
     summary = strict(run("replay", str(recording), "--json")[1])
     assert summary["is_complete"] is True
     assert summary["left_out"] == 0
@@ -40,7 +40,7 @@ def test_summary_as_json(run: Run, recording: Path) -> None:
     assert primary["packets"] == {"VersionMessage": 1, "TextMessage": 1, "RobotState": 1}
 
 
-def test_damage_is_told(run: Run, recording: Path) -> None:
+def test_replay_reports_damage(run: Run, recording: Path) -> None:
     data = recording.read_bytes()
     recording.write_bytes(data[:-100])
     status, out, _ = run("replay", str(recording))
@@ -50,7 +50,7 @@ def test_damage_is_told(run: Run, recording: Path) -> None:
     assert strict(run("replay", str(recording), "--json")[1])["left_out"] > 0
 
 
-def test_what_cannot_be_decoded_is_told(run: Run, tmp_path: Path) -> None:
+def test_replay_reports_undecoded_bytes(run: Run, tmp_path: Path) -> None:
     good = bytes(RealtimeState("5.11"))
     garbage = b"\xff" * 50
     path = tmp_path / "x.urlog"
@@ -72,7 +72,7 @@ def test_what_cannot_be_decoded_is_told(run: Run, tmp_path: Path) -> None:
     assert_harmless(out)
 
 
-def test_channel_without_bytes(run: Run, tmp_path: Path) -> None:
+def test_replay_reports_channel_without_bytes(run: Run, tmp_path: Path) -> None:
     path = write(tmp_path / "x.urlog", {"realtime": []}, info={"model": HOSTILE, "address": HOSTILE})
     status, out, _ = run("replay", str(path))
     assert status == 0
@@ -81,7 +81,7 @@ def test_channel_without_bytes(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_every_firmware(run: Run, tmp_path: Path, release: object) -> None:
+def test_replay_plays_every_firmware(run: Run, tmp_path: Path, release: object) -> None:
     controller = Controller(None, release.since)  # type: ignore[attr-defined]
     controller.step()
     channels = {"realtime": [controller.realtime_packet()], "primary": controller.greeting("primary")}
@@ -92,7 +92,7 @@ def test_every_firmware(run: Run, tmp_path: Path, release: object) -> None:
         assert strict(out.splitlines()[-1])["type"] in ("RealtimeState", "RobotState")
 
 
-def test_played_like_echo(run: Run, recording: Path) -> None:
+def test_replay_with_rate_prints_like_echo(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording), "--rate", "max", "time", "robot_mode", "--count", "2")
     assert (status, err) == (0, "")
     assert out == "time=0 robot_mode=DISCONNECTED\ntime=0.002 robot_mode=DISCONNECTED\n"
@@ -101,37 +101,37 @@ def test_played_like_echo(run: Run, recording: Path) -> None:
     assert_harmless(out)
 
 
-def test_played_at_the_recorded_times(run: Run, recording: Path) -> None:
+def test_replay_keeps_recorded_timing(run: Run, recording: Path) -> None:
     started = time.monotonic()
     assert run("replay", str(recording), "--rate", "1", "time")[1].count("\n") == 20
     at_one = time.monotonic() - started
     started = time.monotonic()
     assert run("replay", str(recording), "--rate", "8", "time")[1].count("\n") == 20
     at_eight = time.monotonic() - started
-    assert at_one >= 0.49  # what it was recorded in
+    assert at_one >= 0.49  # the duration of the recording
     assert at_eight >= 0.06
     assert at_eight < at_one
 
 
-def test_options_of_playing_need_a_rate(run: Run, recording: Path) -> None:
+def test_fields_without_rate_are_rejected(run: Run, recording: Path) -> None:
     status, _, err = run("replay", str(recording), "q_actual")
     assert status == 2
     assert "need --rate" in err
 
 
-def test_interface_that_was_not_recorded(run: Run, recording: Path) -> None:
+def test_replay_fails_for_unrecorded_interface(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording), "--rate", "max", "--interface", "secondary")
     assert (status, out) == (1, "")
     assert "contains no secondary; it contains realtime, primary" in err
 
 
-def test_unknown_field(run: Run, recording: Path) -> None:
+def test_replay_rejects_unknown_field(run: Run, recording: Path) -> None:
     assert run("replay", str(recording), "--rate", "max", "nonsense")[0] == 2
 
 
 @pytest.fixture
 def with_holes(tmp_path: Path) -> Path:
-    """Real-time states that came at regular times, some of them missing by the controller's own clock."""
+    """Recording of real-time states that arrived regularly, but some are missing by the controller's own clock."""
     numbers = [*range(60), *range(80, 90), *range(130, 200)]
     return write(tmp_path / "holes.urlog", {"realtime": [bytes(RealtimeState("5.11", time=n / 500)) for n in numbers]})
 
@@ -151,12 +151,12 @@ HOLES = "60 of 200 cycles are missing (2 gaps, the longest 0.082 s)"
     ],
     ids=lambda command: command[0],
 )
-def test_what_is_missing_is_told(run: Run, with_holes: Path, command: tuple[str, ...]) -> None:
+def test_missing_cycles_are_reported(run: Run, with_holes: Path, command: tuple[str, ...]) -> None:
     status, out, err = run(*(word.format(with_holes) for word in command))
     assert status == 0
     assert HOLES in out + err
 
 
-def test_what_is_missing_is_told_in_json(run: Run, with_holes: Path) -> None:
+def test_missing_cycles_are_reported_in_json(run: Run, with_holes: Path) -> None:
     (said,) = strict(run("info", f"replay://{with_holes}", "--json")[1])["missing"]
     assert said.startswith(f"realtime: {HOLES}: ")

@@ -19,13 +19,13 @@ from .conftest import Run
 pytestmark = pytest.mark.simulated_time
 
 
-def test_variables_line_by_line(run: Run, address: str) -> None:
+def test_rtde_prints_variables_line_by_line(run: Run, address: str) -> None:
     status, out, err = run("rtde", address, "robot_mode", "actual_q", "--count", "2", "--frequency", "100")
     assert (status, err) == (0, "")
     assert [line.partition(" actual_q=[")[0] for line in out.splitlines()] == ["robot_mode=RUNNING"] * 2
 
 
-def test_json_and_csv(run: Run, address: str) -> None:
+def test_rtde_prints_json_and_csv(run: Run, address: str) -> None:
     (record,) = map(strict, run("rtde", address, "robot_mode", "actual_q", "--count", "1", "--json")[1].splitlines())
     assert record["robot_mode"] == "RUNNING"
     assert len(record["actual_q"]) == 6
@@ -35,7 +35,7 @@ def test_json_and_csv(run: Run, address: str) -> None:
     assert len(row.split(",")) == 8
 
 
-def test_what_the_controller_lacks(run: Run) -> None:
+def test_rtde_leaves_out_missing_variables(run: Run) -> None:
     with Controller("UR5e", "5.4") as controller:
         status, _, err = run("rtde", controller.address, "payload", "timestamp", "--count", "1")
         assert status == 1
@@ -49,7 +49,7 @@ def test_what_the_controller_lacks(run: Run) -> None:
         assert out.splitlines()[0] == "received,payload,robot_mode"
 
 
-def test_the_list(run: Run, address: str) -> None:
+def test_rtde_lists_variables(run: Run, address: str) -> None:
     status, out, _ = run("rtde", address, "--list")
     assert status == 0
     assert "  actual_q                                   VECTOR6D      actual joint positions [rad]" in out
@@ -59,7 +59,7 @@ def test_the_list(run: Run, address: str) -> None:
     assert "speed_slider_mask" in there.partition("inputs")[2]
 
 
-def test_recording_and_rates(run: Run, address: str, tmp_path: Path) -> None:
+def test_rtde_records_and_measures_rate(run: Run, address: str, tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     status, out, _ = run("rtde", address, "timestamp", "--record", str(path), "--count", "20")
     assert (status, out.count("\n")) == (0, 20)
@@ -84,18 +84,18 @@ def test_recording_and_rates(run: Run, address: str, tmp_path: Path) -> None:
         (["timestamp", "--frequency", "501"], "1 to 500"),
     ],
 )
-def test_what_cannot_be_asked_for(run: Run, address: str, arguments: list[str], error: str) -> None:
+def test_rtde_rejects_invalid_requests(run: Run, address: str, arguments: list[str], error: str) -> None:
     status, out, err = run("rtde", address, *arguments)
     assert (status, out) == (1, "")
     assert error in err
 
 
 @pytest.mark.slow
-def test_a_healthy_controller(run: Run, controller: Controller, address: str) -> None:
+def test_doctor_finds_no_problem_on_healthy_controller(run: Run, controller: Controller, address: str) -> None:
     status, out, _ = run("doctor", address, "--duration", "0.5", "--json")
     findings = {finding["topic"]: finding for finding in map(json.loads, out.splitlines())}
     bad = [finding for finding in findings.values() if finding["state"] == "BAD"]
-    assert all("data" in finding["topic"] for finding in bad), "a busy machine may hold up the simulator"
+    assert all("data" in finding["topic"] for finding in bad), "only data may be BAD, because of a busy computer"
     assert status == bool(bad)
     for topic in ("controller", "robot mode", "safety", "control", "inputs"):
         assert findings[topic]["state"] == "ok", findings[topic]
@@ -107,7 +107,7 @@ def test_a_healthy_controller(run: Run, controller: Controller, address: str) ->
 
 
 @pytest.mark.slow
-def test_missing_states_are_found(run: Run) -> None:
+def test_doctor_finds_missing_states(run: Run) -> None:
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
         robot.realtime.wait()
         finished = threading.Event()
@@ -129,7 +129,7 @@ def test_missing_states_are_found(run: Run) -> None:
     assert re.search(r"\d+ of \d+ cycles are missing \(\d+ gaps?, the longest 0\.\d+ s\) by its own clock", line), line
 
 
-def test_what_is_in_the_way_is_said(run: Run) -> None:
+def test_doctor_reports_protective_stop_and_closed_port(run: Run) -> None:
     with Controller("UR5e", "5.11") as controller:
         controller.remote_control = False
         controller.faults.protective_stop()
@@ -148,19 +148,19 @@ def test_what_is_in_the_way_is_said(run: Run) -> None:
 
 
 @pytest.mark.parametrize("firmware", ["1.8", "3.2"])
-def test_a_generation_without_rtde(run: Run, firmware: str) -> None:
+def test_doctor_and_rtde_report_missing_rtde(run: Run, firmware: str) -> None:
     with Controller("UR5", firmware) as controller:
         _, out, _ = run("doctor", controller.address, "--duration", "0.3")
         assert "rtde: closed; controllers before 3.3 have none" in out
         assert "inputs" not in out
-        # A busy machine may hold up the simulator, which shows in its data.
+        # A busy computer might delay the simulator, so its data may be BAD.
         assert all("data" in line for line in out.splitlines() if line.startswith("BAD")), out
         status, _, err = run("rtde", controller.address, "actual_q")
         assert status == 1
         assert ("has no RTDE; use robot.realtime" if firmware == "1.8" else "connection refused") in err
 
 
-def test_nobody_is_there(run: Run) -> None:
+def test_doctor_fails_when_no_port_answers(run: Run) -> None:
     ports = "&".join(f"{name}=1" for name in ("primary", "secondary", "realtime", "rtde", "dashboard"))
     status, out, _ = run("doctor", f"ur://127.0.0.1?{ports}", "--connect-timeout", "1")
     assert status == 1
@@ -169,11 +169,11 @@ def test_nobody_is_there(run: Run) -> None:
 
 
 @pytest.mark.parametrize("form", ["--csv", "--json", None])
-def test_it_ends_after_its_duration(run: Run, address: str, form: str | None) -> None:
+def test_rtde_ends_after_duration(run: Run, address: str, form: str | None) -> None:
     status, out, _ = run("rtde", address, "timestamp", *([] if form is None else [form]), "--duration", "0.2")
     assert status == 0
-    assert 5 < len(out.splitlines()) < 2000  # 100 at 500 Hz, fewer where the processor is busy
+    assert 5 < len(out.splitlines()) < 2000  # nominally 100 at 500 Hz, fewer on a busy computer
 
 
-def test_a_list_takes_no_duration(run: Run, silent_address: str) -> None:
+def test_rtde_list_rejects_duration(run: Run, silent_address: str) -> None:
     assert run("rtde", silent_address, "--list", "--duration", "1")[0] == 2

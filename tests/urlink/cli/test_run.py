@@ -30,14 +30,14 @@ def program(tmp_path: Path) -> Callable[[str], str]:
     return write
 
 
-def test_what_it_says(run: Run, address: str, program: Callable[[str], str]) -> None:
+def test_run_prints_texts_of_program(run: Run, address: str, program: Callable[[str], str]) -> None:
     text = 'def f():\n  textmsg("one")\n  sleep(0.05)\n  textmsg("two")\nend\n'
     status, out, err = run("run", address, program(text))
     assert (status, err) == (0, "")
     assert out.splitlines() == ["one", "two"]
 
 
-def test_stdin(run: Run, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_reads_program_from_stdin(run: Run, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO('textmsg("from stdin")\n'))
     assert run("run", address, "-") == (0, "from stdin\n", "")
 
@@ -49,14 +49,16 @@ def test_stdin(run: Run, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
         ("def f():\n  x = [1]\n  textmsg(x[3])\nend\n", ":3:"),
     ],
 )
-def test_errors_name_the_place(run: Run, address: str, program: Callable[[str], str], text: str, where: str) -> None:
+def test_run_errors_name_file_and_line(
+    run: Run, address: str, program: Callable[[str], str], text: str, where: str
+) -> None:
     path = program(text)
     status, _, err = run("run", address, path)
     assert status == 1
     assert f"{path}{where}" in err
 
 
-def test_it_is_stopped_when_time_is_up(
+def test_run_stops_program_after_timeout(
     run: Run, controller: Controller, address: str, program: Callable[[str], str]
 ) -> None:
     status, _, err = run("run", address, program("while True:\n  sync()\nend\n"), "--timeout", "0.2")
@@ -66,7 +68,7 @@ def test_it_is_stopped_when_time_is_up(
 
 
 @pytest.mark.real_time
-def test_interrupting_stops_it(
+def test_ctrl_c_stops_program(
     spawn: Spawn, controller: Controller, address: str, program: Callable[[str], str]
 ) -> None:
     process = spawn("run", address, program('textmsg("begun")\nwhile True:\n  sync()\nend\n'))
@@ -77,13 +79,13 @@ def test_interrupting_stops_it(
     until(lambda: controller.program_name is None)
 
 
-def test_no_such_file(run: Run, address: str) -> None:
+def test_run_fails_for_missing_file(run: Run, address: str) -> None:
     status, _, err = run("run", address, "/nowhere/it.script")
     assert status == 1
     assert "cannot read /nowhere/it.script" in err
 
 
-def test_what_is_no_program(run: Run, address: str, program: Callable[[str], str]) -> None:
+def test_run_fails_for_invalid_program(run: Run, address: str, program: Callable[[str], str]) -> None:
     status, _, err = run("run", address, program("def f():\n  sync()\n"))
     assert status == 1
     assert "end" in err

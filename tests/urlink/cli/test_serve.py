@@ -1,4 +1,4 @@
-"""`urlink serve`, with an adapter that is no distribution. The real ones are tested in packages/*/tests."""
+"""`urlink serve` with an adapter that is not a distribution. The real adapters are tested in packages/*/tests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .conftest import Run
 
 
 class Entry:
-    """An entry point whose adapter notes what it is given."""
+    """Entry point whose adapter records its arguments."""
 
     name = "fake"
 
@@ -36,7 +36,7 @@ class Entry:
         with pytest.raises(urlink.NotEnabled):
             robots["arm"].motion.move_joints([0.0] * 6)
         yield
-        self.served.append("over")
+        self.served.append("ended")
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def entry(monkeypatch: pytest.MonkeyPatch) -> Entry:
     return entry
 
 
-def test_it_lists_which_distributions_there_are(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_serve_lists_available_distributions(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [])
     status, out, err = run("serve")
     assert (status, err) == (0, "")
@@ -62,31 +62,31 @@ def test_it_lists_which_distributions_there_are(run: Run, monkeypatch: pytest.Mo
 
 
 @pytest.mark.real_time
-def test_an_adapter_is_listed_and_serves_robots_by_name(run: Run, entry: Entry) -> None:
+def test_serve_runs_adapter_with_named_robots(run: Run, entry: Entry) -> None:
     assert "fake       (installed)" in run("serve")[1]
     options = ("--duration", "0.1", "--topic", "hall", "--require-enable", "on_startup", "--watchdog", "2")
     status, out, err = run("serve", "fake", "arm=sim://ur5e?firmware=5.11", *options)
     assert (status, out) == (0, "serving arm over fake; Ctrl-C ends it\n")
     assert "arm: UR5e, firmware 5.11" in err
-    assert entry.served == [("hall", 2.0, {"arm": "5.11"}), "over"]
+    assert entry.served == [("hall", 2.0, {"arm": "5.11"}), "ended"]
 
 
 @pytest.mark.parametrize("argv", [("fake",), ("fake", "a=sim://", "a=sim://ur10"), ("fake", "sim://", "--no-such")])
-def test_wrong_usage_is_2(run: Run, entry: Entry, argv: tuple[str, ...]) -> None:
+def test_wrong_usage_of_serve_exits_with_2(run: Run, entry: Entry, argv: tuple[str, ...]) -> None:
     status, out, err = run("serve", *argv)
     assert (status, out) == (2, "")
     assert "urlink serve fake" in err
     assert entry.served == []
 
 
-def test_its_help_has_the_options_of_the_adapter(run: Run, entry: Entry) -> None:
+def test_serve_help_has_options_of_adapter(run: Run, entry: Entry) -> None:
     status, out, _ = run("serve", "fake", "--help")
     assert status == 0
     assert "--topic" in out
     assert "--require-enable" in out
 
 
-def test_robots_without_a_name_are_called_by_their_address() -> None:
+def test_robot_without_name_is_named_after_its_address() -> None:
     given = ["ur://robot-3.local?primary=40001", "replay:///data/run%201.urlog", "sim://", "b=sim://"]
     assert list(named(given)) == ["ur_robot_3_local", "run_run_1", "sim", "b"]
     with pytest.raises(urlink.BadAddress, match="have the same name sim"):

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.real_time
 Spawn = Callable[..., "subprocess.Popen[str]"]
 
 
-def test_duration(run: Run) -> None:
+def test_sim_ends_after_duration(run: Run) -> None:
     status, out, err = run("sim", "--duration", "0.2")
     assert status == 0
     assert out.startswith("ur://127.0.0.1?primary=")
@@ -30,7 +30,7 @@ def test_duration(run: Run) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_serves_until_a_signal(spawn: Spawn, number: int, status: int) -> None:
+def test_sim_serves_until_a_signal(spawn: Spawn, number: int, status: int) -> None:
     process = spawn("sim", "--model", "UR10", "--firmware", "3.4", "--host", "127.0.0.1")
     assert process.stdout is not None
     address = process.stdout.readline().strip()
@@ -46,8 +46,8 @@ def test_serves_until_a_signal(spawn: Spawn, number: int, status: int) -> None:
 
 
 @pytest.mark.slow
-def test_faults_happen_at_their_time(spawn: Spawn) -> None:
-    # Again and again, for a machine that takes long to connect.
+def test_sim_injects_scheduled_faults(spawn: Spawn) -> None:
+    # Repeat the faults, because connecting can take long on a busy computer.
     faults = [
         option for at in range(1, 30) for option in ("--fault", f"protective_stop@{at}", "--fault", f"clear@{at}.5")
     ]
@@ -83,23 +83,23 @@ def test_help_lists_every_fault(run: Run) -> None:
         (("--host", "192.0.2.1"), "192.0.2.1"),
     ],
 )
-def test_what_it_cannot_do(run: Run, argv: tuple[str, ...], said: str) -> None:
+def test_sim_fails_for_impossible_options(run: Run, argv: tuple[str, ...], said: str) -> None:
     status, out, err = run("sim", *argv, "--duration", "0.1")
     assert (status, out) == (1, "")
     assert said in err
     assert err.count("\n") == 1
 
 
-def test_standard_ports(run: Run) -> None:
+def test_sim_uses_standard_ports(run: Run) -> None:
     status, out, err = run("sim", "--ports", "standard", "--duration", "0.1")
     if status == 1:
-        assert "30001" in err  # something else on this machine has them
+        assert "30001" in err  # another process uses the ports
     else:
         assert (status, out) == (0, "127.0.0.1\n")
 
 
 @pytest.mark.slow
-def test_programs_that_the_dashboard_loads(spawn: Spawn, tmp_path: Path) -> None:
+def test_sim_loads_programs_over_dashboard(spawn: Spawn, tmp_path: Path) -> None:
     (tmp_path / "pick.script").write_text('def pick():\n  textmsg("picked")\n  sleep(60)\nend\n', encoding="utf-8")
     process = spawn("sim", "--program", f"pick.urp={tmp_path / 'pick.script'}")
     assert process.stdout is not None
@@ -114,7 +114,7 @@ def test_programs_that_the_dashboard_loads(spawn: Spawn, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_local_control(spawn: Spawn) -> None:
+def test_sim_in_local_control_refuses_commands(spawn: Spawn) -> None:
     process = spawn("sim", "--local-control")
     assert process.stdout is not None
     with urlink.connect(process.stdout.readline().strip()) as robot:
@@ -124,7 +124,7 @@ def test_local_control(spawn: Spawn) -> None:
 
 
 @pytest.mark.parametrize(("argv", "is_moving"), [((), False), (("--motion", "demo"), True)])
-def test_the_arm_stands_still_unless_it_is_to_move(spawn: Spawn, argv: tuple[str, ...], is_moving: bool) -> None:
+def test_simulated_arm_is_at_rest_unless_motion_is_demo(spawn: Spawn, argv: tuple[str, ...], is_moving: bool) -> None:
     process = spawn("sim", *argv)
     assert process.stdout is not None
     with urlink.connect(process.stdout.readline().strip()) as robot:
@@ -133,7 +133,7 @@ def test_the_arm_stands_still_unless_it_is_to_move(spawn: Spawn, argv: tuple[str
 
 
 @pytest.mark.slow
-def test_like_the_simulator_of_the_vendor(spawn: Spawn) -> None:
+def test_sim_like_ursim_starts_with_its_state(spawn: Spawn) -> None:
     process = spawn("sim", "--like", "ursim", "--noise", "off")
     assert process.stdout is not None
     with urlink.connect(process.stdout.readline().strip()) as robot:
@@ -146,7 +146,7 @@ def test_like_the_simulator_of_the_vendor(spawn: Spawn) -> None:
 
 @pytest.mark.slow
 def test_like_ursim_passes_the_vendors_dashboard_suite(spawn: Spawn) -> None:
-    # The sequence of commands, and what the tests of the UR Client Library expect of URSim for each.
+    # The commands, and the replies that the tests of the UR Client Library expect from URSim.
     process = spawn("sim", "--like", "ursim", "--firmware", "5.25", "--noise", "off")
     assert process.stdout is not None
     address = parse_address(process.stdout.readline().strip())
@@ -199,7 +199,7 @@ def test_like_ursim_passes_the_vendors_dashboard_suite(spawn: Spawn) -> None:
         assert ask("generate flight report").startswith("Flight Report generated with id:")
         assert ask("generate support file .").startswith("Completed successfully:")
         assert ask("saveLog") == "Log saved to disk"
-        # The suites without a program at the pendant send their scripts to the primary interface.
+        # The test suites that use no program on the pendant send their scripts to the primary interface.
         primary.sendall(b"protective_stop()\n")
         until(lambda: ask("safetystatus") == "Safetystatus: PROTECTIVE_STOP")
         until(lambda: ask("unlock protective stop") == "Protective stop releasing")
@@ -217,7 +217,7 @@ def test_like_ursim_in_local_control_refuses_commands(spawn: Spawn) -> None:
 
 
 @pytest.mark.parametrize("option", ["pick.urp", "=x", "pick.urp=/nowhere/pick.script"])
-def test_programs_that_are_none(run: Run, option: str) -> None:
+def test_sim_rejects_invalid_program_option(run: Run, option: str) -> None:
     status, _, err = run("sim", "--program", option)
     assert status == 2
     assert "--program" in err

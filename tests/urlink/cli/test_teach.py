@@ -15,7 +15,7 @@ from .conftest import Run
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_waypoints_are_taught_by_lines_and_played(
+def test_teach_saves_waypoints_and_plays_them(
     spawn: Callable[..., subprocess.Popen[str]], run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "taught.json"
@@ -53,7 +53,7 @@ def test_waypoints_are_taught_by_lines_and_played(
     ],
 )
 @pytest.mark.real_time
-def test_what_makes_no_sense(run: Run, arguments: list[str], status: int, text: str) -> None:
+def test_teach_rejects_invalid_arguments(run: Run, arguments: list[str], status: int, text: str) -> None:
     found, _, err = run("teach", "sim://", *arguments)
     assert found == status
     assert text in err

@@ -149,7 +149,7 @@ def test_interrupted_text_is_not_continued_after_signal_handler(desk: Desk) -> N
         desk.channel.motion(TEXT)
     assert len(raised) == 1
     assert "only a part of the previous text" in str(raised[0])
-    # Aborted only once: the connection over which the stop was sent is not aborted.
+    # Aborted only once: the new connection, which has sent the stop, is kept.
     assert (desk.sent, desk.primary.aborts) == (["mov", "stopj(2)\n"], 1)
 
 

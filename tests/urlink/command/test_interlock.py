@@ -53,7 +53,7 @@ class Driver:
 
 #: Events that lead to each state.
 STATES = {
-    "unheard": (),
+    "no report": (),
     "clear": ("clear",),
     "enabled": ("clear", "enable"),
     "stopped": ("clear", "stop"),
@@ -74,7 +74,7 @@ _AFTER = {
     "silence": "NotRunning",
 }
 _STANDING = {
-    "unheard": "NotRunning",
+    "no report": "NotRunning",
     "stopped": "SafetyStop",
     "stopped after enabled": "SafetyStop",
     "emergency": "SafetyStop",
@@ -87,7 +87,9 @@ _STANDING = {
 _CLEARED: dict[tuple[Policy, str], str] = {
     **{("never", state): "open" for state in STATES},
     **{
-        ("on_startup", state): "NotEnabled" if state in ("unheard", "clear", "stopped", "stopped at first") else "open"
+        ("on_startup", state): "NotEnabled"
+        if state in ("no report", "clear", "stopped", "stopped at first")
+        else "open"
         for state in STATES
     },
     **{("always", state): "open" if state == "enabled" else "NotEnabled" for state in STATES},

@@ -179,8 +179,10 @@ def test_abandoned_statement_is_undone(
 @pytest.mark.parametrize("is_over", [False, True])
 @pytest.mark.parametrize("until_done", range(5))
 def test_undo_of_statement_sends_its_commands_while_wanted(is_over: bool, until_done: int) -> None:
-    """The first command checks that the controller answers. If its program was abandoned too, the mode is ended. The
-    undo stops when it is no longer wanted."""
+    """The first command checks that the controller answers; the undo stops when it is no longer wanted.
+
+    If the program of the mode was abandoned too, the mode is ended.
+    """
     asked: list[str] = []
     life = Lifecycle("interpreter mode", Desk().callbacks)
     if is_over:

@@ -140,15 +140,15 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         self.event(lambda: self.lines["realtime"].tell(state), lambda: self.say("realtime", (mode, safety)))
 
     @rule()
-    def all_is_well(self) -> None:
+    def all_is_clear(self) -> None:
         self.primary(RobotMode.RUNNING, SafetyMode.NORMAL)
         self.realtime(RobotMode.RUNNING, SafetyMode.NORMAL)
 
     @rule(source=sources)
     def a_stop_comes_and_goes(self, source: str) -> None:
-        self.all_is_well()
+        self.all_is_clear()
         getattr(self, source)(RobotMode.RUNNING, SafetyMode.PROTECTIVE_STOP)
-        self.all_is_well()
+        self.all_is_clear()
 
     @rule(safety=safety_modes)
     def message(self, safety: SafetyMode) -> None:
@@ -246,12 +246,12 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
                 self.channel.command("set_tool_voltage(0)")
 
     @invariant()
-    def no_motion_goes_on_under_a_stop(self) -> None:
+    def no_motion_continues_under_a_stop(self) -> None:
         if hasattr(self, "safety") and self.told is not None:
             assert self.motions == 0
 
     @invariant()
-    def it_says_what_it_does(self) -> None:
+    def is_enabled_equals_the_model(self) -> None:
         if hasattr(self, "safety"):
             assert self.safety.is_enabled == self.is_open
 

@@ -145,7 +145,7 @@ class Clients(RuleBasedStateMachine):
         self.collect()
 
     @invariant()
-    def only_what_was_permitted_has_moved(self) -> None:
+    def only_permitted_programs_have_moved(self) -> None:
         assert set(self.moved) <= {name for client in self.clients for name in client.permitted}
 
 

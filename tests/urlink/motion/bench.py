@@ -1,4 +1,4 @@
-"""One program on one arm, without controller, network or clock: cycle by cycle, as the test says."""
+"""Run one program on one arm without a controller, network or clock; the test advances each cycle."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from urlink.simulator.robot.generator import MotionGenerator
 from urlink.simulator.robot.setpoint_sources import Setpoint
 from urlink.simulator.urscript import Execution, ScriptWorld, compile_script
 
-#: Of a state whose program is executed at full speed.
+#: Fields of a state whose program runs at full speed.
 PLAYING: dict[str, Any] = {"speed_scaling": 1.0, "program_state": ProgramState.PLAYING}
 
 
 class Line:
-    """The program's one socket: what it sends is in `sent`, what it is to receive goes into `waiting`."""
+    """The program's only socket: `sent` holds the bytes it sent, `waiting` the bytes it will receive."""
 
     def __init__(self) -> None:
         self.is_open = False
@@ -59,14 +59,17 @@ class Line:
         self.is_open = False
 
     def lines(self) -> list[int]:
-        """The whole lines that it has sent since."""
+        """Return and remove the complete lines sent since the last call."""
         *lines, rest = bytes(self.sent).split(b"\n")
         self.sent = bytearray(rest)
         return [int(line) for line in lines]
 
 
 class Bench:
-    """Runs the lines of a program; `q` is where the arm is led, cycle by cycle, and `texts` what the program says."""
+    """Bench that runs the lines of a program on one arm.
+
+    `q` is the start position of the arm, `path` its position after each cycle, and `texts` the program's messages.
+    """
 
     def __init__(
         self, body: Sequence[str], firmware: Firmware, q: Sequence[float] = HOME, permission: Permission | None = None
@@ -81,7 +84,7 @@ class Bench:
         self.path: list[list[float]] = []
         self.flags = [False] * 32
         self.registers = RegisterBanks()
-        #: (variable, frequency, action) of what it had watched
+        #: (variable, frequency, action) of each watchdog that the program has set
         self.watched: list[tuple[str, float, str]] = []
         script = compile_script(program("tried", body, permission).text, firmware)
         self.execution = Execution(script, cast(ScriptWorld, self))
@@ -105,15 +108,15 @@ class Bench:
         self.texts.append(text)
 
     def __getattr__(self, name: str) -> Any:
-        raise AttributeError(f"the program asks for {name}, which it has no need of")
+        raise AttributeError(f"the program used {name}, which this bench does not have")
 
     def say(self, messages: bytes) -> None:
-        """Messages of this cycle reach its socket."""
+        """Deliver messages to the program's socket in this cycle."""
         for at in range(0, len(messages), MESSAGE_SIZE):
             self.sockets.waiting += dated(messages[at : at + MESSAGE_SIZE], self.cycle)
 
     def run(self, cycles: int = 1, each: Callable[[], object] = lambda: None) -> None:
-        """So many cycles, each after `each`; stops when the program is over."""
+        """Run `cycles` cycles and call `each` before each one; stop when the program ends."""
         for _ in range(cycles):
             if self.execution.is_over:
                 return
@@ -124,14 +127,14 @@ class Bench:
             self.path.append(list(self.motion.advance(self.period).q))
 
     def beside(self, text: str) -> None:
-        """A `sec`, which takes no time."""
+        """Run a `sec` program, which takes no time."""
         execution = Execution(compile_script(text, self.firmware), cast(ScriptWorld, self))
         execution.advance()
         assert execution.is_over
         assert execution.error is None, execution.error
 
     def watch_servoj(self, tell: Callable[[list[float]], object], is_followed: bool = True) -> None:
-        """Tell what each ``servoj`` is told; the arm need not follow."""
+        """Call `tell` with the joints of each ``servoj`` call; with `is_followed=False` the arm does not move."""
         servoj = self.motion.servoj
 
         def watched(q: Sequence[float], t: float, lookahead_time: float, gain: float) -> object:
@@ -142,19 +145,19 @@ class Bench:
 
     @property
     def said(self) -> list[str]:
-        """What it said, but for that it began and ended."""
+        """Messages of the program, without the start and end messages."""
         return [text for text in self.texts if not text.startswith("tried ")]
 
     @property
     def has_finished(self) -> bool:
-        """It has come to its own end."""
+        """Whether the program has ended normally."""
         return self.execution.is_over and self.texts[-1] == "tried finished"
 
 
 class Led:
-    """Set-points that are made here, and the program that they lead, on an arm whose clock the test has.
+    """Resampled set-points and the program that follows them, on an arm whose clock the test controls.
 
-    Its states begin at `BEGIN` on the controller's clock; `sent` are the set-points.
+    The states start at `BEGIN` on the controller's clock. `sent` holds the set-points.
     """
 
     BEGIN = 50.0
@@ -168,18 +171,18 @@ class Led:
 
     @property
     def time(self) -> float:
-        """Of the next state."""
+        """Controller time of the next state."""
         return self.BEGIN + self.bench.cycle * self.bench.period
 
     def state(self) -> RealtimeState:
-        """What of it motions look at."""
+        """Return a state with the fields that motions read."""
         at = self.bench.motion.setpoint
         q, qd = np.array(at.q), np.array(at.qd)
         seen = SimpleNamespace(time=self.time, q_target=q, q_actual=q, qd_target=qd, qd_actual=qd, **PLAYING)
         return cast(RealtimeState, seen)
 
     def run(self, cycles: int, missed: int = 0) -> None:
-        """So many cycles, of which the first few pass without a state."""
+        """Run `cycles` cycles; the first `missed` cycles pass without a state."""
         for i in range(cycles):
             if i >= missed:
                 message = self.resampled.answer(self.state(), 1000.0 + self.time)

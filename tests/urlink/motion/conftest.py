@@ -1,4 +1,4 @@
-"""Robots for the tests of motions; nothing of them is left behind."""
+"""Robots for the tests of motions, and a check that the tests leave no thread or socket behind."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ __all__ = ["guards"]
 
 @pytest.fixture(autouse=True)
 def leaves_nothing() -> Iterator[None]:
-    """No thread, and no socket: one that nobody closed warns when it is collected."""
+    """Check that no thread remains; an open socket causes a warning when it is collected."""
     before = set(threading.enumerate())
     yield
     until(lambda: set(threading.enumerate()) <= before)
-    # What was made lately: all there is, 6 ms for each of a thousand tests, is looked through after the module.
+    # Collect young objects only: a full collection takes 6 ms, for each of a thousand tests. It runs after the module.
     gc.collect(1)
 
 
 @pytest.fixture
 def rehearsal() -> Iterator[Callable[..., Rehearsal]]:
-    """Makes a robot that does what the test says."""
+    """Return a function that makes scripted robots."""
     made: list[Rehearsal] = []
 
     def make(*arguments: object, **options: object) -> Rehearsal:
@@ -41,11 +41,11 @@ def rehearsal() -> Iterator[Callable[..., Rehearsal]]:
 
 @pytest.fixture
 def robot(rehearsal: Callable[..., Rehearsal]) -> Rehearsal:
-    """An e-Series robot that does what the test says."""
+    """Scripted e-Series robot."""
     return rehearsal()
 
 
 @pytest.fixture(params=["reverse", "rtde"])
 def led(request: pytest.FixtureRequest, rehearsal: Callable[..., Rehearsal]) -> Rehearsal:
-    """The same, led over either link."""
+    """Scripted e-Series robot, driven over each of the two links."""
     return rehearsal(link=request.param)

@@ -1,4 +1,4 @@
-"""A stream of points on one arm, without controller, network or clock: cycle by cycle, as the test says."""
+"""Run a stream of points on one arm without a controller, network or clock; the test advances each cycle."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from urlink.script.links import ReverseSocket
 
 __all__ = ["ACCELERATION", "JERK", "Streamed"]
 
-#: rad/s² and rad/s³ of what a stream adds.
+#: Acceleration in rad/s² and jerk in rad/s³ of the braking and corrections that a stream adds.
 ACCELERATION, JERK = 10.0, 100.0
 
 
 class Streamed:
-    """What feeds a stream, and the program that holds its points; `path` are the set-points, one for each cycle.
+    """Feed of a stream and the program that buffers its points; `path` holds one set-point per cycle.
 
     Args:
-        firmware: of the controller.
-        buffer: s that the program holds.
-        way: cycles that messages and reports take, each.
-        watchdog: s without a message.
+        firmware: Firmware of the controller.
+        buffer: Time in s that the program buffers.
+        way: Delay of messages and of reports, each in cycles.
+        watchdog: Time in s without a message after which the program brakes.
     """
 
     BEGIN = 50.0
@@ -68,11 +68,11 @@ class Streamed:
         assert self.feed.begun.done()
 
     def program(self, write: Callable[[ReverseSocket], list[str]]) -> list[str]:
-        """Its lines."""
+        """Return the lines of the program."""
         return write(ReverseSocket("10.0.0.1", 50001, 7))
 
     def state(self) -> RealtimeState:
-        """What of it a stream looks at."""
+        """Return a state with the fields that a stream reads."""
         q = np.array(self.path[-1] if self.path else HOME)
         time = self.BEGIN + self.bench.cycle * self.period
         return cast(
@@ -81,11 +81,11 @@ class Streamed:
         )
 
     def run(self, cycles: int = 1, *, is_frozen: bool = False) -> None:
-        """So many cycles; `is_frozen`: without this computer."""
+        """Run `cycles` cycles; with `is_frozen`, this computer does not run."""
         for _ in range(cycles):
             sent, self.bench.sockets.sent = bytes(self.bench.sockets.sent), bytearray()
             if self.bench.cycle < 2:
-                sent = b""  # its token
+                sent = b""  # the program's token
             self._back.append(sent)
             if not is_frozen:
                 received = b""
@@ -98,39 +98,39 @@ class Streamed:
             self.bench.run()
 
     def append(self, points: Points) -> Handed:
-        """Append points, without waiting."""
+        """Append points without waiting."""
         assert self.feed.mark is not None
         handed = Handed()
         self.feed.add(self.reader.after(points, self.feed.mark), handed)
         return handed
 
     def replace(self, since: float, points: Points) -> float:
-        """Replace the tail; returns the time from which it holds."""
+        """Replace the tail of the stream; return the time at which the replacement starts."""
         assert self.feed.mark is not None
         done = self.feed.replace(since, self.reader.curve(points, since, self.feed.mark))
         self.until(done.done)
         return done.result()
 
     def clear(self) -> float:
-        """Clear it; returns where it ends now."""
+        """Clear the stream; return its new end time."""
         done = self.feed.replace(0.0, ())
         self.until(done.done)
         return done.result()
 
     def until(self, condition: object, seconds: float = 20.0) -> None:
-        """Run until something is so."""
+        """Run until `condition` is true."""
         for _ in range(round(seconds / self.period)):
             if condition():  # type: ignore[operator]
                 return
             self.run()
-        raise AssertionError("it did not come to that")
+        raise AssertionError("the condition did not become true in time")
 
     def run_dry(self) -> None:
-        """Until the arm rests and no point is left."""
+        """Run until the arm is at rest and no point is left."""
         self.until(lambda: self.feed.is_dry)
 
     def derivatives(self, first: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Speeds, accelerations and jerks of the set-points, by differences, from one of them on."""
+        """Return speeds, accelerations and jerks of the set-points since index `first`, by differences."""
         path: Sequence[Sequence[float]] = self.path[first:]
         qd = np.diff(np.array(path), axis=0) / self.period
         qdd = np.diff(qd, axis=0) / self.period

@@ -1,4 +1,4 @@
-"""The program of an arm that yields by the force that its wrist measures, as it is uploaded; and the call for both."""
+"""Admittance: the uploaded program of an arm that yields to measured forces, and `motion.impedance`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from urlink.simulator import Controller, Plane, Still
 
 
 class Admittance(SoftTool):
-    """An arm without direct torque, whose tool is on springs."""
+    """Arm without direct torque, with a springy tool."""
 
     def __init__(
         self, firmware: str = "5.11", *, in_tool: bool = False, stiffness: tuple[float, ...] = STIFFNESS
@@ -44,7 +44,7 @@ class Admittance(SoftTool):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
-def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
+def test_wrench_moves_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
     soft = Admittance(in_tool=in_tool)
     start = soft.pose
     axes = poses.rotvec_to_matrix(start[3:]) if in_tool else np.eye(3)
@@ -60,7 +60,7 @@ def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: boo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["5.10", "10.7"])
-def test_it_goes_where_it_is_led_and_rests_after_its_end(firmware: str) -> None:
+def test_tool_reaches_target_and_rests_after_end(firmware: str) -> None:
     soft = Admittance(firmware)
     goal = place(soft.pose, 0.1, -0.05, 0.05, 0.0, 0.2, 0.5)
     soft.lead(goal)
@@ -79,7 +79,7 @@ def test_it_goes_where_it_is_led_and_rests_after_its_end(firmware: str) -> None:
 
 
 @pytest.mark.parametrize("stiffness", [2e4, *(pytest.param(each, marks=pytest.mark.slow) for each in (5e3, 1e5))])
-def test_it_rests_on_what_it_is_led_into_and_ends_there_without_a_leap(stiffness: float) -> None:
+def test_tool_rests_on_surface_and_ends_without_jump(stiffness: float) -> None:
     soft = Admittance(stiffness=(1000.0,) * 3 + (50.0,) * 3)
     x, y, z = soft.pose[:3]
     soft.controller.world.add(Plane((x, y, z), stiffness=stiffness))
@@ -105,7 +105,7 @@ def test_it_rests_on_what_it_is_led_into_and_ends_there_without_a_leap(stiffness
 
 
 @pytest.mark.slow
-def test_it_ends_without_messages() -> None:
+def test_program_ends_without_messages() -> None:
     soft = Admittance()
     soft.lead(place(soft.pose, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0.2)
     soft.silent(0.4)
@@ -118,7 +118,7 @@ def test_it_ends_without_messages() -> None:
 
 @pytest.mark.simulated_time
 @pytest.mark.parametrize(("firmware", "frame"), [("5.25", "base"), ("5.25", "tool"), ("5.11", "base")])
-def test_one_call_for_both(firmware: str, frame: Literal["base", "tool"]) -> None:
+def test_impedance_works_with_and_without_direct_torque(firmware: str, frame: Literal["base", "tool"]) -> None:
     with Controller("UR5e", firmware, motion=Still(READY)) as controller, urlink.connect(controller.address) as robot:
         pose = robot.realtime.wait().tool_vector_actual.tolist()
         goal = place(pose, 0.02, 0.0, 0.03, 0.0, 0.0, 0.2)
@@ -155,7 +155,7 @@ def test_one_call_for_both(firmware: str, frame: Literal["base", "tool"]) -> Non
 
 
 @pytest.mark.simulated_time
-def test_the_posture_of_a_pose_is_that_of_the_tcp() -> None:
+def test_posture_of_pose_respects_tcp() -> None:
     tcp = np.array([0.0, 0.05, 0.1, 0.0, 0.0, 0.3])
     with Controller("UR5e", "5.25", motion=Still(READY)) as controller, urlink.connect(controller.address) as robot:
         robot.set_tcp(tcp.tolist())
@@ -169,7 +169,7 @@ def test_the_posture_of_a_pose_is_that_of_the_tcp() -> None:
 
 
 @pytest.mark.simulated_time
-def test_an_arm_that_is_not_known_has_no_springs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_arm_has_no_default_stiffness(monkeypatch: pytest.MonkeyPatch) -> None:
     with Controller("UR20", "5.25") as controller, urlink.connect(controller.address) as robot:
         with pytest.raises(urlink.BadValue, match="stiffness has no default for a UR20"):
             robot.motion.impedance()
@@ -179,7 +179,7 @@ def test_an_arm_that_is_not_known_has_no_springs(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.simulated_time
-def test_what_cannot_act_is_refused() -> None:
+def test_impedance_rejects_unsupported_options() -> None:
     for firmware, frame, what in (
         ("5.11", "joints", "springs of the joints"),
         ("5.9", "base", "5.10 or later"),

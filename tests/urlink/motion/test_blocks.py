@@ -1,4 +1,4 @@
-"""What force mode, freedrive, torque and a movement to a contact tell the robot; its side is played by the test."""
+"""Messages of force mode, freedrive, torque and `until_contact` to the robot; the test plays the robot."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ B = TypeVar("B", bound=BlockMotion)
 
 @contextmanager
 def entered(robot: Rehearsal, block: B) -> Iterator[B]:
-    """A block that has connected; it is cancelled at the end."""
+    """Enter a block and wait for its connection; cancel it at the end."""
     with Beside(robot):
         assert block.__enter__() is block
     yield block
@@ -40,7 +40,7 @@ def entered(robot: Rehearsal, block: B) -> Iterator[B]:
 
 
 def told(robot: Rehearsal, until_it_is: list[float] | None = None) -> list[float]:
-    """What the program is told with the next states; of messages that were on their way before, the first that fits."""
+    """Return the set-point sent for the next state; with `until_it_is`, skip earlier messages."""
     while True:
         robot.tick()
         message = robot.message()
@@ -58,7 +58,7 @@ def press(robot: Rehearsal, frame: Numbers | str = "base", **options: Any) -> Fo
     return robot.motion.force_mode(frame, axes, DOWN, limits, link=link_of(robot), **options)
 
 
-def test_force_mode_tells_its_wrench_with_every_state_and_the_rest_once(led: Rehearsal) -> None:
+def test_force_mode_sends_wrench_with_every_state(led: Rehearsal) -> None:
     with entered(led, press(led, [1, 2, 3, 0, 0, 0.5], kind=3, damping=0.25, gain=1.5, watchdog=0.5)) as pressing:
         call = (
             "force_mode(p[1.0, 2.0, 3.0, 0.0, 0.0, 0.5], [0, 1, 1, 0, 0, 0], wrench, 3, [0.1, 0.2, 0.3, 1.0, 2.0, 3.0])"
@@ -80,19 +80,19 @@ def test_force_mode_tells_its_wrench_with_every_state_and_the_rest_once(led: Reh
 
 
 @pytest.mark.parametrize(("kind", "is_taken"), [(0, False), (1, True), (2, True), (3, True), (4, False)])
-def test_the_frame_is_turned_in_one_of_three_ways(robot: Rehearsal, kind: int, is_taken: bool) -> None:
+def test_force_mode_accepts_kinds_one_to_three(robot: Rehearsal, kind: int, is_taken: bool) -> None:
     with contextlib.nullcontext() if is_taken else pytest.raises(BadValue, match=f"kind is {kind}"):
         press(robot, "base", kind=kind)
 
 
-def test_a_frame_that_nobody_knows(robot: Rehearsal) -> None:
+def test_unknown_frame_is_rejected(robot: Rehearsal) -> None:
     with pytest.raises(BadValue, match="frame is 'nonsense'; expected 'base', 'tool', or a pose"):
         press(robot, "nonsense")
     with pytest.raises(BadValue, match="frame='nonsense'"):
         robot.motion.impedance("nonsense")  # type: ignore[arg-type]
 
 
-def test_force_mode_leaves_to_the_controller_what_nobody_chose(robot: Rehearsal) -> None:
+def test_force_mode_leaves_unset_options_to_the_controller(robot: Rehearsal) -> None:
     robot.q = turned(0.3)
     robot.show()
     with entered(robot, press(robot, "tool")):
@@ -105,7 +105,7 @@ def test_force_mode_leaves_to_the_controller_what_nobody_chose(robot: Rehearsal)
         assert "force_mode(p[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], " in robot.uploaded
 
 
-def test_freedrive_is_told_that_somebody_is_there(led: Rehearsal) -> None:
+def test_freedrive_sends_a_message_per_state(led: Rehearsal) -> None:
     free = led.motion._freedrive([1, 0, 0, 0, 0, True], [1, 2, 3, 0, 0, 0.5], 0.4, link_of(led))
     with entered(led, free):
         call = "freedrive_mode(freeAxes=[1, 0, 0, 0, 0, 1], feature=p[1.0, 2.0, 3.0, 0.0, 0.0, 0.5])"
@@ -117,7 +117,7 @@ def test_freedrive_is_told_that_somebody_is_there(led: Rehearsal) -> None:
 
 
 @pytest.mark.parametrize("is_compensated", [True, False])
-def test_torques_are_those_of_the_loop_and_nothing_else(
+def test_torque_sends_only_the_set_points_of_the_loop(
     rehearsal: Callable[..., Rehearsal], is_compensated: bool
 ) -> None:
     robot = rehearsal("5.25", "UR5e")
@@ -139,13 +139,13 @@ def test_torques_are_those_of_the_loop_and_nothing_else(
             while (message := robot.message()) is None or message[1] == WAIT:
                 assert message is not None
             assert message == (values, FOLLOW)
-        # A state is answered by the loop alone.
+        # A state on its own sends no message: only the loop sends set-points.
         robot.show()
         torque.send([1.0] * 6)
         assert robot.message() == ([1.0] * 6, FOLLOW)
 
 
-def test_torques_within_limits_of_ones_own(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_torque_respects_given_limits(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal("5.25", "UR5e")
     with pytest.raises(LocalError, match="within its block"):
         robot.motion.torque().send([0.0] * 6)
@@ -170,7 +170,7 @@ BLOCKS = ["force_mode", "freedrive", "torque", "jog", "servo"]
 
 
 @pytest.mark.parametrize("name", BLOCKS)
-def test_each_is_good_for_one_block(rehearsal: Callable[..., Rehearsal], name: str) -> None:
+def test_block_cannot_be_entered_twice(rehearsal: Callable[..., Rehearsal], name: str) -> None:
     robot = rehearsal("5.25", "UR5e")
     block = each_block(robot)[name]()
     assert (block.name, robot.motion.current) == (name, None)
@@ -186,7 +186,7 @@ def test_each_is_good_for_one_block(rehearsal: Callable[..., Rehearsal], name: s
 
 
 @pytest.mark.parametrize("name", BLOCKS)
-def test_a_program_that_comes_to_its_end_ends_the_block(rehearsal: Callable[..., Rehearsal], name: str) -> None:
+def test_unexpected_program_end_ends_block(rehearsal: Callable[..., Rehearsal], name: str) -> None:
     robot = rehearsal("5.25", "UR5e")
     block = each_block(robot)[name]()
     with entered(robot, block):
@@ -195,19 +195,19 @@ def test_a_program_that_comes_to_its_end_ends_the_block(rehearsal: Callable[...,
             block.wait(TIMEOUT)
 
 
-def test_a_block_that_is_left_is_told_nothing_more(robot: Rehearsal) -> None:
+def test_command_after_leaving_block_raises_closed(robot: Rehearsal) -> None:
     with entered(robot, robot.motion.jog()) as jog:
-        jog._program.finish()  # as its end does, which then waits for the arm to stand
+        jog._program.finish()  # as leaving the block does, before it waits until the arm is at rest
         with pytest.raises(Closed, match="the block of this jog was left"):
             jog.move([0.1] * 6)
 
 
-def test_a_program_that_does_not_end_when_its_block_is_left(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leaving_block_cancels_unfinished_program(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     waited: list[float] = []
 
     def wait(seconds: float) -> None:
         waited.append(seconds)
-        raise LinkTimeout("it goes on")
+        raise LinkTimeout("still running")
 
     with entered(robot, robot.motion.jog()) as jog:
         monkeypatch.setattr(jog, "wait", wait)
@@ -216,14 +216,12 @@ def test_a_program_that_does_not_end_when_its_block_is_left(robot: Rehearsal, mo
         assert jog.phase is Phase.CANCELLED
 
 
-def test_the_reason_of_a_lost_connection_has_a_second_and_a_half_to_come(
-    robot: Rehearsal, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_send_waits_for_reason_of_lost_connection(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     waited: list[float] = []
 
     def wait(seconds: float) -> None:
         waited.append(seconds)
-        raise LinkTimeout("nobody says why")
+        raise LinkTimeout("no reason was reported")
 
     def say(data: bytes) -> None:
         raise ConnectionLost("reset")
@@ -236,7 +234,7 @@ def test_the_reason_of_a_lost_connection_has_a_second_and_a_half_to_come(
         assert waited == [1.5]
 
 
-def test_the_thread_of_a_block_is_urgent_within_it(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_block_thread_is_urgent_inside_block(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
 
     @contextmanager
@@ -254,7 +252,7 @@ def test_the_thread_of_a_block_is_urgent_within_it(robot: Rehearsal, monkeypatch
         assert seen == ["begins", "ends"]
 
 
-def test_a_block_whose_beginning_is_interrupted(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_start_cancels_block(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(seconds: float) -> None:
         raise KeyboardInterrupt
 
@@ -266,8 +264,8 @@ def test_a_block_whose_beginning_is_interrupted(robot: Rehearsal, monkeypatch: p
     assert "stopj" in robot.sent[-1]
 
 
-def test_a_block_whose_program_never_comes(robot: Rehearsal) -> None:
-    """Nor do states, by which it would be told that it has not after five seconds."""
+def test_block_times_out_if_program_never_connects(robot: Rehearsal) -> None:
+    """No states arrive either, which would report the missing connection after five seconds."""
     begun = clock.now()
     jog = robot.motion.jog()
     with pytest.raises(LinkTimeout, match="jog: no connection within 6 s"):
@@ -277,11 +275,11 @@ def test_a_block_whose_program_never_comes(robot: Rehearsal) -> None:
     assert "stopj" in robot.sent[-1]
 
 
-# -- to a contact ----------------------------------------------------------------------------------------
+# -- until contact -----------------------------------------------------------------------------------------
 
 
 class Tooled(Rehearsal):
-    """With a tool 0.1 m before its flange."""
+    """Robot with a tool that extends 0.1 m from its flange."""
 
     tcp = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
 
@@ -290,7 +288,7 @@ class Tooled(Rehearsal):
         return Arm("UR5e").forward(self.q, self.tcp)
 
 
-def test_where_a_contact_began() -> None:
+def test_contact_reports_joints_and_pose() -> None:
     at = turned(0.2)
     with Tooled() as robot:
         motion = robot.motion.until_contact([0, 0, -1])
@@ -306,7 +304,7 @@ def test_where_a_contact_began() -> None:
         motion.wait(TIMEOUT)
 
 
-def test_where_a_contact_began_on_an_arm_that_nobody_knows(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_contact_of_unknown_arm_has_no_pose(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(model="UR9000")
     motion = robot.motion.until_contact([0, 0, -1])
     robot.begin()
@@ -319,7 +317,7 @@ def test_where_a_contact_began_on_an_arm_that_nobody_knows(rehearsal: Callable[.
     assert "stopj" in robot.sent[-1]
 
 
-def test_a_direction_of_any_length(robot: Rehearsal) -> None:
+def test_direction_may_have_any_length(robot: Rehearsal) -> None:
     for none in ([1.7e308] * 3, [0.0] * 3, [1.0, 0.0]):
         with pytest.raises(BadValue, match="direction is"):
             robot.motion.until_contact(none)
@@ -328,7 +326,7 @@ def test_a_direction_of_any_length(robot: Rehearsal) -> None:
     assert "tool_contact(direction=[0.0, 0.6, -0.8, " in robot.uploaded
 
 
-def test_nothing_was_touched(robot: Rehearsal) -> None:
+def test_missing_contact_raises_no_contact(robot: Rehearsal) -> None:
     motion = robot.motion.until_contact([0, 0, -1], distance=0.25)
     robot.begin()
     robot.text("urlink: no contact")

@@ -1,4 +1,4 @@
-"""One time for several arms, state by state, each of a controller with a clock of its own."""
+"""Common time of several arms, whose controllers have different clocks."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from tests.urlink.motion.test_program_time import state
 from urlink.motion.stream.common_time import CommonPace, CommonTime, MemberPace, MemberTimer
 
 CYCLE = 0.008
-#: s by which the controllers' clocks are ahead of this computer's
+#: Time in s that each controller's clock is ahead of this computer's clock
 OFFSETS = (100.0, -7.0)
-#: 1/s with which a rate changes
+#: Rate of change of a rate, in 1/s
 RAMP = 6.25
 
 
-# -- of trajectories ---------------------------------------------------------------------------------------
+# -- trajectories ------------------------------------------------------------------------------------------
 
 
 class Clocks:
-    """Two arms; `now` is this computer's time, s, and a state arrives `late` s after its time."""
+    """Two arms; `now` is this computer's time in s, and a state arrives `late` s after its time."""
 
     def __init__(self, late: float = 0.0) -> None:
         self.now, self.late = 50.0, late
@@ -33,14 +33,14 @@ class Clocks:
         return self.common.member(lambda time: time - offset, CYCLE)
 
     def step(self, *scalings: float | None) -> None:
-        """A cycle later, a state of each arm; None for none."""
+        """Advance by one cycle and pass a state of each arm; no state if its scaling is None."""
         self.now += CYCLE
         for member, offset, scaling in zip(self.members, OFFSETS, scalings, strict=True):
             if scaling is not None:
                 member.passed(state(scaling, time=self.now - self.late + offset), self.now)
 
     def begin(self, *scalings: float) -> None:
-        """Until it has begun, at 0 s."""
+        """Step until the common time has started at 0 s."""
         self.step(*scalings)
         for member in self.members:
             member.beginning()
@@ -53,7 +53,7 @@ class Clocks:
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02, -0.005])
-def test_it_begins_for_all_50_ms_after_the_last_is_ready(late: float) -> None:
+def test_all_start_50_ms_after_last_arm_is_ready(late: float) -> None:
     clocks = Clocks(late)
     one, other = clocks.members
     for _ in range(5):
@@ -76,7 +76,7 @@ def test_it_begins_for_all_50_ms_after_the_last_is_ready(late: float) -> None:
 
 
 @pytest.mark.parametrize("slow", [0, 1])
-def test_it_passes_as_slowly_as_for_the_slowest(slow: int) -> None:
+def test_common_time_follows_slowest_arm(slow: int) -> None:
     clocks = Clocks()
     clocks.begin(1.0, 1.0)
     time = clocks.time
@@ -86,7 +86,7 @@ def test_it_passes_as_slowly_as_for_the_slowest(slow: int) -> None:
     for _ in range(20):
         clocks.step(*scalings)
         rates.append(clocks.common.rate)
-    # Twelve cycles with the ramp: the mean of both rates. The state of the second arm comes after that of the first.
+    # The ramp takes twelve cycles at the mean of both rates. The second arm's state comes after the first one's.
     assert [each.rate for each in clocks.members] == pytest.approx([0.4, 0.4])
     assert rates == pytest.approx([min(max(1.0 - RAMP * CYCLE * (n - slow), 0.4), 1.0) for n in range(1, 21)])
     assert clocks.time - time == pytest.approx(CYCLE * (1.0 * slow + 0.4 * (20 - slow) + 0.5 * 0.6 * 12))
@@ -98,13 +98,13 @@ def test_it_passes_as_slowly_as_for_the_slowest(slow: int) -> None:
     assert [each.rate for each in clocks.members] == pytest.approx([1.0, 1.0])
 
 
-def test_it_begins_as_fast_as_the_slowest() -> None:
+def test_common_time_starts_at_rate_of_slowest_arm() -> None:
     clocks = Clocks()
     clocks.begin(0.3, 0.8)
     assert clocks.common.rate == pytest.approx(0.3)
 
 
-def test_an_arm_that_is_silent_or_paused_halts_all_until_it_leaves() -> None:
+def test_silent_or_paused_arm_stops_all_until_departure() -> None:
     clocks = Clocks()
     clocks.begin(1.0, 1.0)
     one, other = clocks.members
@@ -132,7 +132,7 @@ def test_an_arm_that_is_silent_or_paused_halts_all_until_it_leaves() -> None:
     one.leave()
 
 
-def test_one_that_leaves_before_it_was_ready_is_not_waited_for() -> None:
+def test_arm_leaving_before_ready_is_not_awaited() -> None:
     clocks = Clocks()
     clocks.members[1].leave()
     clocks.begin(1.0, 0.1)
@@ -143,8 +143,8 @@ def test_one_that_leaves_before_it_was_ready_is_not_waited_for() -> None:
     ("off", "towards"),
     [(0.0, 0.0), (0.004, 0.004 / 0.2), (-0.004, -0.004 / 0.2), (0.5, 0.1), (-0.5, -0.1)],
 )
-def test_an_arm_is_led_to_the_common_time_in_a_fifth_of_a_second(off: float, towards: float) -> None:
-    """By a tenth of its speed at most."""
+def test_arm_converges_to_common_time_within_200_ms(off: float, towards: float) -> None:
+    """The correction is at most a tenth of the arm's speed."""
     clocks = Clocks()
     clocks.begin(1.0, 1.0)
     clocks.step(1.0, 1.0)
@@ -153,7 +153,7 @@ def test_an_arm_is_led_to_the_common_time_in_a_fifth_of_a_second(off: float, tow
     assert member.after(before, CYCLE) == pytest.approx(before + CYCLE * (1.0 + towards))
 
 
-def test_where_the_time_of_a_state_is_none_this_computers_clock_counts() -> None:
+def test_state_without_time_uses_clock_of_this_computer() -> None:
     clocks = Clocks()
     clocks.begin(1.0, 1.0)
     clocks.now += CYCLE
@@ -162,7 +162,7 @@ def test_where_the_time_of_a_state_is_none_this_computers_clock_counts() -> None
     assert clocks.members[0].beginning() == pytest.approx(time)
 
 
-def test_an_arm_that_goes_on_after_a_pause_is_slow_at_first() -> None:
+def test_resumed_arm_starts_slowly() -> None:
     clocks = Clocks()
     clocks.begin(1.0, 1.0)
     clocks.members[1].restart()
@@ -172,7 +172,7 @@ def test_an_arm_that_goes_on_after_a_pause_is_slow_at_first() -> None:
     assert clocks.members[1].own_rate(clocks.now) == pytest.approx(RAMP * CYCLE)
 
 
-def test_a_state_of_the_moment_in_which_all_begin_is_the_beginning() -> None:
+def test_state_at_the_start_time_has_common_time_zero() -> None:
     clocks = Clocks()
     clocks.step(1.0, 1.0)
     one, other = clocks.members
@@ -185,11 +185,11 @@ def test_a_state_of_the_moment_in_which_all_begin_is_the_beginning() -> None:
     assert one.beginning() == 0.0
 
 
-# -- of streams --------------------------------------------------------------------------------------------
+# -- streams -----------------------------------------------------------------------------------------------
 
 
 class Paces:
-    """Two streams; `places` is where each is, s."""
+    """Two streams; `places` holds the position of each one, in s."""
 
     def __init__(self) -> None:
         self.now = 50.0
@@ -214,7 +214,7 @@ class Paces:
                 self.sent[i] = member.look(self.now + offset, self.now, self.places[i], self.rates[i], **what)
 
 
-def test_streams_begin_together_50_ms_after_the_last_goes_through_points() -> None:
+def test_streams_start_50_ms_after_last_passes_points() -> None:
     paces = Paces()
     paces.are_led = [True, False]
     paces.step(20)
@@ -229,14 +229,14 @@ def test_streams_begin_together_50_ms_after_the_last_goes_through_points() -> No
         sent.append((paces.now, paces.sent[1]))
     assert [pace for now, pace in sent if now < begins] == [0.0] * 6
     rising = [pace for now, pace in sent if now >= begins]
-    # It holds two cycles later.
+    # A change takes effect two cycles later.
     assert rising[:10] == pytest.approx([RAMP * CYCLE * n for n in range(2, 12)])
     assert paces.sent == pytest.approx([1.0, 1.0])
 
 
 @pytest.mark.parametrize("slow", [0, 1])
-def test_streams_pass_as_slowly_as_the_slowest(slow: int) -> None:
-    """Which is the pace of the program on the slow arm, and a fraction of that on the other."""
+def test_streams_follow_slowest_stream(slow: int) -> None:
+    """The pace is 1 for the program on the slow arm, and a fraction on the other arm."""
     paces = Paces()
     paces.step(40)
     paces.rates = [0.8, 0.8]
@@ -249,7 +249,7 @@ def test_streams_pass_as_slowly_as_the_slowest(slow: int) -> None:
     assert paces.common.at(paces.now + 0.01) == pytest.approx(0.4)
 
 
-def test_a_stream_by_itself_begins_as_late() -> None:
+def test_single_stream_starts_after_same_delay() -> None:
     paces = Paces()
     paces.has_left[1] = True
     for _ in range(6):
@@ -259,7 +259,7 @@ def test_a_stream_by_itself_begins_as_late() -> None:
     assert paces.sent[0] > 0.0
 
 
-def test_a_stream_without_points_holds_up_nobody() -> None:
+def test_stream_without_points_does_not_delay_others() -> None:
     paces = Paces()
     paces.are_led, paces.are_idle = [True, False], [False, True]
     paces.step(40)
@@ -267,7 +267,7 @@ def test_a_stream_without_points_holds_up_nobody() -> None:
     paces.are_led, paces.are_idle = [False, False], [True, True]
     paces.step(2)
     assert paces.common.at(paces.now) == 0.0
-    # They begin together again.
+    # Both start together again.
     paces.are_led, paces.are_idle = [True, True], [False, False]
     paces.step(2)
     assert paces.sent == [0.0, 0.0]
@@ -275,7 +275,7 @@ def test_a_stream_without_points_holds_up_nobody() -> None:
     assert paces.sent == [1.0, 1.0]
 
 
-def test_a_stream_that_has_braked_halts_all_and_they_go_on_together() -> None:
+def test_braked_stream_stops_all_until_joint_restart() -> None:
     paces = Paces()
     paces.step(40)
     paces.are_led[1] = False
@@ -290,7 +290,7 @@ def test_a_stream_that_has_braked_halts_all_and_they_go_on_together() -> None:
     assert paces.sent == [1.0, 1.0]
 
 
-def test_a_stream_that_is_silent_or_paused_has_no_rate_until_it_leaves() -> None:
+def test_silent_or_paused_stream_has_rate_zero() -> None:
     paces = Paces()
     paces.step(40)
     other = paces.members[1]
@@ -309,8 +309,8 @@ def test_a_stream_that_is_silent_or_paused_has_no_rate_until_it_leaves() -> None
 
 @pytest.mark.parametrize("ahead", [0.0, 0.02, 0.1, 0.3])
 @pytest.mark.parametrize("leader", [0, 1])
-def test_a_stream_that_is_ahead_waits_for_the_one_behind(leader: int, ahead: float) -> None:
-    """For a fifth of a second it stands; it is led there in that time."""
+def test_leading_stream_waits_for_slower_stream(leader: int, ahead: float) -> None:
+    """It stops if it is 0.2 s ahead or more; otherwise it slows down until the streams are together."""
     paces = Paces()
     paces.step(40)
     paces.places[leader] = ahead
@@ -319,8 +319,8 @@ def test_a_stream_that_is_ahead_waits_for_the_one_behind(leader: int, ahead: flo
     assert paces.sent[1 - leader] == pytest.approx(1.0)
 
 
-def test_where_a_stream_is_at_another_moment() -> None:
-    """By its pace, for a tenth of a second at most; where it is not led it stands."""
+def test_position_of_stream_is_extrapolated() -> None:
+    """At its pace, for at most 0.1 s; a stream that passes no points stays where it is."""
     paces = Paces()
     paces.places = [3.0, 3.0]
     paces.step(40)
@@ -335,7 +335,7 @@ def test_where_a_stream_is_at_another_moment() -> None:
     assert paces.common.lead(5.0, paces.now) == pytest.approx(2.0)
 
 
-def test_the_pace_of_a_state_without_a_time_is_that_of_its_arrival() -> None:
+def test_state_without_time_uses_arrival_time_for_pace() -> None:
     paces = Paces()
     paces.step(40)
     member = paces.members[0]
@@ -343,10 +343,10 @@ def test_the_pace_of_a_state_without_a_time_is_that_of_its_arrival() -> None:
     assert member.place_at(paces.now + 0.01, 1.0) == pytest.approx(1.0 + 2 * CYCLE)
 
 
-# -- between two threads -----------------------------------------------------------------------------------
+# -- races between two threads -----------------------------------------------------------------------------
 
 
-def test_trajectories_wait_for_no_arm_that_has_just_left() -> None:
+def test_trajectories_do_not_wait_for_departed_arm() -> None:
     clocks = Clocks()
     clocks.begin(1.0, 1.0)
     one, other = clocks.members
@@ -357,7 +357,7 @@ def test_trajectories_wait_for_no_arm_that_has_just_left() -> None:
     one.leave()
 
 
-def test_streams_wait_for_no_arm_that_has_just_left() -> None:
+def test_streams_do_not_wait_for_departed_arm() -> None:
     paces = Paces()
     paces.step(40)
     one, other = paces.members

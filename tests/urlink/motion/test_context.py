@@ -1,4 +1,4 @@
-"""Which state of the robot a motion begins from."""
+"""The state of the robot that a motion starts from."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ def state(received: float | None) -> Any:
 
 
 class Waiting:
-    """A robot whose last program ended at 10 s; `coming` are its next states, the last of which is its newest then."""
+    """Robot whose last program ended at 10 s.
+
+    `coming` are its next states, and `newest_then` is its newest state after the wait.
+    """
 
     def __init__(self, newest: Any, *coming: Any, newest_then: Any = None) -> None:
         self.latest = newest
@@ -39,7 +42,7 @@ class Waiting:
         return MotionContext.state(cast(MotionContext, context))
 
 
-def test_a_state_since_the_end_of_the_last_program_will_do() -> None:
+def test_state_after_end_of_last_program_is_used() -> None:
     newest = state(10.001)
     robot = Waiting(newest)
     assert robot.state() is newest
@@ -47,8 +50,8 @@ def test_a_state_since_the_end_of_the_last_program_will_do() -> None:
 
 
 @pytest.mark.parametrize("newest", [None, state(9.0), state(10.0), state(None)])
-def test_else_the_next_one_is_waited_for(newest: Any) -> None:
-    """Where states were held up, the first one may be from before that end, and the newest counts."""
+def test_waits_for_state_after_end_of_last_program(newest: Any) -> None:
+    """If states were delayed, the first one might be older than that end, so the newest one is used."""
     first, last = state(10.1), state(10.2)
     robot = Waiting(newest, state(9.5), state(10.0), state(None), first, newest_then=last)
     assert robot.state() is last

@@ -1,4 +1,4 @@
-"""What a robot is commanded by, as `connect` wires it up; and who cannot be commanded."""
+"""Commands to a robot, as `connect` sets them up, and robots that reject commands."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def robot(controller: Controller) -> Iterator[urlink.Robot]:
 
 
 def lines(controller: Controller, count: int) -> list[str]:
-    """The lines that came to the primary interface, once there are so many."""
+    """Return the lines that the primary interface received, when there are `count` of them."""
     until(lambda: len(controller.received) >= count)
     assert {port for port, _ in controller.received} == {"primary"}
     return [line for _, line in controller.received]
@@ -53,26 +53,26 @@ def lines(controller: Controller, count: int) -> list[str]:
         (lambda robot: robot.io.set_digital_out(1, True), "  set_standard_digital_out(1, True)"),
     ],
 )
-def test_commands(controller: Controller, act: Callable[[urlink.Robot], None], text: str) -> None:
+def test_commands_are_sent_as_script(controller: Controller, act: Callable[[urlink.Robot], None], text: str) -> None:
     controller.received.clear()
     with urlink.connect(controller.address, commands_via="script") as robot:
         act(robot)
         assert lines(controller, 3) == ["sec urlink_command():", text, "end"]
 
 
-def test_speed_slider(controller: Controller) -> None:
+def test_speed_slider_sends_set_speed(controller: Controller) -> None:
     controller.received.clear()
     with urlink.connect(controller.address, commands_via="script") as robot:
         robot.set_speed_slider(0.42)
         assert lines(controller, 1) == ["set speed 0.42"]
 
 
-def test_each_part_is_one(robot: urlink.Robot) -> None:
+def test_parts_are_the_same_object_each_time(robot: urlink.Robot) -> None:
     for name in ("safety", "script", "io"):
         assert getattr(robot, name) is getattr(robot, name)
 
 
-def test_a_stop_of_the_controller(controller: Controller, robot: urlink.Robot) -> None:
+def test_safety_stop_blocks_scripts_until_cleared(controller: Controller, robot: urlink.Robot) -> None:
     heard: list[urlink.LinkError] = []
     robot.safety.on_stop(heard.append)
     robot.script.send_line("stopj(1.0)")
@@ -108,24 +108,24 @@ def test_dashboard_stop_overtakes_a_motion(robot: urlink.Robot, name: str) -> No
     assert robot.motion.current is None
 
 
-def test_moved_as_soon_as_it_is_switched_on() -> None:
-    """What the primary interface said last may be a tenth of a second old."""
+def test_motion_starts_right_after_power_on() -> None:
+    """The newest message of the primary interface can be a tenth of a second old."""
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         robot.io.set_digital_out(0, True)
         for _ in range(3):
-            robot.dashboard.power_off()  # it comes to rest first, and until then it runs
+            robot.dashboard.power_off()  # the robot comes to rest first, and is RUNNING until then
             robot.dashboard.start()
             robot.motion.stop().wait(10)
 
 
-def test_a_closed_robot_connects_to_no_dashboard(controller: Controller) -> None:
+def test_closed_robot_does_not_connect_to_dashboard(controller: Controller) -> None:
     robot = urlink.connect(controller.address)
     robot.close()
     with pytest.raises(urlink.Closed):
         robot.dashboard.play()
 
 
-def test_enabling_is_asked_for(controller: Controller) -> None:
+def test_require_enable_always_refuses_until_enabled(controller: Controller) -> None:
     with urlink.connect(controller.address, require_enable="always") as robot:
         with pytest.raises(NotEnabled):
             robot.script.send_line("stopj(1.0)")
@@ -133,7 +133,7 @@ def test_enabling_is_asked_for(controller: Controller) -> None:
         robot.script.send_line("stopj(1.0)")
 
 
-def test_read_only(controller: Controller) -> None:
+def test_read_only_rejects_commands(controller: Controller) -> None:
     with urlink.connect(controller.address, read_only=True) as robot:
         for name in ("safety", "script", "io", "motion", "dashboard"):
             with pytest.raises(LocalError, match="read_only=True"):
@@ -144,7 +144,7 @@ def test_read_only(controller: Controller) -> None:
             robot.controller  # noqa: B018
 
 
-def test_a_recording(robot: urlink.Robot, tmp_path: Path) -> None:
+def test_recording_rejects_commands(robot: urlink.Robot, tmp_path: Path) -> None:
     with robot.record(tmp_path / "run.urlog"):
         robot.primary.wait(5)
     with urlink.connect(f"replay://{tmp_path / 'run.urlog'}") as played:
@@ -154,7 +154,7 @@ def test_a_recording(robot: urlink.Robot, tmp_path: Path) -> None:
             played.set_speed_slider(0.5)
 
 
-def test_bad_arguments() -> None:
+def test_unknown_enable_policy_is_rejected() -> None:
     with pytest.raises(BadValue, match="require_enable='sometimes'"):
         urlink.connect("sim://", require_enable="sometimes")  # type: ignore[arg-type]
 
@@ -185,13 +185,13 @@ def test_bad_arguments() -> None:
     ],
     ids=str,
 )
-def test_what_makes_no_sense_is_named(option: dict[str, Any]) -> None:
+def test_invalid_option_is_named_in_error(option: dict[str, Any]) -> None:
     (name,) = option
     with pytest.raises(BadValue, match=name):
         urlink.connect("sim://", **option)
 
 
-def test_closing_is_quick_and_final(controller: Controller) -> None:
+def test_closed_robot_rejects_commands(controller: Controller) -> None:
     robot = urlink.connect(controller.address)
     robot.script.send_line("stopj(1.0)")
     robot.close()
@@ -200,7 +200,7 @@ def test_closing_is_quick_and_final(controller: Controller) -> None:
         robot.script.send_line("stopj(1.0)")
 
 
-def test_closing_ends_in_its_time_whatever_a_callback_does(controller: Controller) -> None:
+def test_close_respects_timeout_despite_hanging_callback(controller: Controller) -> None:
     robot = urlink.connect(controller.address)
     go_on = threading.Event()
     inside = threading.Event()
@@ -219,8 +219,8 @@ def test_closing_ends_in_its_time_whatever_a_callback_does(controller: Controlle
     go_on.set()
 
 
-def test_a_setting_that_was_made_just_before_leaving_arrives(controller: Controller) -> None:
-    """The connection is closed in good order: what was sent last is not discarded."""
+def test_last_setting_before_close_arrives(controller: Controller) -> None:
+    """The connection is closed in good order, so the last bytes sent are not discarded."""
     controller.faults.clear()
     for on in (True, False, True):
         with urlink.connect(controller.address) as robot:

@@ -1,7 +1,7 @@
-"""Every motion and mode on the simulated controller, ended in its middle in every way, on each generation.
+"""End every motion and mode midway in every way, on the simulated controller of each generation.
 
-The table is modes x firmware x ends. By default each mode meets each end once, and each firmware has its share of
-both; `nox -f nightly.py -s fuzz` goes through all of it.
+The table is modes x firmware x ends. By default, each mode meets each end once, and each firmware gets its share of
+both; `nox -f nightly.py -s fuzz` runs all combinations.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from urlink.simulator import Controller, Still
 
 pytestmark = pytest.mark.simulated_time
 
-#: firmware -> arm: each generation, and of the e-Series the ends of what is known.
+#: firmware -> arm: each generation, and for the e-Series several versions over the known range
 GENERATIONS = {"1.8": "ur5", "3.15": "ur5", "5.11": "ur5e", "5.25": "ur5e", "10.12": "ur5e"}
-#: s of the robot's time that messages may stay away, and in which an arm that is told to stop has come to rest. Left
-#: alone, each motion would take longer than that.
+#: Watchdog, and limit for a stopped arm to come to rest, both in s of the robot's time. If nothing stops it, each
+#: motion takes longer than that.
 WATCHDOG, SOON = 1.5, 1.0
-#: rad/s above which an arm is under way.
+#: Speed in rad/s above which an arm counts as moving.
 MOVES = 0.02
 UP = np.array([0, 0, 0.1, 0, 0, 0])
 
 TIMEOUT = 60.0
-#: rad; elbow up, tool down.
+#: Joint positions in rad: elbow up, tool down.
 READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
 
 
 class Desk:
-    """A controller, a robot that is connected to it, and how the arm itself stands."""
+    """A controller, a robot connected to it, and the actual motion of the simulated arm."""
 
     def __init__(self, arm: str, firmware: str, opened: contextlib.ExitStack) -> None:
         self.controller = opened.enter_context(Controller(arm, firmware, motion=Still(READY.tolist())))
@@ -56,33 +56,33 @@ class Desk:
 
     @property
     def speed(self) -> float:
-        """rad/s of the fastest joint, of the arm itself and not as streams tell of it."""
+        """Speed of the fastest joint in rad/s, read from the arm itself rather than from a stream."""
         return max(map(abs, self.controller.arm.setpoint.qd))
 
     @property
     def q(self) -> list[float]:
-        """rad; where the arm is led."""
+        """Commanded joint positions, in rad."""
         return list(self.controller.arm.setpoint.q)
 
     @property
     def is_over(self) -> bool:
-        """The arm stands, and no program commands it: none runs, or it was paused by a stop."""
+        """Whether the arm is at rest and no program commands it: none runs, or a stop has paused it."""
         is_paused = self.controller.modes.program_state is ProgramState.PAUSED
         return self.speed == 0.0 and (is_paused or not self.controller.is_running_program)
 
     def after(self, seconds: float) -> None:
-        """Wait for so much of the robot's time."""
+        """Wait for this much of the robot's time, in s."""
         end = self.controller.time + seconds
         until(lambda: self.controller.time >= end, TIMEOUT)
 
     def stands_still(self, seconds: float = 0.05) -> bool:
-        """For so much of the robot's time, the arm does not move."""
+        """Whether the arm does not move for this much of the robot's time, in s."""
         q = self.q
         self.after(seconds)
         return self.q == q and self.speed == 0.0
 
     def is_rigid(self) -> bool:
-        """Pushed, the arm does not yield."""
+        """Whether the arm does not yield when it is pushed."""
         self.controller.push([0, 0, 30.0, 0, 0, 0])
         try:
             return self.stands_still()
@@ -90,7 +90,7 @@ class Desk:
             self.controller.push([0.0] * 6)
 
 
-# -- modes: each begins and returns its handle; what is to be closed after it goes onto the stack ------------------
+# -- modes: each starts a motion and returns its handle; resources to close afterwards go onto the stack -----------
 
 
 def pose(robot: Robot) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -121,7 +121,7 @@ def follow(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
 
 
 def servo(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
-    """A loop that answers each state by a set-point a little further on."""
+    """A loop that answers each state with a set-point a little further along."""
     servo = block.enter_context(robot.motion.servo(watchdog=WATCHDOG, **way))
     begun, goal = robot.realtime.wait(5), READY + 0.5
 
@@ -178,7 +178,7 @@ def speed_linear_held(robot: Robot, block: contextlib.ExitStack) -> Motion:
 
 
 def force_mode(robot: Robot, block: contextlib.ExitStack, **way: Any) -> Motion:
-    """Towards a table that is not there."""
+    """Press towards a table that does not exist."""
     down = [0, 0, 1, 0, 0, 0], [0, 0, -20, 0, 0, 0], [0.05] * 6
     return block.enter_context(robot.motion.force_mode("base", *down, watchdog=WATCHDOG, **way))
 
@@ -237,10 +237,10 @@ class Mode:
     """A row of the table.
 
     Attributes:
-        begin: makes the arm move, and returns the handle.
-        since: the firmware that has it.
-        link: what is cut: "own", the connection that its program holds; else that to a port of the controller.
-        is_pushed: the arm moves only as long as a hand pushes it.
+        begin: Function that makes the arm move and returns the handle.
+        since: Firmware versions that have the mode.
+        link: Connection that `cut` closes ("own" is the connection of its program, others are controller ports).
+        is_pushed: Whether the arm moves only while a hand pushes it.
     """
 
     begin: Callable[[Robot, contextlib.ExitStack], Any]
@@ -283,7 +283,7 @@ MODES = {
 }
 
 
-# -- ends: each returns what the handle has to say ------------------------------------------------------------------
+# -- ends: each returns the error that the handle must report ------------------------------------------------------
 
 
 def cancel(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
@@ -292,7 +292,7 @@ def cancel(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> 
 
 
 def leave(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> type[LinkError] | None:
-    """Its block, or one around the handle."""
+    """Leave the block of the motion, or a block around the handle."""
     if mode.link in ("own", "rtde") and not motion.name.startswith(("follow", "speed")):
         block.close()
         return None
@@ -319,7 +319,7 @@ def cut(desk: Desk, mode: Mode, motion: Any, block: contextlib.ExitStack) -> typ
     return ConnectionLost if mode.link == "rtde" else NotRunning
 
 
-#: what `wait` raises -> the phase, where it is not FAILED
+#: error that `wait` raises -> phase, if it is not FAILED
 ENDED: dict[type[LinkError] | None, Phase] = {None: Phase.DONE, Cancelled: Phase.CANCELLED}
 ENDS = {each.__name__: each for each in (cancel, leave, protective_stop, emergency_stop, cut)}
 
@@ -328,7 +328,7 @@ ENDS = {each.__name__: each for each in (cancel, leave, protective_stop, emergen
 
 
 def table() -> Iterator[tuple[str, str, str]]:
-    """(firmware, mode, end)"""
+    """Generate (firmware, mode, end)."""
     is_whole = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
     for (row, (name, mode)), (column, end) in itertools.product(enumerate(MODES.items()), enumerate(ENDS)):
         having = [firmware for firmware in GENERATIONS if Firmware.parse(firmware) in mode.since]
@@ -338,8 +338,8 @@ def table() -> Iterator[tuple[str, str, str]]:
 
 @pytest.mark.matrix(6)
 @pytest.mark.parametrize(("firmware", "name", "end"), list(table()))
-def test_each_mode_is_ended_each_way(firmware: str, name: str, end: str) -> None:
-    """The handle says what ended it, the arm comes to rest, nothing of the mode is left, and the arm can go on."""
+def test_each_mode_can_be_ended_in_each_way(firmware: str, name: str, end: str) -> None:
+    """The handle reports the reason, the arm comes to rest and is rigid, and it can move again."""
     mode = MODES[name]
     with contextlib.ExitStack() as opened, contextlib.ExitStack() as block:
         desk = Desk(GENERATIONS[firmware], firmware, opened)
@@ -363,7 +363,7 @@ def test_each_mode_is_ended_each_way(firmware: str, name: str, end: str) -> None
         assert robot.motion.current is None
         block.close()
 
-        if expected is NotRunning:  # it may go on: so the first thing is to stop it
+        if expected is NotRunning:  # the program might continue, so stop it first
             robot.safety.wait_enabled(TIMEOUT)
             began = controller.time
             robot.motion.stop(wait=True)
@@ -383,7 +383,7 @@ def test_each_mode_is_ended_each_way(firmware: str, name: str, end: str) -> None
             controller.faults.power_on()
         robot.safety.wait_enabled(TIMEOUT)
         assert desk.stands_still()
-        # What a protective stop has paused is replaced by the next motion, which goes to its end.
+        # The next motion replaces the program that a protective stop has paused, and runs to its end.
         robot.motion.move_joints(READY + 0.02, speed=3.0, acceleration=25.0).wait(TIMEOUT)
         assert desk.q == pytest.approx(READY + 0.02)
         until(lambda: not controller.is_running_program, TIMEOUT)

@@ -1,4 +1,4 @@
-"""The life of a stream of points: what can happen in each phase, and whether points can be sent then."""
+"""Life of a stream of points: the events of each phase, and whether points can be sent in it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from urlink.motion.stream.feed_life import TRANSITIONS, FeedEvent, FeedLife, Fee
 
 @pytest.mark.parametrize("event", FeedEvent)
 @pytest.mark.parametrize("phase", FeedPhase)
-def test_what_is_not_in_the_table_raises(phase: FeedPhase, event: FeedEvent) -> None:
+def test_event_outside_table_raises(phase: FeedPhase, event: FeedEvent) -> None:
     life = FeedLife()
     life.phase = phase
     if (phase, event) in TRANSITIONS:
@@ -31,7 +31,7 @@ def test_every_phase_can_be_reached() -> None:
     assert reached == set(FeedPhase)
 
 
-def test_an_open_stream_that_was_cleared_stays_cleared_when_a_replacement_is_refused() -> None:
+def test_refused_replacement_keeps_stream_cleared() -> None:
     life = FeedLife()
     for event in (FeedEvent.REST, FeedEvent.RESUME, FeedEvent.ACCEPT, FeedEvent.CLEAR, FeedEvent.REPLACE):
         life.fire(event)

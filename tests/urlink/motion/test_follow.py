@@ -1,4 +1,4 @@
-"""Trajectories as set-points and as waypoints; the robot's side is played by the test."""
+"""Trajectories as set-points and as waypoints; the test plays the robot."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from urlink.protocol.realtime.packets import RealtimeState
 
 pytestmark = pytest.mark.real_time
 
-#: A tenth of a radian there and back.
+#: A tenth of a radian forth and back.
 PATH = Trajectory.from_arrays([0.0, 0.2, 0.4], [turned(0), turned(0.1), turned(0)])
 
 
 def begun(robot: Rehearsal, **options: object) -> Motion:
-    """A motion whose program has begun and connected, and that has been told the first set-point."""
+    """Start a motion; return it when its program has connected and received the first set-point."""
     motion = robot.motion.follow(PATH, **options)  # type: ignore[arg-type]
     robot.connect()
     while not (message := robot.obey()) or message[1] != FOLLOW:
@@ -51,8 +51,8 @@ def half_way(robot: Rehearsal, motion: Motion) -> None:
         assert robot.obey() is not None
 
 
-def test_no_message_follows_a_task_that_was_cancelled_but_the_stop(rehearsal: Callable[..., Rehearsal]) -> None:
-    """A state comes before the thread that stops the arm for it."""
+def test_cancelled_call_sends_only_a_stop(rehearsal: Callable[..., Rehearsal]) -> None:
+    """A state arrives before the thread runs that stops the arm for the cancelled task."""
     robot = rehearsal(link="rtde")
     call, stops = PendingCall(), SimpleQueue[Callable[[], object]]()
     motion = call.make(lambda: robot.motion.follow(PATH))
@@ -71,7 +71,9 @@ def test_no_message_follows_a_task_that_was_cancelled_but_the_stop(rehearsal: Ca
 
 
 @pytest.mark.parametrize(("firmware", "arm"), [("1.8", "UR5"), ("3.4", "UR5"), ("5.11", "UR5e")])
-def test_streams_each_set_point_for_its_own_cycle(rehearsal: Callable[..., Rehearsal], firmware: str, arm: str) -> None:
+def test_set_points_match_trajectory_at_each_cycle(
+    rehearsal: Callable[..., Rehearsal], firmware: str, arm: str
+) -> None:
     robot = rehearsal(firmware, arm)
     motion = robot.motion.follow(PATH)
     robot.connect()
@@ -95,13 +97,13 @@ def test_streams_each_set_point_for_its_own_cycle(rehearsal: Callable[..., Rehea
     assert len(robot.sent) == 1
 
 
-def test_a_link_that_nobody_knows(robot: Rehearsal) -> None:
+def test_unknown_link_is_rejected(robot: Rehearsal) -> None:
     with pytest.raises(BadValue, match="link='nonsense'; expected 'reverse' or 'rtde'"):
         robot.motion.follow(PATH, link="nonsense")  # type: ignore[arg-type]
     assert robot.sent == []
 
 
-def test_a_state_from_the_past_counts_as_one_cycle(robot: Rehearsal) -> None:
+def test_state_from_the_past_counts_as_one_cycle(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH)
     robot.connect()
     way: list[float] = []
@@ -117,7 +119,7 @@ def test_a_state_from_the_past_counts_as_one_cycle(robot: Rehearsal) -> None:
     motion.cancel()
 
 
-def test_waits_until_the_arm_stands(led: Rehearsal) -> None:
+def test_follow_waits_until_arm_is_at_rest(led: Rehearsal) -> None:
     led.qd = [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     motion = led.motion.follow(PATH)
     led.connect()
@@ -128,7 +130,7 @@ def test_waits_until_the_arm_stands(led: Rehearsal) -> None:
     motion.cancel()
 
 
-def test_an_arm_that_does_not_come_to_rest(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arm_not_coming_to_rest_raises_link_timeout(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.following._REST_TIMEOUT", 0.05)
     led.qd = [0.5] * 6
     motion = led.motion.follow(PATH)
@@ -138,7 +140,7 @@ def test_an_arm_that_does_not_come_to_rest(led: Rehearsal, monkeypatch: pytest.M
         motion.wait(0)
 
 
-def test_what_is_between_the_arm_and_the_first_point_is_faded_out(led: Rehearsal) -> None:
+def test_initial_offset_is_faded_out(led: Rehearsal) -> None:
     led.q = turned(0.03)
     led.show()
     motion = led.motion.follow(PATH)
@@ -161,7 +163,7 @@ def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
     def feedback(each: TrajectoryFeedback) -> None:
         told.append(each)
         release.wait(TIMEOUT)
-        raise ValueError("of the user's own")
+        raise ValueError("raised by the user")
 
     motion = begun(led, feedback=feedback)
     led.until(lambda: told)
@@ -176,8 +178,8 @@ def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
     assert told[0].qd_actual.shape == told[0].qd_desired.shape == (6,)
 
 
-def test_its_end_does_not_wait_for_feedback(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who ends it may be the thread that gives it."""
+def test_end_of_motion_does_not_wait_for_feedback(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread that ends the motion might be the feedback thread."""
     waits: list[float] = []
     close = Subscription.close
 
@@ -188,10 +190,10 @@ def test_its_end_does_not_wait_for_feedback(led: Rehearsal, monkeypatch: pytest.
     motion = begun(led, feedback=lambda each: None)
     monkeypatch.setattr(Subscription, "close", watched)
     motion.cancel()
-    assert waits == [0, 0]  # of its states, and of the feedback
+    assert waits == [0, 0]  # the subscription to its states, and the feedback
 
 
-def test_feedback_is_told_from_the_beginning_to_the_end() -> None:
+def test_feedback_runs_from_start_to_end_of_trajectory() -> None:
     told: list[TrajectoryFeedback] = []
     following = SimpleNamespace(times=lambda time: None, is_over=False, desired=lambda t: ([t] * 6, [2.0] * 6))
     report = _reporter(cast(Following, following), told.append)
@@ -220,18 +222,18 @@ def test_feedback_is_told_from_the_beginning_to_the_end() -> None:
         assert values.tolist() == [value] * 6
 
 
-def test_nobody_is_left_to_give_feedback(led: Rehearsal) -> None:
+def test_feedback_thread_ends_with_motion(led: Rehearsal) -> None:
     before = set(threading.enumerate())
     motion = led.motion.follow(PATH, feedback=lambda each: None)
-    assert len(threading.enumerate()) > len(before) + 1  # its own thread, and that of the feedback
+    assert len(threading.enumerate()) > len(before) + 1  # the thread of the motion, and the thread of the feedback
     motion.cancel()
     until(lambda: set(threading.enumerate()) <= before)
 
 
-# -- refused before anything is sent -------------------------------------------------------------------
+# -- rejected before anything is sent ------------------------------------------------------------------
 
 
-def test_what_no_arm_could_follow_is_refused(led: Rehearsal) -> None:
+def test_impossible_trajectories_are_rejected(led: Rehearsal) -> None:
     far = Trajectory.from_arrays([0, 1], [turned(1), turned(1)])
     wild = Trajectory.from_arrays([0, 0.1], [turned(0), turned(1)])
     for trajectory, message in ((far, "too far from where the arm is"), (wild, "limit of a UR5e")):
@@ -246,8 +248,8 @@ def test_what_no_arm_could_follow_is_refused(led: Rehearsal) -> None:
     assert led.motion.current is None
 
 
-def test_where_a_moving_arm_is_does_not_count_yet(led: Rehearsal) -> None:
-    """The motion before has ended, and the newest state that was read is from a little before its end."""
+def test_position_of_moving_arm_is_not_checked_yet(led: Rehearsal) -> None:
+    """The previous motion has ended, but the newest state was sent a little before its end."""
     led.q, led.qd = turned(-0.2), [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     led.show()
     motion = led.motion.follow(PATH)
@@ -261,29 +263,29 @@ def test_where_a_moving_arm_is_does_not_count_yet(led: Rehearsal) -> None:
     motion.cancel()
 
 
-def test_a_cb2_cannot_interpolate(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_cb2_does_not_support_low_bandwidth(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal("1.8", "UR5")
     with pytest.raises(LocalError, match=r"firmware 1\.8"):
         robot.motion.follow(PATH, low_bandwidth=True)
     assert robot.sent == []
 
 
-def test_points_that_are_requested_take_the_connection(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_low_bandwidth_requires_reverse_link(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(link="rtde")
     with pytest.raises(LocalError, match="needs link='reverse'"):
         robot.motion.follow(PATH, low_bandwidth=True, link="rtde")
     assert robot.sent == []
 
 
-def test_an_arm_that_is_nobody_knows_which(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_unknown_arm_model_can_follow(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(model="UR9000")
     begun(robot).cancel()
 
 
-# -- ended before its time -----------------------------------------------------------------------------
+# -- ended early ---------------------------------------------------------------------------------------
 
 
-def test_cancelled_half_way(led: Rehearsal) -> None:
+def test_cancel_half_way_sends_one_stop(led: Rehearsal) -> None:
     motion = begun(led)
     half_way(led, motion)
     motion.cancel()
@@ -299,14 +301,14 @@ def test_cancelled_half_way(led: Rehearsal) -> None:
     assert len(led.sent) == 1
 
 
-def test_a_block_that_is_left_cancels(led: Rehearsal) -> None:
+def test_leaving_block_cancels_motion(led: Rehearsal) -> None:
     with begun(led) as motion:
         assert not motion.done
     assert motion.phase is Phase.CANCELLED
 
 
 @pytest.mark.parametrize("low_bandwidth", [False, True])
-def test_a_stop_half_way(robot: Rehearsal, low_bandwidth: bool) -> None:
+def test_safety_stop_ends_motion_without_message(robot: Rehearsal, low_bandwidth: bool) -> None:
     motion = robot.motion.follow(PATH, low_bandwidth=low_bandwidth)
     robot.connect()
     if low_bandwidth:
@@ -324,7 +326,7 @@ def test_a_stop_half_way(robot: Rehearsal, low_bandwidth: bool) -> None:
     assert len(robot.sent) == 1
 
 
-def test_goes_on_after_a_stop(led: Rehearsal) -> None:
+def test_motion_can_start_after_safety_stop(led: Rehearsal) -> None:
     motion = begun(led)
     led.state(safety=SafetyMode.PROTECTIVE_STOP)
     with pytest.raises(SafetyStop):
@@ -335,7 +337,7 @@ def test_goes_on_after_a_stop(led: Rehearsal) -> None:
     begun(led).cancel()
 
 
-def test_the_link_is_cut_and_nobody_says_why(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cut_link_without_reason_raises_connection_lost(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.linked_program._GRACE", 0.05)
     motion = begun(robot)
     assert robot.link is not None
@@ -346,14 +348,14 @@ def test_the_link_is_cut_and_nobody_says_why(robot: Rehearsal, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("message", ["urlink: the link ended", "urlink: nothing to go to"])
-def test_the_program_says_that_the_link_is_gone(led: Rehearsal, message: str) -> None:
+def test_end_of_link_reported_by_program_raises_connection_lost(led: Rehearsal, message: str) -> None:
     motion = begun(led)
     led.text(message)
     with pytest.raises(ConnectionLost, match="brakes on its own"):
         motion.wait(TIMEOUT)
 
 
-def test_the_program_is_stopped_at_the_pendant(led: Rehearsal) -> None:
+def test_stop_at_pendant_raises_program_stopped(led: Rehearsal) -> None:
     motion = begun(led)
     led.vanish()
     led.until(lambda: motion.done)
@@ -361,14 +363,14 @@ def test_the_program_is_stopped_at_the_pendant(led: Rehearsal) -> None:
         motion.wait(TIMEOUT)
 
 
-def test_the_program_comes_to_its_end_too_early(led: Rehearsal) -> None:
+def test_early_program_end_raises_program_stopped(led: Rehearsal) -> None:
     motion = begun(led)
     led.finish()
     with pytest.raises(ProgramStopped, match="the program of follow ended unexpectedly"):
         motion.wait(TIMEOUT)
 
 
-def test_no_states_come(led: Rehearsal) -> None:
+def test_lost_states_raise_not_running(led: Rehearsal) -> None:
     motion = begun(led)
     led.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match=r"pulled; its program on the robot brakes on its own"):
@@ -376,7 +378,7 @@ def test_no_states_come(led: Rehearsal) -> None:
     assert led.message() is None
 
 
-def test_off_its_path(led: Rehearsal) -> None:
+def test_leaving_path_raises_tolerance_exceeded(led: Rehearsal) -> None:
     motion = begun(led, path_tolerance=0.05)
     led.tick(away=0.07)
     with pytest.raises(ToleranceExceeded, match=r"wrist 3 \(joint 5\) is 0\.0[67]\d+ rad .* tolerance is 0\.05 rad"):
@@ -386,7 +388,7 @@ def test_off_its_path(led: Rehearsal) -> None:
     assert last[1] == STOP
 
 
-def test_does_not_arrive(led: Rehearsal) -> None:
+def test_missing_goal_raises_tolerance_exceeded(led: Rehearsal) -> None:
     motion = begun(led, goal_time=0.1)
     while not motion.done:
         led.tick(away=0.02)
@@ -401,7 +403,7 @@ def test_does_not_arrive(led: Rehearsal) -> None:
 # -- the program does not connect ------------------------------------------------------------------------
 
 
-def test_refused(robot: Rehearsal) -> None:
+def test_failed_connection_of_program_raises_connect_failed(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH)
     robot.begin()
     robot.text("urlink: cannot connect")
@@ -409,7 +411,7 @@ def test_refused(robot: Rehearsal) -> None:
         motion.wait(TIMEOUT)
 
 
-def test_missing(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_connection_raises_connect_failed(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.linked_program.CONNECT_TIMEOUT", 0.05)
     motion = robot.motion.follow(PATH)
     port = robot.port
@@ -420,7 +422,7 @@ def test_missing(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "stopj" in robot.sent[1]
 
 
-def test_a_port_that_is_taken(rehearsal: Callable[..., Rehearsal], robot: Rehearsal) -> None:
+def test_occupied_port_raises_bad_address(rehearsal: Callable[..., Rehearsal], robot: Rehearsal) -> None:
     robot.motion.follow(PATH)
     other = rehearsal(port=robot.port)
     with pytest.raises(BadAddress, match=str(robot.port)):
@@ -429,13 +431,13 @@ def test_a_port_that_is_taken(rehearsal: Callable[..., Rehearsal], robot: Rehear
     assert other.motion.current is None
 
 
-def test_a_fixed_port_serves_one_motion_after_the_other(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
+def test_fixed_port_serves_consecutive_motions(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
     fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
     connected = begun(fixed)
     with pytest.raises(Cancelled, match="preempted by follow"):
         waiting.wait(TIMEOUT)
-    fixed.show()  # a motion begins from a state that has come since the one before ended
+    fixed.show()  # a motion starts from a state that arrived after the previous motion ended
     after = begun(fixed)
     assert fixed.port == own_port
     with pytest.raises(Cancelled, match="preempted by follow"):
@@ -443,7 +445,7 @@ def test_a_fixed_port_serves_one_motion_after_the_other(rehearsal: Callable[...,
     after.cancel()
 
 
-def test_a_port_is_kept_where_the_next_motion_is_refused(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
+def test_refused_motion_keeps_port_of_current_motion(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
     fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
     fixed.safety.policy = "always"
@@ -453,11 +455,11 @@ def test_a_port_is_kept_where_the_next_motion_is_refused(rehearsal: Callable[...
     fixed.connect()
     while not (message := fixed.obey()) or message[1] != FOLLOW:
         assert message is not None
-    until(lambda: waiting.phase is Phase.RUNNING)  # told on another connection than the set-points
+    until(lambda: waiting.phase is Phase.RUNNING)  # its event arrives on another connection than the set-points
     waiting.cancel()
 
 
-def test_a_program_that_begins_after_its_handle_failed_finds_nobody(robot: Rehearsal) -> None:
+def test_late_program_cannot_connect_after_failure(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH)
     port = robot.port
     robot.fast.put(ConnectionLost("pulled"))
@@ -468,7 +470,7 @@ def test_a_program_that_begins_after_its_handle_failed_finds_nobody(robot: Rehea
         socket.create_connection(("127.0.0.1", port), TIMEOUT)
 
 
-def test_a_stranger_on_the_robot_does_not_get_the_set_points(robot: Rehearsal) -> None:
+def test_other_client_does_not_receive_set_points(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH)
     with socket.create_connection(("127.0.0.1", robot.port), TIMEOUT) as stranger:
         stranger.sendall(b"0\n\n\n")
@@ -482,12 +484,12 @@ def test_a_stranger_on_the_robot_does_not_get_the_set_points(robot: Rehearsal) -
     motion.cancel()
 
 
-# -- point by point --------------------------------------------------------------------------------------
+# -- low bandwidth: point by point -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("is_quintic", [False, True])
 @pytest.mark.parametrize("firmware", ["3.4", "5.11"])
-def test_hands_every_point_over(rehearsal: Callable[..., Rehearsal], firmware: str, is_quintic: bool) -> None:
+def test_low_bandwidth_sends_every_point(rehearsal: Callable[..., Rehearsal], firmware: str, is_quintic: bool) -> None:
     robot = rehearsal(firmware, "UR5e" if firmware[0] == "5" else "UR5")
     path = PATH
     if is_quintic:
@@ -513,7 +515,7 @@ def test_hands_every_point_over(rehearsal: Callable[..., Rehearsal], firmware: s
     motion.wait(0)
 
 
-def test_begins_where_the_arm_stands(robot: Rehearsal) -> None:
+def test_low_bandwidth_starts_at_position_of_arm(robot: Rehearsal) -> None:
     robot.q = turned(0.02)
     robot.show()
     motion = robot.motion.follow(PATH, low_bandwidth=True)
@@ -524,7 +526,7 @@ def test_begins_where_the_arm_stands(robot: Rehearsal) -> None:
     assert "stopj" in robot.sent[-1]
 
 
-def test_a_program_that_talks_nonsense(robot: Rehearsal) -> None:
+def test_invalid_request_raises_program_stopped(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH, low_bandwidth=True)
     robot.connect()
     assert robot.link is not None
@@ -534,7 +536,7 @@ def test_a_program_that_talks_nonsense(robot: Rehearsal) -> None:
         motion.wait(0)
 
 
-def test_a_program_that_falls_silent(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silent_program_raises_connection_lost(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.waypoints._SILENCE", 0.05)
     monkeypatch.setattr("urlink.motion.servo.linked_program._GRACE", 0.05)
     motion = robot.motion.follow(PATH, low_bandwidth=True)
@@ -546,7 +548,7 @@ def test_a_program_that_falls_silent(robot: Rehearsal, monkeypatch: pytest.Monke
         motion.wait(0)
 
 
-def test_too_far_from_the_first_waypoint(robot: Rehearsal) -> None:
+def test_far_first_point_raises_tolerance_exceeded(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH, low_bandwidth=True)
     robot.begin()
     robot.text("urlink: the first point is too far away")
@@ -558,8 +560,8 @@ def test_too_far_from_the_first_waypoint(robot: Rehearsal) -> None:
 @pytest.mark.property
 @settings(max_examples=25)
 @given(st.binary(max_size=60))
-def test_whatever_the_program_says_is_answered_or_ends_it(said: bytes) -> None:
-    """Nothing that comes over the link makes it hang, or fail with anything but the library's own errors."""
+def test_random_bytes_end_motion_with_library_error(said: bytes) -> None:
+    """Send any input over the link: the motion must not hang or raise an error from outside the library."""
     with Rehearsal() as robot:
         motion = robot.motion.follow(PATH, low_bandwidth=True)
         robot.connect()

@@ -1,4 +1,4 @@
-"""The follower by itself, on clocks that the test sets, and with the program that follows it on a simulated arm."""
+"""The follower alone, on clocks that the test sets, and together with its program on a simulated arm."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from urlink.script.links import ReverseSocket, missable
 
 TOKEN = 7
 LOOSE = Tolerances(path=None, goal=0.05, goal_time=5.0, start=0.05)
-#: Half a radian there and back in two seconds.
+#: Half a radian forth and back in two seconds.
 WAVE = Trajectory.from_arrays([0, 1, 2], [turned(0), turned(0.5), turned(0)])
 FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.4", "5.11")]
 NEWEST = FIRMWARES[-1]
@@ -51,7 +51,7 @@ def follower(
 
 
 def state(time: float, q: list[float], qd: float = 0.0) -> RealtimeState:
-    """What of a state the follower looks at."""
+    """Return a state with the fields that the follower reads."""
     position, speeds = np.array(q), np.array([0.0] * 5 + [qd])
     return cast(
         RealtimeState,
@@ -60,7 +60,7 @@ def state(time: float, q: list[float], qd: float = 0.0) -> RealtimeState:
 
 
 def message(data: bytes) -> tuple[list[float], int]:
-    """Positions, and what to do."""
+    """Return the positions and the action of a message."""
     numbers = struct.unpack(">13i", data)
     return [each / 1e6 for each in numbers[:6]], numbers[12]
 
@@ -70,7 +70,7 @@ def speeds(data: bytes) -> list[float]:
 
 
 class Feeding:
-    """A follower that is fed one state after the other; the arm is where it was led."""
+    """A follower that receives one state after another; the arm is at the commanded position."""
 
     def __init__(self, follower: Follower, firmware: Firmware = NEWEST) -> None:
         self.follower = follower
@@ -79,11 +79,17 @@ class Feeding:
         self.time, self.now = 50.0, 1000.0
         self.q = list(turned(0.0))
         self.sent: list[list[float]] = []
-        #: of the last joint, rad/s
+        #: speed of the last joint after each set-point, rad/s
         self.speeds: list[float] = []
 
     def state(self, cycles: float = 1, *, own: float | None = None, told: float | None = None) -> bytes:
-        """So many cycles later; `own` s by this computer's clock, and with the time `told` in the state."""
+        """Advance by `cycles` cycles and pass a state.
+
+        Args:
+            cycles: Cycles of the controller.
+            own: Time in s that passes on this computer's clock, if it differs.
+            told: Time in the state, if it differs.
+        """
         self.time += cycles * self.cycle
         self.now += cycles * self.cycle if own is None else own
         data = self.follower.step(b"", state(self.time if told is None else told, self.q), self.now)
@@ -95,14 +101,14 @@ class Feeding:
 
 
 class LateTimer(ProgramTimer):
-    """Of a trajectory that began 0.02 s before its first state was answered."""
+    """Timer of a trajectory that started 0.02 s before its first state was answered."""
 
     def beginning(self) -> float:
         return 0.02
 
 
-def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
-    """Of two arms that are to move as one, this computer may stand between the first set-points of both."""
+def test_late_start_equals_missing_as_many_cycles() -> None:
+    """If two arms must move together, this computer might be delayed between the first set-points of both."""
     late = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), timer=LateTimer(0.002)))
     missed = Feeding(follower())
     for feeding, cycles in ((late, 1), (missed, 10)):
@@ -111,7 +117,8 @@ def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
         for _ in range(20):
             feeding.state()
     assert late.q == pytest.approx(missed.q, abs=5e-4)
-    # Nine cycles of coasting, at 98 % and less of the speed, are 8.1; one before them, and one and a tenth after them.
+    # Nine cycles of coasting, at 98 % of the speed and less, are worth 8.1 cycles. One cycle comes before them, and
+    # 1.0 and 1.1 cycles come after them.
     begins = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), timer=LateTimer(0.002)))
     begins.state(0)
     assert begins.follower._s == pytest.approx((1.0 + 8.1 + 1.0 + 1.1) * 0.002)
@@ -125,12 +132,12 @@ def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
     [
         (0.002, 0.002, 0.002),
         (0.004, 0.004, 0.004),
-        (0.002, 0.5, 0.002),  # it was late
-        (0.05, 0.0001, 0.05),  # states that were held up on their way come together
+        (0.002, 0.5, 0.002),  # the state was late
+        (0.05, 0.0001, 0.05),  # delayed states arrive together
         (0.0, 0.002, 0.0),
         (0.101, 0.002, 0.101),
-        (0.103, 0.002, 0.002),  # a tenth of a second before its time
-        (1.0, 0.002, 0.002),  # nobody knows of that second here
+        (0.103, 0.002, 0.002),  # more than a tenth of a second early
+        (1.0, 0.002, 0.002),  # this computer's clock does not confirm that second
         (1.0, 0.03, 0.03),
         (1.0, 1.0, 1.0),
         (-5.0, 0.002, 0.002),
@@ -139,33 +146,33 @@ def test_one_that_begins_late_is_where_one_is_that_missed_as_much() -> None:
         (float("inf"), 0.002, 0.002),
     ],
 )
-def test_the_controllers_clock_as_far_as_it_can_be_believed(told: float, own: float, passed: float) -> None:
+def test_controller_clock_is_used_only_while_plausible(told: float, own: float, passed: float) -> None:
     clock = ControllerTimer(0.002)
     assert clock.passed(100.0, 7.0) == 0.0
     assert clock.passed(100.0 + told, 7.0 + own) == pytest.approx(passed, abs=1e-12)
-    # It goes on from there, whatever that was.
+    # The clock continues from the reported time, even a wrong one.
     following = 100.0 + told + 0.002
     assert clock.passed(following, 7.002 + own) == pytest.approx(0.002, abs=1e-9)
 
 
-def test_a_clock_that_was_wrong_for_one_state_is_right_again() -> None:
+def test_single_wrong_time_does_not_shift_the_clock() -> None:
     clock = ControllerTimer(0.002)
     passed = [clock.passed(time, 7.0 + 0.002 * n) for n, time in enumerate((100.0, 100.002, 101.004, 100.006, 100.008))]
     assert sum(passed) == pytest.approx(0.008)
 
 
-def test_states_that_come_together_after_they_were_held_up_are_believed() -> None:
-    """Half a second late, and then half a second in a tenth: no state came before its time."""
+def test_delayed_states_arriving_together_are_believed() -> None:
+    """States are half a second late, then catch up half a second within a tenth; no state is early."""
     clock = ControllerTimer(0.002)
     clock.passed(100.0, 7.0)
     assert clock.passed(100.002, 7.502) == pytest.approx(0.002)
     assert clock.passed(100.6, 7.61) == pytest.approx(0.598)
-    # A second in a tenth would be before its time.
+    # A second within a tenth of a second would be early.
     assert clock.passed(101.6, 7.71) == pytest.approx(0.1)
 
 
-def test_the_first_states_may_be_late_and_those_after_them_less_and_less() -> None:
-    """Each is believed that is hardly quicker than the quickest before it."""
+def test_timer_accepts_decreasing_delays_of_first_states() -> None:
+    """A state is believed if it is hardly quicker than the quickest state before it."""
     clock = ControllerTimer(0.002)
     passed = [clock.passed(100.0 + 0.092 * n, 7.0 + 0.002 * n) for n in range(4)]
     assert passed == pytest.approx([0.0, 0.092, 0.092, 0.092])
@@ -175,7 +182,7 @@ def test_the_first_states_may_be_late_and_those_after_them_less_and_less() -> No
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_each_set_point_is_for_its_own_cycle(firmware: Firmware) -> None:
+def test_each_set_point_is_for_one_cycle(firmware: Firmware) -> None:
     feeding = Feeding(follower(firmware), firmware)
     cycles = round(2.5 * firmware.rate)
     for _ in range(cycles):
@@ -187,7 +194,7 @@ def test_each_set_point_is_for_its_own_cycle(firmware: Firmware) -> None:
 
 
 def ramp(speed: float) -> Trajectory:
-    """Wrist 3 goes at this speed from 0.1 s to 0.5 s, and from 0.51 s on it rests."""
+    """Return a trajectory: wrist 3 has this speed from 0.1 s to 0.5 s, and rests since 0.51 s."""
     places = [turned(speed * way) for way in (0.0, 0.05, 0.45, 0.455, 0.455)]
     return Trajectory.from_arrays(
         [0.0, 0.1, 0.5, 0.51, 2.0], places, [[0.0] * 5 + [share * speed] for share in (0, 1, 1, 0, 0)]
@@ -195,8 +202,8 @@ def ramp(speed: float) -> Trajectory:
 
 
 @pytest.mark.parametrize(("missed", "pace"), [(0, 1.0), (15, 1.046), (30, 1.1)])
-def test_the_program_goes_on_along_the_trajectory_and_a_little_faster_to_catch_up(missed: int, pace: float) -> None:
-    """A tenth of a second is time for what it is behind: 2.3 cycles after 15 that were missed, 9.2 after 30."""
+def test_program_catches_up_at_most_a_tenth_faster(missed: int, pace: float) -> None:
+    """Compare the pace with a lag to make up in 0.1 s: 2.3 cycles after 15 missed cycles, and 9.2 cycles after 30."""
     feeding = Feeding(follower(trajectory=ramp(0.5)))
     for _ in range(120):
         feeding.state()
@@ -205,8 +212,8 @@ def test_the_program_goes_on_along_the_trajectory_and_a_little_faster_to_catch_u
 
 
 @pytest.mark.parametrize(("speed", "seconds"), [(0.5, 0.1), (2.0, 0.208)])
-def test_what_the_program_went_too_far_is_closed_at_constant_speed(speed: float, seconds: float) -> None:
-    """In a tenth of a second, and at 0.25 rad/s at most. The arm went on while the trajectory came to rest."""
+def test_overshoot_is_corrected_at_constant_speed(speed: float, seconds: float) -> None:
+    """Correction takes a tenth of a second, at 0.25 rad/s at most. The arm kept moving when the trajectory ended."""
     feeding = Feeding(follower(trajectory=ramp(speed)))
     for _ in range(246):
         feeding.state()
@@ -214,7 +221,7 @@ def test_what_the_program_went_too_far_is_closed_at_constant_speed(speed: float,
     gap = here - 0.455 * speed
     assert gap == pytest.approx(0.026 * speed, abs=1e-6)
     feeding.state(26)
-    # It is behind the trajectory, so it goes a tenth faster.
+    # The follower is behind the trajectory, so it runs a tenth faster.
     for cycles in range(1, 30):
         assert feeding.speeds[-1] == pytest.approx(-gap / seconds, abs=2e-6)
         assert feeding.sent[-1][5] == pytest.approx(here - gap * 1.1 * cycles * feeding.cycle / seconds, abs=2e-6)
@@ -224,8 +231,8 @@ def test_what_the_program_went_too_far_is_closed_at_constant_speed(speed: float,
     assert (feeding.sent[-1][5], feeding.speeds[-1]) == pytest.approx((0.455 * speed, 0.0), abs=1e-6)
 
 
-def test_where_less_time_has_passed_here_it_goes_on_half_as_far_or_stays() -> None:
-    """At the largest speed of the joint, where a set-point may be early by no more than a millisecond."""
+def test_early_states_advance_half_as_far_or_not_at_all() -> None:
+    """At the largest joint speed, a set-point may be early by no more than a millisecond."""
     feeding = Feeding(follower(trajectory=ramp(3.1)))
     for _ in range(120):
         feeding.state()
@@ -236,7 +243,7 @@ def test_where_less_time_has_passed_here_it_goes_on_half_as_far_or_stays() -> No
 
 
 @pytest.mark.parametrize("told", [1.0, -5.0, float("nan"), float("inf")])
-def test_a_time_that_makes_no_sense_moves_nothing_by_more_than_a_cycle(told: float) -> None:
+def test_implausible_time_moves_arm_by_at_most_one_cycle(told: float) -> None:
     feeding = Feeding(follower())
     program = Program(servoing(NEWEST), feeding.q)
     path = []
@@ -248,7 +255,7 @@ def test_a_time_that_makes_no_sense_moves_nothing_by_more_than_a_cycle(told: flo
     assert path[-1] == pytest.approx(WAVE.at(314 * feeding.cycle)[0][5], abs=1e-4)
 
 
-def test_a_clock_that_was_set_for_good_is_followed_from_there() -> None:
+def test_permanent_clock_change_is_followed() -> None:
     feeding = Feeding(follower())
     for _ in range(250):
         feeding.state()
@@ -260,7 +267,7 @@ def test_a_clock_that_was_set_for_good_is_followed_from_there() -> None:
 
 
 @pytest.mark.parametrize("missed", [1, 3, 10, 30, 49])
-def test_what_was_missed_is_caught_up_with_a_tenth_faster(missed: int) -> None:
+def test_missed_cycles_are_caught_up_a_tenth_faster(missed: int) -> None:
     feeding = Feeding(follower())
     for _ in range(250):
         feeding.state()
@@ -269,19 +276,19 @@ def test_what_was_missed_is_caught_up_with_a_tenth_faster(missed: int) -> None:
     for _ in range(600):
         feeding.state()
     sent = np.array(feeding.sent)[:, 5]
-    # In n cycles without a set-point the program on the robot goes on by n - n (n + 1) / 100 cycles' worth.
+    # Without a set-point for n cycles, the program on the robot advances by n - n (n + 1) / 100 cycles.
     coasted = missed - missed * (missed + 1) / 100
     last_step = feeding.speeds[before - 1] * feeding.cycle
     here = sent[before - 1] + coasted * last_step
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
     assert abs(sent[before] - here) <= 1.1 * fastest + 1e-6
     assert np.abs(np.diff(sent[before:])).max() <= 1.1 * fastest + 0.25 * feeding.cycle
-    # Half a second makes up for 50 ms at least.
+    # In half a second, the follower catches up at least 50 ms.
     assert sent[-1] == pytest.approx(WAVE.at((250 + missed + 601 + 1) * feeding.cycle)[0][5], abs=1e-4)
 
 
-def test_many_cycles_that_nobody_knows_of_here_are_not_made_up_for_at_once() -> None:
-    """A state whose time is wrong by less than what states that come together may be apart."""
+def test_wrongly_reported_cycles_are_not_caught_up_at_once() -> None:
+    """The time of the state is wrong, but by less than the gap that is allowed between states that arrive together."""
     feeding = Feeding(follower())
     for _ in range(250):
         feeding.state()
@@ -292,8 +299,8 @@ def test_many_cycles_that_nobody_knows_of_here_are_not_made_up_for_at_once() -> 
     assert abs(feeding.sent[-1][5] - before) <= 6 * fastest
 
 
-def test_what_would_be_a_leap_whatever_is_sent_ends_it() -> None:
-    """The arm is led elsewhere than the trajectory is, and no time passes in which it could get there."""
+def test_unavoidable_jump_raises_tolerance_exceeded() -> None:
+    """The arm is not where the trajectory is, and too little time passes for the arm to get there."""
     led = follower(tolerances=Tolerances(path=None, goal=0.05, goal_time=5.0, start=1.0))
     led.step(b"", state(50.0, turned(0.0)), 1000.0)
     for n in range(1, 20):
@@ -311,7 +318,7 @@ def test_two_states_of_one_cycle_are_answered_once() -> None:
     assert feeding.state()
 
 
-def test_waits_for_the_arm_to_stand() -> None:
+def test_follower_waits_for_arm_at_rest() -> None:
     led = follower()
     moving = state(1.0, turned(0), 0.5)
     assert message(led.step(b"", moving, 10.0))[1] == WAIT
@@ -321,7 +328,7 @@ def test_waits_for_the_arm_to_stand() -> None:
     assert (led.times(1.0), led.progress, led.is_over) == (None, 0.0, False)
 
 
-def test_an_arm_stands_below_two_hundredths_of_a_radian_a_second() -> None:
+def test_arm_is_at_rest_below_two_hundredths_rad_per_second() -> None:
     for joint in range(6):
         for direction in (1.0, -1.0):
             speeds = np.zeros(6)
@@ -330,12 +337,12 @@ def test_an_arm_stands_below_two_hundredths_of_a_radian_a_second() -> None:
             assert stands(0.999 * speeds)
 
 
-def test_begins_nowhere_else() -> None:
+def test_start_far_from_arm_is_rejected() -> None:
     with pytest.raises(BadValue, match="too far from where the arm is"):
         follower().step(b"", state(1.0, turned(0.06)), 10.0)
 
 
-def test_what_is_between_the_arm_and_the_first_point_is_faded_out() -> None:
+def test_initial_offset_is_faded_out() -> None:
     feeding = Feeding(follower())
     feeding.q = turned(0.04)
     for _ in range(600):
@@ -349,8 +356,8 @@ def test_what_is_between_the_arm_and_the_first_point_is_faded_out() -> None:
 
 
 @pytest.mark.parametrize(("off", "seconds"), [(0.04, 0.24), (-0.001, 0.2)])
-def test_how_it_is_faded_out(off: float, seconds: float) -> None:
-    """At 0.25 rad/s at most, in a fifth of a second at least, from rest to rest."""
+def test_fade_out_is_smooth_and_limited(off: float, seconds: float) -> None:
+    """Fading takes at least a fifth of a second, at 0.25 rad/s at most, from rest to rest."""
     led = follower()
     led.step(b"", state(50.0, turned(off)), 1000.0)
     for part, left, speed in ((0.0, 1.0, 0.0), (0.25, 27 / 32, 1.125), (0.5, 0.5, 1.5), (1.0, 0.0, 0.0), (9.0, 0, 0)):
@@ -360,7 +367,7 @@ def test_how_it_is_faded_out(off: float, seconds: float) -> None:
         assert qd[5] - along[5] == pytest.approx(-speed * off / seconds, abs=1e-9)
 
 
-def test_off_its_path_and_off_its_goal() -> None:
+def test_leaving_path_or_goal_raises_tolerance_exceeded() -> None:
     led = follower(tolerances=Tolerances(path=0.05, goal=0.01, goal_time=0.1, start=0.05))
     led.step(b"", state(1.0, turned(0)), 10.0)
     led.step(b"", state(1.002, turned(0.04)), 10.002)
@@ -383,48 +390,48 @@ def test_off_its_path_and_off_its_goal() -> None:
 @pytest.mark.parametrize(
     ("t", "off", "speed", "what"),
     [
-        (0.0, 0.05, 0.5, "goes on"),
+        (0.0, 0.05, 0.5, "continues"),
         (0.0, math.nextafter(0.05, 1.0), 0.5, "0.000 s into its path; the tolerance is 0.05"),
-        (2.0, 0.0, 0.0, "is over"),
-        (2.0, -0.01, 0.0, "is over"),
-        (2.0, 0.01, 0.5, "goes on"),
-        (2.0, math.nextafter(0.01, 1.0), 0.0, "goes on"),
-        (2.5, 0.0, 0.5, "goes on"),
-        (2.5, 1.0, 0.0, "goes on"),
-        (2.51, 0.01, 0.5, "is over"),
+        (2.0, 0.0, 0.0, "ends"),
+        (2.0, -0.01, 0.0, "ends"),
+        (2.0, 0.01, 0.5, "continues"),
+        (2.0, math.nextafter(0.01, 1.0), 0.0, "continues"),
+        (2.5, 0.0, 0.5, "continues"),
+        (2.5, 1.0, 0.0, "continues"),
+        (2.51, 0.01, 0.5, "ends"),
         (2.51, -math.nextafter(0.01, 1.0), 0.0, "0.5 s after the end of its path; the tolerance is 0.01"),
     ],
 )
-def test_where_the_arm_has_to_be_when(t: float, off: float, speed: float, what: str) -> None:
-    """At the end the arm stands at the goal, or is there, moving yet, when its time is up."""
+def test_tolerances_apply_to_path_and_goal(t: float, off: float, speed: float, what: str) -> None:
+    """At the end, the arm is at rest at the goal, or it is there but still moving when its time is up."""
     led = follower(tolerances=Tolerances(path=0.05, goal=0.01, goal_time=0.5, start=0.05))
     led.step(b"", state(50.0, turned(0.0)), 1000.0)
     seen = state(50.0 + t, turned(off), speed)
-    if what in ("goes on", "is over"):
+    if what in ("continues", "ends"):
         led._compare(seen, t)
-        assert (led.is_over, led.progress, led.times(50.0 + t)) == (what == "is over", t / 2.0, (0.0, t))
+        assert (led.is_over, led.progress, led.times(50.0 + t)) == (what == "ends", t / 2.0, (0.0, t))
     else:
         with pytest.raises(ToleranceExceeded, match=what):
             led._compare(seen, t)
 
 
-def test_feedback_is_told_where_the_trajectory_is() -> None:
+def test_times_report_position_on_trajectory() -> None:
     feeding = Feeding(follower())
     feeding.state()
     assert feeding.follower.times(50.002) == pytest.approx((0.0, 0.0))
     for _ in range(99):
         feeding.state()
     assert feeding.follower.progress == pytest.approx(0.198 / 2.0)
-    for after in (0.0, 0.0631, 0.198, 0.2):  # between states, and ahead of the newest
+    for after in (0.0, 0.0631, 0.198, 0.2):  # between states, and after the newest one
         assert feeding.follower.times(50.002 + after) == pytest.approx((after, after))
     assert feeding.follower.times(50.0) is None
 
 
-# -- with the program that follows -----------------------------------------------------------------------
+# -- with the program on the robot -----------------------------------------------------------------------
 
 
 class Program:
-    """The streaming program without the interpreter; `test_the_model_of_the_program` holds it to the real one."""
+    """Model of the streaming program without the interpreter; `test_program_model_matches_real_program` verifies it."""
 
     def __init__(self, servoing: Servoing, q: list[float]) -> None:
         self.q = list(q)
@@ -439,7 +446,7 @@ class Program:
         self._has_begun = False
 
     def cycle(self, messages: bytes) -> list[float]:
-        """One cycle in which these messages have come; what ``servoj`` is told."""
+        """Run one cycle with these messages; return the argument of ``servoj``."""
         last_message = messages[-MESSAGE_SIZE:]
         if (
             self.is_over
@@ -463,13 +470,13 @@ class Program:
         return self.q
 
     def _bounded(self) -> list[float]:
-        """To the aim, but no further than the joints get in a cycle."""
+        """Return the aim, limited to the distance that each joint can move in a cycle."""
         return [min(max(a, q - way), q + way) for a, q, way in zip(self._aim, self.q, self._ways, strict=True)]
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
-def test_the_model_of_the_program(firmware: Firmware) -> None:
-    """That of CB2 brakes too, which is not modelled here."""
+def test_program_model_matches_real_program(firmware: Firmware) -> None:
+    """The program for CB2 also brakes, which is not modelled here."""
     bench = Bench(servoing(firmware).body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware)
     modelled = Program(servoing(firmware), list(bench.motion.setpoint.q))
     targets: list[list[float]] = []
@@ -492,8 +499,8 @@ def test_the_model_of_the_program(firmware: Firmware) -> None:
 
 @pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
 @pytest.mark.parametrize("watchdog", [0.05, 5.0])
-def test_what_is_known_here_of_a_program_that_goes_on_by_itself(firmware: Firmware, watchdog: float) -> None:
-    """How far it goes in so many cycles without a set-point, and how fast it is in the last of them."""
+def test_coasting_of_program_matches_prediction(firmware: Firmware, watchdog: float) -> None:
+    """Compare the distance of each number of cycles without a set-point, and the speed in the last cycle."""
     how = servoing(firmware, watchdog)
     bench = Bench(how.body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware)
     targets: list[list[float]] = []
@@ -512,7 +519,7 @@ def test_what_is_known_here_of_a_program_that_goes_on_by_itself(firmware: Firmwa
     assert len(way) > most
 
 
-def test_a_slow_loop_is_waited_for_three_of_its_periods() -> None:
+def test_slow_loop_may_be_late_by_three_periods() -> None:
     speeds = largest_speeds(arm(NEWEST))
     for period, watchdog, seconds in ((0.02, 1.0, 0.1), (0.1, 1.0, 0.3), (0.5, 1.0, 1.0)):
         assert Servoing(NEWEST, speeds, watchdog, 0.03, 300.0, period).late == pytest.approx(seconds, abs=0.004)
@@ -520,12 +527,14 @@ def test_a_slow_loop_is_waited_for_three_of_its_periods() -> None:
 
 @pytest.mark.parametrize("late", [0.012, 0.06, 0.4], ids=lambda each: f"{1000 * each:.0f} ms")
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_set_points_that_come_seldom_lead_along_the_trajectory(firmware: Firmware, late: float) -> None:
-    """As from a computer that is too busy, which has asked for a long watchdog: most of the time the program goes on by
-    itself, at the right speed and not for long, and the arm stays on its path, the slower the fewer come.
+def test_rare_set_points_keep_arm_on_trajectory(firmware: Firmware, late: float) -> None:
+    """A busy computer with a long watchdog sends few set-points; the arm still stays on its path.
 
-    With the speed taken from the last two set-points, and for as long as the watchdog let it, it went on past the end
-    by 0.2 rad.
+    Most of the time, the program coasts, at the right speed and only briefly. The fewer set-points arrive, the slower
+    the arm moves.
+
+    If the program took its speed from the last two set-points, and coasted as long as the watchdog allows, it would
+    overshoot the end by 0.2 rad.
     """
     path = Trajectory.from_arrays([0.0, 0.5, 1.0], [turned(0.2), turned(0.0), turned(0.2)])
     led = follower(firmware, path, Tolerances(path=None, goal=0.01, goal_time=3.0, start=0.05), watchdog=5.0)
@@ -548,11 +557,11 @@ def test_set_points_that_come_seldom_lead_along_the_trajectory(firmware: Firmwar
 
 
 @pytest.mark.parametrize("firmware", [FIRMWARES[1], pytest.param(NEWEST, marks=pytest.mark.slow)], ids=str)
-def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
-    """The tool joint to 0 over 1 s, to 1 rad over 3 s and back over 4 s, by the program on the robot and on its arm.
+def test_experiment_of_original_driver_is_reproduced(firmware: Firmware) -> None:
+    """Run the program on a simulated arm: wrist 3 to 0 over 1 s, to 1 rad over 3 s and back over 4 s.
 
-    The arm of the simulator lags by half the look-ahead time and two over the gain; beside that lag it is where it
-    should be. (Two runs of the original differed by 0.03 rad. These are the same to the last bit.)
+    The simulated arm lags by half the look-ahead time plus two over the gain. Apart from this lag, it is where it
+    should be. Two runs of the original driver differed by 0.03 rad. These runs are identical to the last bit.
     """
     begin = turned(0.3)
     path = Trajectory.from_arrays([0, 1, 4, 8], [begin, turned(0.0), turned(1.0), turned(0.0)])
@@ -579,8 +588,8 @@ def test_the_experiment_of_the_original_driver(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize(("held", "answered"), [(19, (18,)), (19, (0, 5, 10, 18)), (40, tuple(range(40)))])
-def test_both_ends_are_held_up_again_and_again(held: int, answered: tuple[int, ...]) -> None:
-    """Then many cycles pass without a message, and several come in one. On CB2 nobody smooths what that makes."""
+def test_repeated_delays_keep_acceleration_bounded(held: int, answered: tuple[int, ...]) -> None:
+    """Many cycles pass without a message, and then several arrive in one cycle. CB2 does not smooth the result."""
     firmware = FIRMWARES[0]
     path = Trajectory.from_arrays([0, 1, 2, 3], [turned(0), turned(0.8), turned(0.3), turned(0.5)])
     how = servoing(firmware, watchdog=2.0)
@@ -604,14 +613,14 @@ def test_both_ends_are_held_up_again_and_again(held: int, answered: tuple[int, .
             bench.say(led.step(b"", *seen()))
         assert bench.cycle < 12 * firmware.rate
     way = np.array(bench.path)
-    # Without the bound it is 250 to 370, and the arm of the simulator stops protectively.
+    # Without the bound, the acceleration is 250 to 370 rad/s², and the simulated arm makes a protective stop.
     assert np.abs(np.diff(way, 2, axis=0)).max() / bench.period**2 < 50.1
     assert -0.05 < way[:, 5].min() < way[:, 5].max() < 1.0
     assert bench.said == []
 
 
-#: What happens before a state: cycles that are missed here, what is added to its time, seconds that it is late, and
-#: seconds for which the controller itself is held up, as only a simulated one is.
+#: Events before a state: cycles missed here, error of its time, its delay in s, and the time in s for which the
+#: controller itself is delayed, as only a simulated controller is.
 _events = st.tuples(
     st.one_of(st.just(0), st.just(0), st.integers(0, 8), st.integers(0, 70)),
     st.one_of(st.just(0.0), st.sampled_from([1.0, -5.0, 0.05, -0.1, 0.002, -0.002, math.nan, math.inf, 1e9])),
@@ -627,12 +636,12 @@ _events = st.tuples(
     st.sampled_from([0.3, 1.0, 2.0, 3.1]),
     st.floats(0.05, 0.95),
 )
-def test_whatever_the_states_say_the_arm_is_never_led_too_fast(
+def test_arm_is_never_too_fast_whatever_the_states_report(
     happened: list[tuple[int, float, float, float]], firmware: Firmware, speed: float, where: float
 ) -> None:
-    """Nor is anything sent that is further away than the joints get in the time; and all the same it arrives."""
+    """Each set-point is within the reach of the joints in the time, and the arm still arrives."""
     cycle = 1.0 / firmware.rate
-    # So short that its middle, where it goes at `speed`, is soon reached.
+    # So short that its middle, at `speed`, is reached soon.
     trajectory = Trajectory.from_arrays([0, 0.4], [turned(0.0), turned(0.4 * speed / 1.5)])
     led = follower(firmware, trajectory)
     program = Program(servoing(firmware), turned(0.0))
@@ -664,7 +673,7 @@ def test_whatever_the_states_say_the_arm_is_never_led_too_fast(
         path.append(program.cycle(messages)[5])
         assert abs(path[-1] - path[-2]) <= math.pi * cycle + 1e-9
         if program.is_over:
-            return  # nothing came for too long: it braked by itself
+            return  # no message came for too long, so the program braked on its own
         if led.is_over:
             break
     assert path[-1] == pytest.approx(trajectory.q[-1][5], abs=0.06)
@@ -675,8 +684,8 @@ def test_whatever_the_states_say_the_arm_is_never_led_too_fast(
 
 @pytest.mark.parametrize("aside", [0.0, 0.02, -0.02])
 @pytest.mark.parametrize("braked", [0.0, 0.06, -0.05])
-def test_after_a_pause_it_goes_on_from_the_nearest_point_of_its_path(braked: float, aside: float) -> None:
-    """Without a leap; what the arm is beside its path is faded out."""
+def test_resume_continues_from_nearest_point_of_path(braked: float, aside: float) -> None:
+    """The arm does not jump, and its distance from the path is faded out."""
     trajectory = Trajectory.from_arrays([0, 2], [turned(0), turned(1.0)])
     feeding = Feeding(follower(trajectory=trajectory))
     feeding.state(0)
@@ -692,11 +701,11 @@ def test_after_a_pause_it_goes_on_from_the_nearest_point_of_its_path(braked: flo
         feeding.state()
         sent.append(list(feeding.q))
     assert follows.progress * 2.0 == pytest.approx(stands, abs=5e-3)
-    # Its time begins slowly, and the program is where it was braked to.
+    # The time starts slowly, where the program has braked to rest.
     assert np.abs(np.diff(sent, axis=0)).max() < 4e-3
     for _ in range(400):
         feeding.state()
-    # 0.806 s by the controller, of which the first sixth was slow.
+    # 0.806 s of controller time have passed; the first sixth of it was slow.
     t = follows.progress * 2.0
     assert t - stands == pytest.approx(0.72, abs=0.01)
     assert feeding.q == pytest.approx(trajectory.sample(t + 2 * feeding.cycle)[0], abs=2e-3)
@@ -705,8 +714,8 @@ def test_after_a_pause_it_goes_on_from_the_nearest_point_of_its_path(braked: flo
     assert feeding.q == pytest.approx(turned(1.0), abs=1e-3)
 
 
-def test_a_pause_before_it_has_begun() -> None:
-    """It begins where the arm stands then."""
+def test_resume_before_start_begins_at_position_of_arm() -> None:
+    """The motion starts where the arm is at rest at that time."""
     feeding = Feeding(follower())
     feeding.follower.resume(state(feeding.time, turned(0.02)))
     feeding.q = turned(0.02)
@@ -715,8 +724,8 @@ def test_a_pause_before_it_has_begun() -> None:
     assert feeding.q == pytest.approx(turned(0.02), abs=1e-3)
 
 
-def test_what_is_beside_the_path_at_its_end_is_faded_out_after_it() -> None:
-    """The end is when that is over."""
+def test_offset_at_end_of_path_is_faded_out_afterwards() -> None:
+    """The motion ends when the offset is zero."""
     trajectory = Trajectory.from_arrays([0, 1], [turned(0), turned(0.3)])
     feeding = Feeding(follower(trajectory=trajectory))
     feeding.state(0)
@@ -731,16 +740,16 @@ def test_what_is_beside_the_path_at_its_end_is_faded_out_after_it() -> None:
     assert feeding.q == pytest.approx(turned(0.3), abs=1e-3)
 
 
-def test_after_a_pause_the_place_is_looked_for_from_a_little_before_to_a_second_after() -> None:
-    """In steps of 4 ms."""
+def test_resume_searches_a_limited_part_of_the_trajectory() -> None:
+    """The search runs from a little before the last point to one second after it, in steps of 4 ms."""
     trajectory = Trajectory.from_arrays([0, 4], [turned(0), turned(2.0)])
     led = follower(trajectory=trajectory)
     for place, found in ((2.004, 2.004), (2.9, 2.9), (3.5, 2.996), (1.9, 1.9), (1.5, 1.8)):
         assert led._nearest(trajectory.sample(place)[0], 2.0) == pytest.approx(found, abs=1e-9)
 
 
-def test_an_arm_that_lags_is_compared_with_where_it_should_be_by_then() -> None:
-    """The lag that was measured, without the cycles in it that a set-point takes to arrive."""
+def test_comparison_accounts_for_measured_lag() -> None:
+    """The measured lag counts, without the cycles in it that a set-point takes to arrive."""
     led = Follower(WAVE, LOOSE, servoing(NEWEST), 0.1)
     feeding = Feeding(led)
     for _ in range(100):

@@ -1,4 +1,4 @@
-"""An arm that yields, from the client to the simulated controller: each mode, and each way in which it ends."""
+"""A compliant arm, from the client to the simulated controller: each mode and each way to end it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from urlink.simulator import Controller, Plane, Still
 pytestmark = pytest.mark.simulated_time
 
 TIMEOUT = 120.0
-#: Seconds that messages may stay away: the machine that runs this may be busy with other things.
+#: Time in s without messages that the programs accept: the test machine may be busy.
 WATCHDOG = 2.0
 
 Made = tuple[Controller, Robot]
@@ -29,7 +29,7 @@ Made = tuple[Controller, Robot]
 
 @pytest.fixture
 def made() -> Iterator[Callable[[str], Made]]:
-    """Makes a simulated arm that stands, with a table 2 mm below its tool, and a robot connected to it."""
+    """Return a function that makes a robot and its simulated arm at rest, with a table 2 mm below the tool."""
     with contextlib.ExitStack() as stack:
 
         def make(firmware: str) -> Made:
@@ -53,7 +53,7 @@ def press(robot: Robot, link: LinkName = "reverse", newtons: float = 10.0) -> Fo
 
 
 def is_rigid(controller: Controller) -> bool:
-    """Pushed, it does not yield: its mode is over."""
+    """Whether the arm has left its mode: it does not yield when it is pushed."""
     until(lambda: controller.program_name is None and not controller.arm.is_moving, TIMEOUT)
     at = controller.arm.setpoint.q
     controller.push([0, 0, 30.0, 0, 0, 0])
@@ -65,9 +65,7 @@ def is_rigid(controller: Controller) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("firmware", "link"), [("3.15", "rtde"), ("5.11", "reverse"), ("10.12", "rtde")])
-def test_force_mode_presses_and_is_over_with_its_block(
-    made: Callable[[str], Made], firmware: str, link: LinkName
-) -> None:
+def test_force_mode_presses_until_block_ends(made: Callable[[str], Made], firmware: str, link: LinkName) -> None:
     controller, robot = made(firmware)
     with press(robot, link) as pressing:
         until(lambda: abs(force(controller) - 10.0) < 0.5, TIMEOUT)
@@ -83,7 +81,7 @@ def test_force_mode_presses_and_is_over_with_its_block(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["exception", "close"])
-def test_what_leaves_its_block_ends_the_mode(made: Callable[[str], Made], end: str) -> None:
+def test_exception_or_close_ends_freedrive(made: Callable[[str], Made], end: str) -> None:
     controller, robot = made("5.11")
     with contextlib.ExitStack() as stack:
         if end == "exception":
@@ -100,7 +98,7 @@ def test_what_leaves_its_block_ends_the_mode(made: Callable[[str], Made], end: s
 
 
 @pytest.mark.slow
-def test_an_awaited_robot_yields_too(made: Callable[[str], Made]) -> None:
+def test_async_robot_supports_force_mode_and_teaching(made: Callable[[str], Made]) -> None:
     controller, _ = made("5.11")
 
     async def press_softly() -> None:
@@ -119,13 +117,13 @@ def test_an_awaited_robot_yields_too(made: Callable[[str], Made]) -> None:
 
 
 @pytest.mark.slow
-def test_torques_by_a_loop(made: Callable[[str], Made]) -> None:
+def test_loop_can_send_torques(made: Callable[[str], Made]) -> None:
     controller, robot = made("5.25")
     controller.world.clear()
     with robot.motion.torque(watchdog=1.0, limits=[10, 10, 10, 5, 5, 5]) as torque:
         with pytest.raises(BadValue, match=r"torque\[5\] \(wrist 3\) is 6 Nm; at most 5 Nm"):
             torque.send([0, 0, 0, 0, 0, 6])
-        # A spring and a damper about a place 0.1 rad away.
+        # A spring and a damper around a position 0.1 rad away.
         for state in robot.realtime:
             q, qd = state.q_actual, state.qd_actual
             torque.send([0, 0, 0, 0, 0, float(np.clip(5.0 * (0.1 - q[5]) - 1.5 * qd[5], -5, 5))])
@@ -136,7 +134,7 @@ def test_torques_by_a_loop(made: Callable[[str], Made]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["3.15", "5.11"])
-def test_a_movement_ends_at_a_contact(made: Callable[[str], Made], firmware: str) -> None:
+def test_motion_ends_at_contact(made: Callable[[str], Made], firmware: str) -> None:
     controller, robot = made(firmware)
     motion = robot.motion.until_contact([0, 0, -1], 0.02, wait=TIMEOUT)
     contact = motion.contact
@@ -145,13 +143,14 @@ def test_a_movement_ends_at_a_contact(made: Callable[[str], Made], firmware: str
     start = controller.arm.kinematics.forward(controller.arm.setpoint.q)
     assert contact.pose[:3] == pytest.approx(start[:3], abs=2e-3)
     robot.zero_force_sensor()
-    # On CB3 the tool was brought back to where it pressed with 20 N, which are missed once it has left the table.
+    # On CB3, the tool had returned to the place where it pressed with 20 N.
+    # This force vanishes when the tool leaves the table.
     force = 40.0 if firmware == "3.15" else None
     with pytest.raises(NoContact, match=r"nothing was touched within 0\.004 m"):
         robot.motion.until_contact([0, 0, 1], 0.05, distance=0.004, force=force, wait=TIMEOUT)
 
 
-def test_what_makes_no_sense_is_refused_before_anything_is_sent(made: Callable[[str], Made]) -> None:
+def test_invalid_options_are_rejected_before_sending(made: Callable[[str], Made]) -> None:
     controller, robot = made("5.11")
     calls: list[tuple[str, Callable[[], object]]] = [
         ("selection is", lambda: robot.motion.force_mode("base", [0, 0, 2, 0, 0, 0], [0] * 6, [1] * 6)),
@@ -198,7 +197,7 @@ def test_what_makes_no_sense_is_refused_before_anything_is_sent(made: Callable[[
         ("5.9", "5.10 or later is required to select axes", lambda robot: robot.freedrive([1, 0, 0, 0, 0, 0])),
     ],
 )
-def test_firmware_that_lacks_it_is_told_so(
+def test_missing_firmware_feature_is_reported(
     made: Callable[[str], Made], firmware: str, text: str, call: Callable[[Robot], object]
 ) -> None:
     controller, robot = made(firmware)

@@ -1,4 +1,4 @@
-"""The programs of an arm that yields, by registers, on a simulated controller that is stepped."""
+"""Programs of a compliant arm, driven through registers on a simulated controller that the test steps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FIRMWARES = ["3.15", "5.11", "5.25", "10.12"]
 
 
 class Bench:
-    """A controller with one program; `tell` writes what it is told, cycle by cycle."""
+    """A controller with one program; `tell` writes a message in each cycle."""
 
     def __init__(self, firmware: str) -> None:
         self.controller = Controller(None, firmware, motion=Still())
@@ -38,7 +38,7 @@ class Bench:
 
     @property
     def date(self) -> int:
-        """Of a message of this cycle."""
+        """Date of a message of this cycle."""
         return round(self.controller.time * self.firmware.rate)
 
     @property
@@ -49,7 +49,7 @@ class Bench:
         self.controller.take(program("tried", body, None).text)
 
     def tell(self, values: Sequence[float], seconds: float, mode: int = FOLLOW, *, date: int | None = None) -> None:
-        """A new message in each cycle, with the date of that cycle or an older one."""
+        """Write a new message in each cycle, with the date of that cycle or an older date."""
         inputs = self.controller.registers.inputs
         inputs.integers[LINK.proof] = LINK.token
         for _ in range(max(round(seconds * self.firmware.rate), 1)):
@@ -58,7 +58,7 @@ class Bench:
             inputs.integers[LINK.message], inputs.integers[LINK.mode] = self._count, mode
             for i, value in enumerate(values):
                 inputs.floats[LINK.first_float + i] = value
-            # What is written past RTDE does not feed the controller's own watchdog, which is another test's affair.
+            # Writing past RTDE does not feed the controller's own watchdog, which another test covers.
             self.controller._state.watchdogs.clear()
             self.controller.step()
 
@@ -82,18 +82,18 @@ def pressing(firmware: str) -> Bench:
 
 @pytest.mark.parametrize(
     ("firmware", "way"),
-    [("3.15", "told"), ("3.15", "silent"), ("3.15", "preempted"), ("5.25", "silent"), ("10.12", "told")],
+    [("3.15", "stopped"), ("3.15", "silent"), ("3.15", "preempted"), ("5.25", "silent"), ("10.12", "stopped")],
 )
-def test_it_presses_as_told_and_its_end_ends_the_mode(firmware: str, way: str) -> None:
+def test_force_mode_presses_until_program_ends(firmware: str, way: str) -> None:
     bench = pressing(firmware)
     bench.tell([0, 0, -10.0, 0, 0, 0], 0.8)
     assert bench.controller.arm.wrench[2] == pytest.approx(10.0, abs=0.5)
     bench.tell([0, 0, -20.0, 0, 0, 0], 0.4)
     assert bench.controller.arm.wrench[2] == pytest.approx(20.0, abs=0.5)
-    if way == "told":
+    if way == "stopped":
         bench.tell([0.0] * 6, 0.5, STOP)
     elif way == "silent":
-        # As long as the watchdog lasts it goes on.
+        # The mode continues for the time of the watchdog.
         bench.silent(0.15)
         bench.controller.push([0, 0, 15.0, 0, 0, 0])
         bench.silent(0.03)
@@ -110,7 +110,7 @@ def test_it_presses_as_told_and_its_end_ends_the_mode(firmware: str, way: str) -
 
 
 @pytest.mark.parametrize("firmware", ["3.15", "5.11"])
-def test_freedrive_lasts_as_long_as_messages_come(firmware: str) -> None:
+def test_freedrive_lasts_while_messages_arrive(firmware: str) -> None:
     bench = Bench(firmware)
     axes = [True, False, True, False, False, False] if bench.firmware >= (5, 10) else None
     bench.take(force_control.freedrive(bench.firmware, LINK, axes, [0.0] * 6, watchdog=0.2))
@@ -127,8 +127,8 @@ def test_freedrive_lasts_as_long_as_messages_come(firmware: str) -> None:
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("kind", ["force_mode", "freedrive"])
-def test_messages_that_are_old_when_they_are_read_do_not_feed_its_watchdog(firmware: str, kind: str) -> None:
-    """Such as those that waited while the controller hung: the mode ends as if none had come."""
+def test_old_messages_do_not_feed_watchdog(firmware: str, kind: str) -> None:
+    """Such messages were queued while the controller hung; the mode ends as if none had arrived."""
     if kind == "force_mode":
         bench = pressing(firmware)
         wrench = [0, 0, -10.0, 0, 0, 0]
@@ -136,7 +136,7 @@ def test_messages_that_are_old_when_they_are_read_do_not_feed_its_watchdog(firmw
         bench, wrench = Bench(firmware), [0.0] * 6
         bench.take(force_control.freedrive(bench.firmware, LINK, None, [0.0] * 6, watchdog=0.2))
     bench.tell(wrench, 0.5)
-    # They may be as late as the watchdog's time, by jitter, and after as long again it ends.
+    # Because of jitter, messages may be late by the watchdog's time. After the same time again, the mode ends.
     first = bench.date
     running = []
     for seconds in (0.35, 0.25):
@@ -150,7 +150,7 @@ def test_messages_that_are_old_when_they_are_read_do_not_feed_its_watchdog(firmw
 
 
 @pytest.mark.parametrize("firmware", ["5.25"])
-def test_torques_move_the_arm_and_fade(firmware: str) -> None:
+def test_torques_move_arm_and_fade(firmware: str) -> None:
     bench = Bench(firmware)
     bench.take(force_control.torque(bench.firmware, LINK, friction_compensation=True, watchdog=0.05))
     bench.tell([0, 0, 0, 0, 0, 0], 0.05)
@@ -162,7 +162,7 @@ def test_torques_move_the_arm_and_fade(firmware: str) -> None:
 
 
 @pytest.mark.parametrize(("firmware", "force"), [("3.15", 20.0), ("5.4", None)])
-def test_it_ends_at_a_contact_and_says_where(firmware: str, force: float | None) -> None:
+def test_motion_ends_at_contact_and_reports_position(firmware: str, force: float | None) -> None:
     bench = Bench(firmware)
     bench.table(0.01)
     bench.take(force_control.until_contact(bench.firmware, [0, 0, -1.0], 0.05, 0.5, 0.1, force=force, retracts=True))
@@ -180,22 +180,22 @@ def test_it_ends_at_a_contact_and_says_where(firmware: str, force: float | None)
     assert bench.pose[2] - bench.start[2] == pytest.approx(-0.01, abs=5e-4 if force is None else 2e-3)
 
 
-def test_it_gives_up_after_its_distance() -> None:
+def test_motion_stops_after_distance_without_contact() -> None:
     bench = Bench("5.11")
     bench.take(force_control.until_contact(bench.firmware, [0, 0, -1.0], 0.1, 0.5, 0.02, force=None, retracts=True))
     bench.silent(1.0)
     assert not bench.is_running
-    # The distance, and at most twice what it takes to speed up and to brake on top of it.
+    # The distance, plus at most twice the distance needed to accelerate and to brake.
     assert -0.05 <= bench.pose[2] - bench.start[2] <= -0.02
 
 
 @pytest.mark.parametrize("text", ["urlink: contact ", "urlink: contact [1,2]", "urlink: contact [a,b,c,d,e,f]", "else"])
-def test_what_is_no_contact_is_none(text: str) -> None:
+def test_contact_of_invalid_text_is_none(text: str) -> None:
     assert force_control.contact_of(text) is None
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_over_a_socket_they_compile_too(firmware: str) -> None:
+def test_programs_compile_with_socket_link(firmware: str) -> None:
     from urlink.simulator.urscript import compile_script
 
     version = Firmware.parse(firmware)
@@ -208,11 +208,11 @@ def test_over_a_socket_they_compile_too(firmware: str) -> None:
     ]
     for body, end in zip(bodies, ("end_force_mode()", "end_freedrive_mode()"), strict=True):
         compile_script(program("p", body, None).text, version)
-        # Before it brakes, whatever ended it.
+        # The mode ends before the arm brakes, for every kind of end.
         assert body.index(f"  {end}") < body.index("  stopj(4.0)")
 
 
-def test_a_message_is_said_with_every_state_until_the_users_own_loop_does() -> None:
+def test_kept_message_is_repeated_until_muted() -> None:
     told = KeptMessage(lambda link: [])
     state = RealtimeState(Firmware(5, 11))
     assert told.step(b"", state, 0.0) == WAIT_MESSAGE

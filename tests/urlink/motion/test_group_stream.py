@@ -1,4 +1,4 @@
-"""A stream of several arms, whose own streams are stood in for: in which order what is asked of each."""
+"""Stream of several arms, with fakes in place of the single streams: the calls to each, in order."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from urlink.motion.stream.stream_points import Points
 
 
 class Callbacks:
-    """Called back at once, but one after the other, as a thread does it."""
+    """Run callbacks immediately and one after another, as a callback thread does."""
 
     def __init__(self) -> None:
         self._waiting: deque[Callable[[], object]] = deque()
@@ -45,7 +45,7 @@ CALLBACKS = cast(CallbackThread, Callbacks())
 
 
 class Stream(Handle):
-    """In place of a `PointStream`; `calls` of all are in one list."""
+    """Fake of a `PointStream`; all fakes record their `calls` in one list."""
 
     def __init__(self, name: str, calls: list[tuple[Any, ...]], *, end: float = 0.0) -> None:
         super().__init__(Lifecycle(name, CALLBACKS))
@@ -54,7 +54,7 @@ class Stream(Handle):
         self.arm = name
         self.time, self.end, self.room, self.starved, self.is_dry = 0.0, end, 0.3, 0, True
         self.reach, self._is_answered = 0.0, True
-        #: what is raised by a call of that name
+        #: exception to raise, by the name of the call
         self.raises: dict[str, Exception] = {}
         self.is_cleared_meanwhile = False
         self._program = SimpleNamespace(finish=lambda: self._called("finish"))
@@ -128,7 +128,7 @@ class Stream(Handle):
 
 
 class Streams:
-    """Of a left and a right arm."""
+    """Streams of a left and a right arm."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
@@ -137,7 +137,7 @@ class Streams:
         self.group = GroupStream(Lifecycle("streams", CALLBACKS), streams, ["left", "right"], CALLBACKS)
 
     def append(self, *ends: Sequence[float], wait: bool | float = True) -> float:
-        """Points that are their times."""
+        """Append points, which are given by their times."""
         return self.group.append(cast("list[Points]", ends), wait=wait)
 
     def replace(self, since: float, *ends: Sequence[float]) -> float:
@@ -152,17 +152,17 @@ def streams() -> Streams:
     return Streams()
 
 
-def test_its_block(streams: Streams) -> None:
+def test_block_enters_and_leaves_all_streams(streams: Streams) -> None:
     with streams.group as group:
         assert group.phase is Phase.RUNNING
         assert streams.calls == [("left", "enter"), ("right", "enter")]
         streams.calls.clear()
-    # Both are told to brake before one is waited for.
+    # Both streams start to brake before the block waits for either of them.
     assert streams.calls == [("left", "finish"), ("right", "finish"), ("right", "exit"), ("left", "exit")]
     assert streams.group.phase is Phase.DONE
 
 
-def test_where_one_does_not_begin_none_is_left(streams: Streams) -> None:
+def test_failed_start_of_one_stream_leaves_the_others(streams: Streams) -> None:
     streams.right.raises["enter"] = ConnectionLost("no way")
     with pytest.raises(ConnectionLost), streams.group:
         pass
@@ -170,7 +170,7 @@ def test_where_one_does_not_begin_none_is_left(streams: Streams) -> None:
     assert isinstance(streams.group.error, ConnectionLost)
 
 
-def test_an_interrupt_while_it_begins_cancels_it(streams: Streams) -> None:
+def test_interrupt_during_start_cancels_group(streams: Streams) -> None:
     streams.right.raises["enter"] = cast(Exception, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt), streams.group:
         pass
@@ -178,7 +178,7 @@ def test_an_interrupt_while_it_begins_cancels_it(streams: Streams) -> None:
     assert "was interrupted" in str(streams.group.error)
 
 
-def test_what_cannot_be_told_to_brake_does_not_keep_the_others_from_it(streams: Streams) -> None:
+def test_failing_stream_does_not_keep_others_from_braking(streams: Streams) -> None:
     streams.left.raises["finish"] = ConnectionLost("no way")
     with streams.group:
         pass
@@ -186,7 +186,7 @@ def test_what_cannot_be_told_to_brake_does_not_keep_the_others_from_it(streams: 
     assert streams.called("exit") == [("right",), ("left",)]
 
 
-def test_points_begin_where_the_last_arm_is_and_are_handed_to_all(streams: Streams) -> None:
+def test_points_start_at_last_arm_and_go_to_all_arms(streams: Streams) -> None:
     streams.left.room = 0.1
     assert streams.append([1.0, 2.0], [1.5, 2.0], wait=20.0) == 0.1
     assert streams.called("checked") == [("left", 0.5), ("right", 0.5)]
@@ -198,7 +198,7 @@ def test_points_begin_where_the_last_arm_is_and_are_handed_to_all(streams: Strea
     assert streams.called("producing") == [("left",), ("right",)]
 
 
-def test_points_are_read_again_where_the_stream_was_cleared_meanwhile(streams: Streams) -> None:
+def test_points_are_checked_again_after_concurrent_clear(streams: Streams) -> None:
     streams.left.is_cleared_meanwhile = streams.right.is_cleared_meanwhile = True
     streams.append([1.0], [1.0])
     assert len(streams.called("checked")) == 4
@@ -219,14 +219,14 @@ def test_points_of_all_arms_end_together(streams: Streams, ends: float, is_refus
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])
-def test_there_are_points_for_each_arm(streams: Streams, count: int) -> None:
+def test_append_requires_points_for_each_arm(streams: Streams, count: int) -> None:
     with pytest.raises(BadValue, match=f"^points has entries for {count} arms; expected one for each of the 2$"):
         streams.append(*[[1.0]] * count)
     assert streams.calls == []
 
 
 @pytest.mark.parametrize(("since", "begin"), [(0.1, 0.8), (0.9, 0.9)])
-def test_all_go_over_at_one_time_at_which_each_can_be_reached(streams: Streams, since: float, begin: float) -> None:
+def test_replacement_starts_at_one_time_for_all_arms(streams: Streams, since: float, begin: float) -> None:
     streams.left.reach, streams.right.reach = 0.7, 0.8
     assert streams.replace(since, [1.0, 2.0], [2.0]) == pytest.approx(begin + 0.008)
     assert streams.called("curve") == [("left", since), ("right", since)]
@@ -235,7 +235,7 @@ def test_all_go_over_at_one_time_at_which_each_can_be_reached(streams: Streams, 
     assert streams.called("put") == [("left", begin, 2), ("right", begin, 1)]
 
 
-def test_an_answer_is_waited_for_until_all_have_given_one(streams: Streams) -> None:
+def test_replace_waits_until_all_streams_have_answered(streams: Streams) -> None:
     streams.right._is_answered = False
     pending = streams.right._await_answer
     waits: list[int] = []
@@ -251,14 +251,14 @@ def test_an_answer_is_waited_for_until_all_have_given_one(streams: Streams) -> N
     assert len(streams.called("put")) == 2
 
 
-def test_what_one_refuses_before_leaves_the_points_of_all(streams: Streams) -> None:
+def test_rejected_check_keeps_points_of_all_arms(streams: Streams) -> None:
     streams.right.raises["check"] = BadValue("too far")
     with pytest.raises(BadValue, match=r"^too far$"):
         streams.replace(0.1, [1.0], [1.0])
     assert streams.called("put") == []
 
 
-def test_what_comes_too_late_to_one_clears_all(streams: Streams) -> None:
+def test_late_rejection_by_one_arm_clears_all_arms(streams: Streams) -> None:
     streams.right.raises["answered"] = BadValue("too far by now")
     clear = streams.group.clear
     cleared: list[int] = []
@@ -277,7 +277,7 @@ def test_what_comes_too_late_to_one_clears_all(streams: Streams) -> None:
     assert streams.called("put")[2:] == [("left", 0.0, 0), ("right", 0.0, 0)]
 
 
-def test_what_comes_too_late_to_all_leaves_their_points(streams: Streams) -> None:
+def test_late_rejection_by_all_arms_keeps_points(streams: Streams) -> None:
     streams.left.raises["answered"] = BadValue("too far by now")
     streams.right.raises["answered"] = BadValue("and here")
     with pytest.raises(BadValue, match=r"^too far by now$"):
@@ -285,14 +285,14 @@ def test_what_comes_too_late_to_all_leaves_their_points(streams: Streams) -> Non
     assert len(streams.called("put")) == 2
 
 
-def test_it_is_cleared(streams: Streams) -> None:
+def test_clear_uses_one_time_for_all_arms(streams: Streams) -> None:
     streams.left.reach, streams.right.reach = 0.7, 0.6
     assert streams.group.clear() == pytest.approx(0.707)
     assert streams.called("open") == [("left",), ("right",)]
     assert streams.called("put") == [("left", 0.7, 0), ("right", 0.7, 0)]
 
 
-def test_it_is_dry_once_all_are(streams: Streams) -> None:
+def test_group_is_dry_when_all_streams_are_dry(streams: Streams) -> None:
     streams.group.wait_until_dry(7.0)
     assert streams.called("dry") == [("left", 7), ("right", 7)]
     seen = [streams.group.is_dry]
@@ -302,8 +302,8 @@ def test_it_is_dry_once_all_are(streams: Streams) -> None:
         streams.group.wait_until_dry(math.inf)
 
 
-def test_where_it_is(streams: Streams) -> None:
-    """By the arm that is behind, and has the least room; its points end with those of the last."""
+def test_properties_combine_all_streams(streams: Streams) -> None:
+    """The group reports the earliest time, the smallest room, the latest end and the largest starved count."""
     group, left, right = streams.group, streams.left, streams.right
     left.time, right.time, left.end, right.end = 0.3, 0.2, 1.0, 1.5
     left.room, right.room, left.starved, right.starved = 0.1, -0.2, 1, 3
@@ -313,17 +313,17 @@ def test_where_it_is(streams: Streams) -> None:
     assert group.buffered == 0.0
 
 
-def test_what_ends_one_stream_is_the_error_of_all(streams: Streams) -> None:
+def test_failed_stream_fails_group_and_cancels_others(streams: Streams) -> None:
     with streams.group:
-        streams.right._life.fail(ConnectionLost("it is away"))
+        streams.right._life.fail(ConnectionLost("stream lost"))
         assert streams.left.phase is Phase.CANCELLED
         streams.left.raises["producing"] = Cancelled("the stream was cancelled")
-        with pytest.raises(ConnectionLost, match="it is away"):
+        with pytest.raises(ConnectionLost, match="stream lost"):
             streams.append([1.0], [1.0])
 
 
 @pytest.mark.parametrize("ended", ["group", "left"])
-def test_who_cancels_one_cancels_all(streams: Streams, ended: str) -> None:
+def test_cancelling_one_stream_cancels_all(streams: Streams, ended: str) -> None:
     with contextlib.suppress(Cancelled), streams.group:
         (streams.group if ended == "group" else streams.left).cancel()
     for each in (streams.group, streams.left, streams.right):
@@ -332,7 +332,7 @@ def test_who_cancels_one_cancels_all(streams: Streams, ended: str) -> None:
     assert why in str(streams.group.error)
 
 
-def test_an_error_of_a_call_ends_nothing(streams: Streams) -> None:
+def test_error_of_call_does_not_end_group(streams: Streams) -> None:
     with streams.group:
         streams.left.raises["dry"] = LinkTimeout("it has not run dry")
         with pytest.raises(LinkTimeout):
@@ -340,8 +340,8 @@ def test_an_error_of_a_call_ends_nothing(streams: Streams) -> None:
         assert not streams.group.done
 
 
-def test_it_waits_for_its_end_and_for_the_reason_of_it(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which another thread reports; not where a call has failed and no stream is over."""
+def test_group_waits_for_reason_when_a_stream_has_ended(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another thread reports the reason. If a call fails but no stream has ended, there is no wait."""
     waited: list[float] = []
 
     def wait(timeout: float) -> bool:
@@ -361,17 +361,17 @@ def test_it_waits_for_its_end_and_for_the_reason_of_it(streams: Streams, monkeyp
     assert waited == [1.0, 1.0]
 
 
-def test_what_is_over_is_not_cleared(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ended_stream_is_not_cleared(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
     def over() -> Any:
-        raise ConnectionLost("it is away")
+        raise ConnectionLost("stream lost")
 
     monkeypatch.setattr(streams.right, "_mark", over)
-    with pytest.raises(ConnectionLost, match="it is away"):
+    with pytest.raises(ConnectionLost, match="stream lost"):
         streams.group.clear()
     assert streams.called("put") == []
 
 
-def test_all_arms_are_waited_for_in_one_time(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_waits_for_all_arms_share_one_timeout(streams: Streams, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(
         "urlink.motion.stream.group_motion.clock",

@@ -1,4 +1,4 @@
-"""The program of an impedance, as it is uploaded, on a simulated controller that is stepped."""
+"""The uploaded program of an impedance, on a simulated controller that the test steps."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ STIFFNESS, TORQUE = (1000.0, 1000.0, 500.0, 100.0, 100.0, 100.0), (28.0, 28.0, 1
 
 
 class Soft(Bench):
-    """An arm with an impedance, which is said the same in each cycle until something else is.
+    """Arm with an impedance; each cycle repeats the current message.
 
     Args:
-        name, firmware: of the arm.
-        q: (6,) rad where it begins.
-        options: of `Springs`.
+        name, firmware: Model and firmware of the arm.
+        q: Start position, shape (6,), in rad.
+        options: Options of `Springs`.
     """
 
     def __init__(self, name: str = "UR5e", firmware: str = "5.25", q: Sequence[float] = READY, **options: Any) -> None:
@@ -65,7 +65,7 @@ class Soft(Bench):
         self.go(0.1)
 
     def observed(self, text: str) -> str:
-        """The program, with what a test has to see of it."""
+        """Return the program, with additions that a test needs to observe it."""
         return text
 
     @property
@@ -86,11 +86,11 @@ class Soft(Bench):
         self.tell(first, seconds, mode)
 
     def go(self, seconds: float = 0.002) -> None:
-        """Some time in which the target is the same."""
+        """Keep the target for some time."""
         self._say(self._target, [self._number, 0, 0, 0, 0, 0], seconds)
 
     def lead(self, target: Sequence[float] | FloatArray, seconds: float = 0.002) -> None:
-        """Another target, and some time."""
+        """Set a new target, and keep it for some time."""
         self._target, self._number = list(target), self._number + 1
         self.go(seconds)
 
@@ -102,7 +102,7 @@ class Soft(Bench):
         self.silent(seconds - 0.002)
 
     def static(self, q: FloatArray, aim: FloatArray) -> FloatArray:
-        """(6,) Nm of the springs at rest, with what turns a joint back at the end of its range."""
+        """Return the spring torques at rest, shape (6,), in Nm, including the limits at the ends of joint ranges."""
         s = self.springs
         spring = np.array(s.stiffness) * np.clip(aim - q, np.negative(s.error), s.error)
         spring = np.clip(spring, np.negative(s.torque), s.torque)
@@ -115,7 +115,7 @@ class Soft(Bench):
 
 
 def turned(q: FloatArray, angle: float) -> FloatArray:
-    """The same joint positions with the base turned by some rad."""
+    """Return the same joint positions, with the base turned by `angle` rad."""
     there = q.copy()
     there[0] += angle
     return there
@@ -123,7 +123,7 @@ def turned(q: FloatArray, angle: float) -> FloatArray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", range(6))
-def test_a_wrench_moves_the_arm_as_far_as_its_springs_say(axis: int) -> None:
+def test_wrench_moves_arm_by_compliance_of_springs(axis: int) -> None:
     soft = Soft()
     wrench = [0.0] * 6
     wrench[axis] = 15.0 if axis < 3 else 2.0
@@ -140,7 +140,7 @@ def test_a_wrench_moves_the_arm_as_far_as_its_springs_say(axis: int) -> None:
     assert moved[axis] > 0.0
 
 
-def test_it_goes_where_it_is_led_and_rests_after_its_end() -> None:
+def test_arm_reaches_target_and_rests_after_end() -> None:
     soft = Soft()
     goal = soft.q + np.array([0.3, 0.1, -0.2, 0.2, 0.5, 1.0])
     fastest = 0.0
@@ -149,7 +149,7 @@ def test_it_goes_where_it_is_led_and_rests_after_its_end() -> None:
         soft.go()
         fastest = max(fastest, float(np.abs(soft.qd).max()))
     np.testing.assert_allclose(soft.q, goal, rtol=0.0, atol=1e-3)
-    # At 0.7 of what the joints may be as fast, and a little more where it begins.
+    # The largest speed is 0.7 of the joint limit, and a little more at the start.
     assert 0.7 <= fastest < 0.8
     soft.end(0.5)
     assert not soft.is_running
@@ -160,7 +160,7 @@ def test_it_goes_where_it_is_led_and_rests_after_its_end() -> None:
 
 
 @pytest.mark.slow
-def test_gains_go_over_to_others_without_a_leap() -> None:
+def test_gains_change_without_jump() -> None:
     soft = Soft()
     soft.controller.push([0, 15.0, 0, 0, 0, 0])
     soft.go(1.0)
@@ -177,10 +177,10 @@ def test_gains_go_over_to_others_without_a_leap() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.3, 1.0])
-def test_a_joint_swings_as_its_damping_ratio_says(ratio: float) -> None:
-    """The base let go of 30 mrad from its aim: each swing is smaller than the last by what a ratio takes away.
+def test_swing_matches_damping_ratio(ratio: float) -> None:
+    """Release the base 30 mrad from its aim: the damping ratio determines how much each swing shrinks.
 
-    The other joints are stiff, so that the arm is one mass; and what damps it beside its ratio is counted.
+    The other joints are stiff, so that the arm is one mass. Damping in addition to the ratio is taken into account.
     """
     soft = Soft(stiffness=[200.0, 3000.0, 3000.0, 1000.0, 1000.0, 1000.0], damping=[ratio, 1, 1, 1, 1, 1])
     aim = soft.q
@@ -198,11 +198,11 @@ def test_a_joint_swings_as_its_damping_ratio_says(ratio: float) -> None:
     assert -min(places) / away == pytest.approx(swing, abs=0.03)
 
 
-# -- what bounds it --------------------------------------------------------------------------------------
+# -- limits ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_no_joint_gets_faster_than_it_may_where_a_contact_ends() -> None:
+def test_joint_speed_is_limited_when_contact_ends() -> None:
     soft = Soft(damping=[0.0] * 6, torque=[40.0, 40.0, 40.0, 10.0, 10.0, 10.0], speed=[0.5] * 6)
     way = soft.arm.kinematics.jacobian(soft.q, soft.arm.tcp)[:3, 0]
     wall = soft.controller.world.add(Plane(soft.pose[:3], (-way).tolist()))
@@ -218,7 +218,7 @@ def test_no_joint_gets_faster_than_it_may_where_a_contact_ends() -> None:
 
 
 @pytest.mark.slow
-def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
+def test_joint_is_turned_back_before_end_of_range() -> None:
     high = float(model("UR5e").position_limits[2, 1])
     soft = Soft(q=[0.0, -1.5, high - 0.3, -2.0, -1.57, 0.3], stiffness=[1000, 1000, 0, 100, 100, 100])
     soft.controller.world.push_joints([0, 0, 12.0, 0, 0, 0])
@@ -231,7 +231,7 @@ def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
 
 
 @pytest.mark.slow
-def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> None:
+def test_arm_moved_during_pause_stays_in_place() -> None:
     soft = Soft()
     soft.lead(soft.q, 0.5)
     pendant = soft.controller.pendant
@@ -250,7 +250,7 @@ def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> Non
 
 
 @pytest.mark.slow
-def test_the_way_to_a_target_goes_by_the_slider() -> None:
+def test_motion_to_target_follows_speed_slider() -> None:
     soft = Soft()
     soft.controller.speed_fraction = 0.5
     soft.lead(turned(soft.q, 2.0), 1.0)
@@ -265,7 +265,7 @@ def test_the_way_to_a_target_goes_by_the_slider() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gap", [0.2, 0.4])
-def test_messages_may_stay_away_for_as_long_as_the_watchdog_lets_them(gap: float) -> None:
+def test_messages_may_be_missing_for_watchdog_time(gap: float) -> None:
     soft = Soft()
     soft.lead(turned(soft.q, 0.2), 0.05)
     soft.silent(gap)
@@ -283,26 +283,26 @@ def test_messages_may_stay_away_for_as_long_as_the_watchdog_lets_them(gap: float
 
 
 def pressed(soft: Soft, depth: float, friction: float = 0.0) -> None:
-    """A table under the tool, into which it is led by some m; and some time until it rests there."""
+    """Put a table under the tool, move the tool `depth` m into it, and wait until it rests."""
     x, y, z = soft.pose[:3]
     soft.controller.world.add(Plane((x, y, z), friction=friction))
     soft.lead(below(soft, soft.pose, depth), 1.2)
 
 
 def below(soft: Soft, pose: Sequence[float], depth: float) -> list[float]:
-    """The joint positions of a place that is deeper."""
+    """Return joint positions for a pose that is `depth` m below the start."""
     place = [*pose[:2], soft.start[2] - depth, *soft.start[3:]]
     q: list[float] = soft.arm.kinematics.inverse(place, soft.q, soft.arm.tcp).tolist()
     return q
 
 
-@pytest.mark.parametrize("end", ["told", pytest.param("silent", marks=pytest.mark.slow)])
-def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
+@pytest.mark.parametrize("end", ["stopped", pytest.param("silent", marks=pytest.mark.slow)])
+def test_end_in_contact_causes_no_jump(end: str) -> None:
     soft = Soft()
     pressed(soft, 0.01)
     force, z = soft.arm.wrench[2], soft.pose[2]
     assert 5.0 < force < 100.0
-    if end == "told":
+    if end == "stopped":
         soft.end(0.002)
     forces, places, fastest = [], [], 0.0
     for _ in range(600):
@@ -312,14 +312,14 @@ def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
         fastest = max(fastest, float(np.abs(soft.qd).max()))
     assert not soft.is_running
     assert max(forces) < 1.02 * force
-    # It rises as the table springs back, and no further.
+    # The tool rises while the table springs back, but no further.
     assert max(places) - z < force / 20_000.0 + 0.0005
     assert fastest < 0.02
     assert not soft.is_stopped
 
 
 @pytest.mark.slow
-def test_a_protective_stop_in_a_contact_leaves_the_arm_there() -> None:
+def test_protective_stop_in_contact_keeps_arm_in_place() -> None:
     soft = Soft()
     pressed(soft, 0.01)
     force, place = soft.arm.wrench[2], soft.pose[2]
@@ -330,14 +330,14 @@ def test_a_protective_stop_in_a_contact_leaves_the_arm_there() -> None:
     assert not soft.qd.any()
     assert soft.pose[2] == pytest.approx(place, abs=1e-4)
     assert soft.arm.wrench[2] == pytest.approx(force, rel=0.1)
-    # It is paused; that it is let go on has the springs where they were.
+    # The program is paused. When it resumes, the springs are where they were.
     controller.faults.clear()
     soft.go(0.5)
     assert soft.pose[2] == pytest.approx(place, abs=1e-4)
 
 
 @pytest.mark.slow
-def test_zeroing_the_force_sensor_in_a_contact_moves_nothing() -> None:
+def test_zeroing_force_sensor_in_contact_does_not_move_arm() -> None:
     soft = Soft()
     pressed(soft, 0.01)
     place, force = soft.pose[2], soft.arm.wrench[2]
@@ -348,10 +348,10 @@ def test_zeroing_the_force_sensor_in_a_contact_moves_nothing() -> None:
 
 
 def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
-    """Led sideways over a table, at 0.1 m/s: the largest force of the last half, and its mean.
+    """Slide over a table at 0.1 m/s; return the largest and the mean force of the last half.
 
     Args:
-        intervals: s between two targets, and whether no message comes meanwhile.
+    intervals: Time between two targets in s, and whether no message arrives in that time.
     """
     soft = Soft(q=(0.5, *READY[1:]))
     pressed(soft, 0.01, friction=0.3)
@@ -372,7 +372,7 @@ def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
+def test_irregular_targets_press_as_hard_as_steady_targets() -> None:
     _, steady = slid([(0.004, False)] * 500)
     draw = np.random.default_rng(3)
     rough = [(0.2, True) if draw.random() < 0.2 else (float(draw.uniform(0.08, 0.12)), False) for _ in range(18)]
@@ -382,10 +382,10 @@ def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
     assert mean == pytest.approx(steady, rel=0.1)
 
 
-# -- what a cycle costs -----------------------------------------------------------------------------------
+# -- cost of a cycle --------------------------------------------------------------------------------------
 
 
-#: Functions of URScript that compute with the masses and places of all links.
+#: URScript functions that compute with the masses and positions of all links.
 DYNAMICS = {
     *("get_mass_matrix", "get_coriolis_and_centrifugal_torques"),
     *("get_jacobian", "get_jacobian_time_derivative", "get_forward_kin"),
@@ -393,8 +393,11 @@ DYNAMICS = {
 
 
 class Counted:
-    """What the interpreter does in one cycle: all its calls, those that compute with whole lists and matrices, and
-    those of functions that compute with the arm."""
+    """Work of the interpreter in one cycle.
+
+    `steps` counts all calls, `lists` counts operations on whole lists and matrices, and `dynamics` counts functions
+    that compute with the arm.
+    """
 
     def __init__(self) -> None:
         self.steps = self.lists = self.dynamics = 0
@@ -413,7 +416,7 @@ class Counted:
 
 
 def hardest_cycle(step: Any, cycles: int) -> tuple[int, int, int]:
-    """The most of each in one of some cycles."""
+    """Return the largest value of each count over some cycles."""
     most = [0, 0, 0]
     for _ in range(cycles):
         counted = Counted()
@@ -427,7 +430,7 @@ def hardest_cycle(step: Any, cycles: int) -> tuple[int, int, int]:
 
 
 @pytest.mark.slow
-def test_a_cycle_costs_at_most_twice_that_of_the_vendors_example() -> None:
+def test_cycle_costs_at_most_twice_the_vendor_example() -> None:
     example = Controller("UR5e", "5.25", motion=Still(), files={"circle.urp": circle(HORIZONTAL)})
     example.step(10)
     example.dashboard.reply("load circle.urp")
@@ -449,10 +452,10 @@ def test_a_cycle_costs_at_most_twice_that_of_the_vendors_example() -> None:
 
 
 class World:
-    """A random arm, with random gains, among random things, and its energy.
+    """A random arm with random gains among random objects, and its energy.
 
     Args:
-        seed: of everything.
+    seed: Seed of all random values.
     """
 
     def __init__(self, seed: int) -> None:
@@ -487,7 +490,7 @@ class World:
         self.pushed = draw.uniform(0.05, 0.4)
 
     def soften(self, draw: np.random.Generator, name: str, scale: float, q: Sequence[float]) -> Soft:
-        """The arm on its springs."""
+        """Return the arm on its springs."""
         return Soft(
             name,
             q=q,
@@ -499,11 +502,11 @@ class World:
         )
 
     def run(self, seconds: float) -> tuple[FloatArray, float]:
-        """J of the arm and its springs in each cycle, less what everything outside has done to them; and the largest.
+        """Return the energy after each cycle and its largest value, in J, without the work of external forces.
 
-        It ends where the controller stops the arm, which must be for a push that is stronger than what brakes a joint.
-        Torques of a cycle make the speed of the next, at which the arm then moves: so that speed belongs to the middle
-        of the way between two places.
+        The energy belongs to the arm and its springs. The run ends if the controller stops the arm. Only a push that is
+        stronger than the braking torque of a joint may cause a stop. The torques of one cycle make the speed of the
+        next cycle, and the arm moves at that speed. Therefore that speed belongs to the middle between two positions.
         """
         soft, arm = self.soft, self.soft.arm
         done, potential, largest, energies, last = 0.0, 0.0, 0.0, [], np.zeros(6)
@@ -520,7 +523,7 @@ class World:
             given = -0.5 * float((spring + soft.static(soft.q, self.aim)) @ way)
             moving = 0.5 * float(soft.qd @ arm.dynamics.mass_matrix(before + 0.5 * way) @ soft.qd)
             there = moving + potential + 0.5 * given
-            # What acts in this cycle has made the speed of the last one that of this one.
+            # The torques of this cycle have changed the speed of the previous cycle to the speed of this cycle.
             done += 0.5 * float(outside @ (last + way))
             energies.append(there - done)
             largest, last = max(largest, there), way
@@ -532,7 +535,7 @@ class World:
 @pytest.mark.property
 @settings(max_examples=max(settings.default.max_examples // 2, 20) if settings.default else 20)
 @given(st.integers(0, 2**31))
-def test_energy_never_grows_by_itself(seed: int) -> None:
+def test_energy_never_grows_without_external_work(seed: int) -> None:
     world = World(seed)
     energies, largest = world.run(0.5)
     assert world.soft.is_running

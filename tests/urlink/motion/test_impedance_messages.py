@@ -1,4 +1,4 @@
-"""What an impedance tells its program, state by state: targets, and among them gains and the posture."""
+"""Messages of an impedance to its program, state by state: targets, gains and posture."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def sent(messages: _Messages, count: int = 100) -> list[tuple[list[float], list[
     return [read_message(messages.step(b"", RealtimeState((5, 25)), 0.0)) for _ in range(count)]
 
 
-def test_gains_and_posture_are_repeated_among_the_targets() -> None:
-    """A message may be lost: a register holds the newest only."""
+def test_gains_and_posture_are_repeated_among_targets() -> None:
+    """A message might be lost, because a register holds only the newest one."""
     messages = made()
     messages.lead([0.3] * 6, READY)
     told = sent(messages)
@@ -45,8 +45,8 @@ def test_gains_and_posture_are_repeated_among_the_targets() -> None:
 
 
 @pytest.mark.parametrize("has_posture", [False, True])
-def test_without_a_posture_only_gains_are_among_the_targets(has_posture: bool) -> None:
-    """Before the first target, or where the program takes none."""
+def test_only_gains_are_sent_among_targets_without_posture(has_posture: bool) -> None:
+    """There is no posture before the first target, or if the program does not support one."""
     messages = made(has_posture=has_posture)
     if not has_posture:
         messages.lead([0.3] * 6, READY)
@@ -55,7 +55,7 @@ def test_without_a_posture_only_gains_are_among_the_targets(has_posture: bool) -
 
 
 def test_targets_are_numbered_from_one_to_a_thousand() -> None:
-    """By its number the program knows a new one; 0 is none."""
+    """The program detects a new target by its number; 0 means no target."""
     messages = made(has_posture=False)
     assert (messages.target, messages.posture) == (None, None)
     numbers = {second[0] for _, second, mode in sent(messages) if mode == FOLLOW}
@@ -68,7 +68,7 @@ def test_targets_are_numbered_from_one_to_a_thousand() -> None:
 
 
 @pytest.mark.parametrize(("arm", "is_taken"), [("UR5e", False), (None, True)])
-def test_a_target_is_in_the_range_of_the_joints_of_an_arm_that_is_known(arm: str | None, is_taken: bool) -> None:
+def test_target_must_be_in_joint_range_of_known_arm(arm: str | None, is_taken: bool) -> None:
     known = None if arm is None else model(arm)
     assert check_joint_positions(READY, "target", known).tolist() == READY
     far = [*READY[:5], 7.0]
@@ -80,7 +80,7 @@ def test_a_target_is_in_the_range_of_the_joints_of_an_arm_that_is_known(arm: str
 
 
 @pytest.mark.simulated_time
-def test_outside_of_its_block(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_impedance_rejects_calls_outside_block(rehearsal: Callable[..., Rehearsal]) -> None:
     impedance = rehearsal("5.25").motion.impedance()
     with pytest.raises(LocalError, match="within its block"):
         impedance.send(HOME)
@@ -90,7 +90,7 @@ def test_outside_of_its_block(rehearsal: Callable[..., Rehearsal]) -> None:
 
 
 @pytest.mark.simulated_time
-def test_what_it_was_given_can_be_read(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_gains_and_target_can_be_read(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal("5.25")
     impedance = robot.motion.impedance(stiffness=50.0, damping=0.5)
     with Beside(robot):

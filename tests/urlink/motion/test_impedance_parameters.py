@@ -1,4 +1,4 @@
-"""What an impedance may be asked for: ranges and defaults, axis by axis, and what the firmware has no way to do."""
+"""Parameters of an impedance: ranges and defaults of each axis, and restrictions of the firmware."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def springs(frame: Any = "joints", **given: Any) -> Springs:
     return found
 
 
-#: what an axis may be given at least and at most, (6,)
+#: smallest and largest allowed value of each axis, (6,)
 RANGES: list[tuple[str, str, list[float], list[float]]] = [
     ("joints", "stiffness", [0.0] * 6, [10_000.0] * 6),
     ("joints", "damping", [0.0] * 6, [3.0] * 6),
@@ -55,7 +55,7 @@ RANGES: list[tuple[str, str, list[float], list[float]]] = [
 
 
 @pytest.mark.parametrize(("frame", "name", "least", "most"), RANGES, ids=lambda value: str(value)[:12])
-def test_each_axis_has_its_range(frame: str, name: str, least: list[float], most: list[float]) -> None:
+def test_each_axis_is_limited_to_a_range(frame: str, name: str, least: list[float], most: list[float]) -> None:
     axes = JOINTS if frame == "joints" or name == "posture_stiffness" else ("x", "y", "z", "rx", "ry", "rz")
     asked(frame, DIRECT, UR5E, **{name: least})
     asked(frame, DIRECT, UR5E, **{name: most})
@@ -68,12 +68,12 @@ def test_each_axis_has_its_range(frame: str, name: str, least: list[float], most
 
 
 @pytest.mark.parametrize(("seconds", "is_in"), [(0.05, True), (0.0499, False), (10.0, True), (10.01, False)])
-def test_its_watchdog(seconds: float, is_in: bool) -> None:
+def test_watchdog_is_limited_to_a_range(seconds: float, is_in: bool) -> None:
     with contextlib.nullcontext() if is_in else pytest.raises(BadValue, match="watchdog"):
         assert springs(watchdog=seconds).watchdog == seconds
 
 
-def test_what_joints_are_given_if_nothing_is_asked() -> None:
+def test_default_parameters_of_joints() -> None:
     joints = springs()
     assert joints.tool is None
     assert joints.speed == [1.0] * 6
@@ -88,14 +88,14 @@ def test_what_joints_are_given_if_nothing_is_asked() -> None:
     assert (joints.friction_compensation, springs(friction_compensation=False).friction_compensation) == (True, False)
 
 
-def test_a_joint_that_turns_without_end_has_a_number_for_that() -> None:
+def test_endless_joint_has_a_finite_limit() -> None:
     endless = [i for i, (low, high) in enumerate(model("UR3e").position_limits.tolist()) if not np.isfinite(low + high)]
     found: Springs = asked(arm=model("UR3e")).keywords["springs"]
     assert endless == [5]
     assert (found.lowest[5], found.highest[5]) == (-1e6, 1e6)
 
 
-def test_an_arm_without_numbers_of_its_own_has_to_be_given_some() -> None:
+def test_arm_without_defaults_requires_parameters() -> None:
     for name in ("stiffness", "torque"):
         others = {"stiffness": 100.0, "torque": 10.0}
         del others[name]
@@ -105,7 +105,7 @@ def test_an_arm_without_numbers_of_its_own_has_to_be_given_some() -> None:
 
 
 @pytest.mark.parametrize("frame", ["base", "tool"])
-def test_what_the_tool_is_given_if_nothing_is_asked(frame: str) -> None:
+def test_default_parameters_of_tool(frame: str) -> None:
     found = springs(frame)
     assert found.stiffness == [500.0] * 3 + [30.0] * 3
     assert found.error == [0.1] * 3 + [0.5] * 3
@@ -117,13 +117,13 @@ def test_what_the_tool_is_given_if_nothing_is_asked(frame: str) -> None:
     assert tool.posture == [0.5] * 6
 
 
-def test_what_is_of_the_tool_is_refused_for_joints() -> None:
+def test_tool_parameters_are_rejected_for_joints() -> None:
     for name in ("force", "posture_stiffness"):
         with pytest.raises(BadValue, match=f"^{name} applies only to springs of the tool .*; omit it"):
             asked("joints", DIRECT, UR5E, **{name: 1.0})
 
 
-def test_a_firmware_without_direct_torque_leads_the_tool() -> None:
+def test_firmware_without_direct_torque_uses_admittance() -> None:
     for frame in ("base", "tool"):
         led = asked(frame, MEASURED)
         assert led.func.__name__ == "admittance"
@@ -140,7 +140,7 @@ def test_a_firmware_without_direct_torque_leads_the_tool() -> None:
             asked(frame, NONE)
 
 
-def test_whether_it_takes_a_posture_and_the_stiffness_that_it_begins_with() -> None:
+def test_program_reports_stiffness_and_posture_support() -> None:
     for frame, firmware, takes in (("joints", DIRECT, False), ("tool", DIRECT, True), ("tool", MEASURED, False)):
         _, stiffness, takes_posture = parameters(frame, stiffness=20.0).program(firmware, UR5E)
         assert stiffness.tolist() == [20.0] * 6

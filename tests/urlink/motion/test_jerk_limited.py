@@ -1,4 +1,4 @@
-"""From any state to rest at a target within limits of speed, acceleration and jerk; and servos that go by that."""
+"""Jerk-limited profiles from any state to rest at a target, and servos that use them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.15", "5.25")]
 
 @pytest.mark.property
 @given(limit=_limits, v=_part, a=_part, way=st.one_of(st.just(0.0), st.floats(-7.0, 7.0), st.floats(-1e-6, 1e-6)))
-def test_a_profile_keeps_its_limits_and_arrives(limit: JointLimit, v: float, a: float, way: float) -> None:
+def test_profile_respects_limits_and_arrives(limit: JointLimit, v: float, a: float, way: float) -> None:
     v, a = v * limit.speed, a * limit.acceleration
     assume(abs(v + 0.5 * a * abs(a) / limit.jerk) <= limit.speed)
     profile = JointProfile(1.0, v, a, 1.0 + way, limit)
@@ -37,20 +37,20 @@ def test_a_profile_keeps_its_limits_and_arrives(limit: JointLimit, v: float, a: 
         assert np.abs(changes).max() <= limit.jerk * (1 + 1e-6) + 1e-9 / times[1]
         assert states[0] == pytest.approx([1.0, v, a], abs=1e-12)
     assert profile.at(profile.duration) == (1.0 + way, 0.0, 0.0)
-    # It gets there by itself, and is not put there at the end.
+    # The profile arrives on its own, without a correction at the end.
     assert profile.at(math.nextafter(profile.duration, 0.0)) == pytest.approx((1.0 + way, 0.0, 0.0), abs=1e-6)
     assert profile.at(math.nextafter(profile.duration, 0.0))[0] == pytest.approx(1.0 + way, abs=1e-11)
 
 
-def test_from_rest_to_rest_it_takes_as_long_as_it_has_to() -> None:
-    """By the formulas of textbooks: of each shape one."""
+def test_rest_to_rest_takes_minimal_time() -> None:
+    """Compare with textbook formulas, one example for each shape of the profile."""
     assert JointProfile(0, 0, 0, 2.0, JointLimit(10, 10, 1)).duration == pytest.approx(4.0)  # 4 (x / 2j)^(1/3)
-    assert JointProfile(0, 0, 0, -6.0, JointLimit(10, 1, 1)).duration == pytest.approx(6.0)  # the acceleration held
-    assert JointProfile(0, 0, 0, 10.0, JointLimit(1, 1, 1)).duration == pytest.approx(12.0)  # and the speed
+    assert JointProfile(0, 0, 0, -6.0, JointLimit(10, 1, 1)).duration == pytest.approx(6.0)  # at the acceleration limit
+    assert JointProfile(0, 0, 0, 10.0, JointLimit(1, 1, 1)).duration == pytest.approx(12.0)  # and at the speed limit
     assert JointProfile(3, 0, 0, 3.0, JointLimit(1, 1, 1)).duration == 0.0
 
 
-#: speed, acceleration, their limits; where it brakes to, and how long that takes: integrated by hand, with a jerk of 1
+#: speed, acceleration and its limit; braking distance and time, integrated by hand with a jerk of 1
 BRAKING = [
     (1.0, 0.0, 10.0, 1.0, 2.0),
     (4.0, 0.0, 1.0, 10.0, 5.0),
@@ -65,10 +65,10 @@ BRAKING = [
 
 @pytest.mark.parametrize(("v", "a", "most", "way", "seconds"), BRAKING)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_it_brakes_and_no_more_where_that_leads_to_the_target(
+def test_profile_only_brakes_if_braking_ends_at_target(
     sign: float, v: float, a: float, most: float, way: float, seconds: float
 ) -> None:
-    """A little further, it is pushed first; a little nearer, it goes beyond and comes back. Either takes longer."""
+    """For a target further away, the profile accelerates first; for a nearer one, it overshoots. Both take longer."""
     limit = JointLimit(100.0, most, 1.0)
     assert JointProfile(0.5, sign * v, sign * a, 0.5 + sign * way, limit).duration == pytest.approx(seconds, abs=1e-4)
     for further in (0.05, -0.05):
@@ -86,7 +86,7 @@ def rests_at_target(led: TargetFilter) -> bool:
     return (led.q, led.qd, led.qdd) == (led.target, [0.0] * 6, [0.0] * 6)
 
 
-def test_it_is_there_when_its_time_is_over_and_stays() -> None:
+def test_filter_reaches_target_in_time_and_stays() -> None:
     limit = JointLimit(1.0, 1.0, 1.0)
     led = TargetFilter([0.5] * 6, [limit] * 6)
     led.advance(1.0)
@@ -100,7 +100,7 @@ def test_it_is_there_when_its_time_is_over_and_stays() -> None:
     assert led.q == led.target == [0.5] * 5 + [2.5]
 
 
-def test_before_the_first_target_it_rests() -> None:
+def test_filter_rests_until_target_changes() -> None:
     targets = TargetFilter([0.3] * 6, [JointLimit(1.0, 2.0, 10.0)] * 6)
     for _ in range(2):
         targets.aim([0.3] * 6)
@@ -110,8 +110,8 @@ def test_before_the_first_target_it_rests() -> None:
     assert (targets.q, targets.qd, targets.qdd) == ([0.3] * 6, [0.0] * 6, [0.0] * 6)
 
 
-def test_going_on_from_elsewhere_no_limit_is_exceeded() -> None:
-    """At the largest speed and beyond it, the acceleration that leads there is gone; what the limit allows is kept."""
+def test_restart_respects_limits() -> None:
+    """At or above the largest speed, the acceleration is dropped; below it, as much as the limit allows is kept."""
     limit = JointLimit(1.0, 4.0, 60.0)
     led = TargetFilter([0.0] * 6, [limit] * 6)
     led.aim([2.0, 2.0, 2.0, -2.0, -2.0, -2.0])
@@ -120,7 +120,7 @@ def test_going_on_from_elsewhere_no_limit_is_exceeded() -> None:
     led.restart([0.1] * 6, [1.0, -5.0, 0.97, -1.5, 5.0, -0.97])
     assert led.qd == [1.0, -1.0, 0.97, -1.0, 1.0, -0.97]
     assert led.q == [0.1] * 6
-    kept = math.sqrt(2.0 * 60.0 * 0.03)  # the speed grows by a² / 2j while the acceleration dies away
+    kept = math.sqrt(2.0 * 60.0 * 0.03)  # the speed grows by a² / 2j while the acceleration falls to zero
     assert led.qdd == pytest.approx([0.0, 3.0, kept, 0.0, -3.0, -kept])
     seen = []
     while not rests_at_target(led):
@@ -141,10 +141,10 @@ def test_going_on_from_elsewhere_no_limit_is_exceeded() -> None:
         st.tuples(st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6), st.floats(0.0, 0.5)), min_size=1, max_size=6
     ),
 )
-def test_targets_whatever_they_are_and_whenever_they_come(
+def test_filter_respects_limits_for_any_targets(
     limits: list[JointLimit], course: list[tuple[list[float], float]]
 ) -> None:
-    """Also between two cycles; sampled as finely as a robot would see it."""
+    """Targets may also come between two cycles. The motion is sampled as finely as a robot samples it."""
     led = TargetFilter([0.5] * 6, limits)
     most = np.array([[each.speed, each.acceleration, each.jerk] for each in limits]).T
     low, high = np.full(6, 0.5), np.full(6, 0.5)
@@ -158,7 +158,7 @@ def test_targets_whatever_they_are_and_whenever_they_come(
             assert (led.q, led.qd) == promised
             now = np.array([led.q, led.qd, led.qdd])
             if seconds > 1e-3:
-                # As seen from outside: mean speed, acceleration and jerk in between.
+                # Mean speed, acceleration and jerk between samples, as seen from outside.
                 means = np.abs(now - before) / (seconds / 4)
                 assert (means <= most * (1 + 1e-9) + 1e-9).all()
             assert (np.abs(now[1:]) <= most[:2] * (1 + 1e-9)).all()
@@ -180,8 +180,8 @@ class Loop(Led):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", _FIRMWARES, ids=str)
-def test_a_servo_whose_targets_jump(firmware: Firmware) -> None:
-    """The program on the robot, and the arm behind it, on each generation."""
+def test_servo_respects_limits_when_targets_jump(firmware: Firmware) -> None:
+    """Run the program on the robot and its simulated arm, on each generation."""
     loop = Loop(firmware, 1.0, 4.0, 60.0)
     loop.run(5)
     assert loop.sent == []
@@ -192,7 +192,7 @@ def test_a_servo_whose_targets_jump(firmware: Firmware) -> None:
     loop.run(3 * firmware.rate)
     assert loop.bench.said == []
     assert loop.bench.path[-1] == pytest.approx(loop.targets.newest, abs=1e-5)
-    # Set-points are rounded to millionths, which is noise on the third difference.
+    # Set-points are rounded to millionths, which is noise in the third difference.
     cycle = loop.bench.period
     for order, most in ((1, 1.0), (2, 4.0), (3, 60.0)):
         seen = np.abs(np.diff(np.array(loop.sent), order, axis=0)).max() / cycle**order
@@ -202,8 +202,8 @@ def test_a_servo_whose_targets_jump(firmware: Firmware) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", [_FIRMWARES[0], _FIRMWARES[2]], ids=str)
-def test_a_servo_that_is_held_up(firmware: Firmware) -> None:
-    """It goes on from where the program on the robot has gone meanwhile, and does not make the arm leap."""
+def test_delayed_servo_continues_without_jump(firmware: Firmware) -> None:
+    """Continue from the position that the program on the robot has reached meanwhile."""
     loop = Loop(firmware, 1.0, 4.0, 60.0)
     loop.targets.newest = turned(2.0)
     loop.run(firmware.rate // 2)
@@ -211,7 +211,7 @@ def test_a_servo_that_is_held_up(firmware: Firmware) -> None:
         loop.run(20, missed=missed)
         steps = np.diff(np.array(loop.bench.path)[-20:, 5]) / loop.bench.period
         assert steps.max() < 1.01
-        assert np.abs(np.diff(steps)).max() < 0.15 + 0.1 * firmware.is_cb2  # rad/s from cycle to cycle
+        assert np.abs(np.diff(steps)).max() < 0.15 + 0.1 * firmware.is_cb2  # change of speed per cycle, rad/s
     loop.run(3 * firmware.rate)
     assert loop.bench.path[-1] == pytest.approx(turned(2.0), abs=1e-5)
     loop.run(firmware.rate // 4, missed=firmware.rate // 4)
@@ -227,12 +227,12 @@ def test_a_servo_that_is_held_up(firmware: Firmware) -> None:
         ((1.0, [1, 2], 1.0), "shape"),
     ],
 )
-def test_limits_that_make_no_sense(limits: tuple[float, float, float], message: str) -> None:
+def test_invalid_limits_are_rejected(limits: tuple[float, float, float], message: str) -> None:
     with pytest.raises(BadValue, match=message):
         joint_limits(model("UR5e"), *limits)
 
 
-def test_an_arm_may_be_led_as_fast_as_it_can() -> None:
+def test_limits_may_equal_maximum_of_arm() -> None:
     arm = model("UR5e")
     limits = joint_limits(arm, arm.max_speed, arm.max_acceleration, [1, 2, 3, 4, 5, 6])
     assert [each.speed for each in limits] == arm.max_speed.tolist()

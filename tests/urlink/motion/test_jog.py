@@ -1,4 +1,4 @@
-"""Speeds by hand: what is said to the program on the robot, and what the program makes of it."""
+"""Jogging: messages to the program on the robot, and the motion that the program makes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _REST = [0.0] * 6
 
 @contextmanager
 def opened(robot: Rehearsal, frame: Any = "joints", **options: Any) -> Iterator[Jog]:
-    """A jog that has connected."""
+    """Open a jog and wait for its connection; cancel it at the end."""
     jog = robot.motion.jog(frame, **options)
     with Beside(robot):
         jog.__enter__()
@@ -44,7 +44,7 @@ def opened(robot: Rehearsal, frame: Any = "joints", **options: Any) -> Iterator[
 
 
 def answers(robot: Rehearsal) -> Iterator[list[float]]:
-    """The speeds that it is told, state by state, from the first on."""
+    """Yield the speeds that the program receives, state by state, from the first speed."""
     while True:
         robot.tick()
         message = robot.message()
@@ -54,9 +54,9 @@ def answers(robot: Rehearsal) -> Iterator[list[float]]:
             yield message[0]
 
 
-class TestWhatIsSaid:
+class TestMessages:
     @pytest.mark.simulated_time
-    def test_a_speed_lapses(self, robot: Rehearsal) -> None:
+    def test_speed_expires_after_timeout(self, robot: Rehearsal) -> None:
         with opened(robot, timeout=0.1) as jog:
             moved = robot.time
             jog.move([0.1, 0, 0, 0, 0, -0.2])
@@ -65,7 +65,7 @@ class TestWhatIsSaid:
             while (speeds := next(told)) != _REST:
                 assert speeds == pytest.approx([0.1, 0, 0, 0, 0, -0.2])
                 lasted += 1
-            # 50 states, of which the first may come before it follows.
+            # 50 states, and possibly one more before the program follows.
             assert 0 < lasted <= 51
             assert robot.time - moved > 0.1 - robot.cycle
             jog.move([0, 0.3, 0, 0, 0, 0])
@@ -83,7 +83,7 @@ class TestWhatIsSaid:
 
     @pytest.mark.parametrize("frame", ["base", "tool"])
     @pytest.mark.simulated_time
-    def test_frames_of_the_tool(self, robot: Rehearsal, frame: str) -> None:
+    def test_speed_is_converted_to_base_frame(self, robot: Rehearsal, frame: str) -> None:
         robot.q = [0.3, -1.2, 1.4, -1.0, 0.5, 0.7]
         robot.show()
         along, about = [0.1, 0.02, -0.05], [0.3, 0.0, -0.2]
@@ -104,14 +104,14 @@ class TestWhatIsSaid:
         ],
     )
     @pytest.mark.simulated_time
-    def test_how_fast_it_may_be(
+    def test_speed_is_limited(
         self, rehearsal: Callable[..., Rehearsal], frame: str, arm: str, most: list[float], call: str
     ) -> None:
         robot = rehearsal(model=arm)
         with opened(robot, frame, timeout=0.25) as jog:
             assert (jog.frame, jog.timeout) == (frame, 0.25)
             assert call in robot.uploaded
-            # Until it is told a speed, it is told that somebody is there.
+            # Until the first speed, messages only show that this computer is connected.
             robot.tick()
             assert robot.message() == (_REST, WAIT)
             if frame == "joints":
@@ -133,12 +133,12 @@ class TestWhatIsSaid:
             told, state = jog._context.clock(), jog._context.state()
             for now, is_held in ((told, True), (told + 0.25, True), (np.nextafter(told + 0.25, 999), False)):
                 speeds = np.array(read_message(jog._dialogue.step(b"", state, now))[0])
-                # Turning from frame to frame keeps the length of both halves.
+                # A rotation between frames keeps the length of both halves.
                 lengths = np.linalg.norm(speeds.reshape(2, 3), axis=1)
                 assert lengths == pytest.approx([0.1 * math.sqrt(3) if is_held else 0.0] * 2)
 
     @pytest.mark.simulated_time
-    def test_what_is_refused(self, robot: Rehearsal) -> None:
+    def test_invalid_calls_are_rejected(self, robot: Rehearsal) -> None:
         with pytest.raises(BadValue, match="frame='world'"):
             robot.motion.jog("world")  # type: ignore[arg-type]
         with pytest.raises(LocalError, match=r"within its block: with robot\.motion\.jog\(\) as jog"):
@@ -151,7 +151,7 @@ class TestWhatIsSaid:
                 jog.move([1, 2])
 
     @pytest.mark.simulated_time
-    def test_a_stop(self, robot: Rehearsal) -> None:
+    def test_safety_stop_ends_jog(self, robot: Rehearsal) -> None:
         with opened(robot) as jog:
             jog.move([0.1] * 6)
             robot.state(safety=SafetyMode.PROTECTIVE_STOP)
@@ -174,10 +174,10 @@ def test_ctrl_c_while_a_block_ends_stops_the_arm(robot: Rehearsal, monkeypatch: 
 
 
 class TestHeldSpeeds:
-    """A speed for longer than its program may go on unled."""
+    """Speeds that are held for longer than a program may run without messages."""
 
     @pytest.mark.real_time
-    def test_is_held_for_its_time_and_then_ends(self, robot: Rehearsal) -> None:
+    def test_speed_is_held_for_given_duration(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=0.6)
         assert motion.progress == 0.0
         assert "speedj(" in robot.uploaded
@@ -194,7 +194,7 @@ class TestHeldSpeeds:
         motion.wait(TIMEOUT)
 
     @pytest.mark.real_time
-    def test_the_next_call_changes_it_without_another_program(self, robot: Rehearsal) -> None:
+    def test_next_call_changes_speed_without_another_program(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=3600.0)
         robot.connect()
         told = answers(robot)
@@ -206,7 +206,7 @@ class TestHeldSpeeds:
         robot.time += 0.5
         while (message := robot.obey()) is not None and message[1] != STOP:
             pass
-        assert message is not None  # its last message: what comes after it needs another program
+        assert message is not None  # the last message: any later call needs another program
         assert robot.motion.speed_joints([0, 0.2, 0, 0, 0, 0], duration=5.0) is not motion
 
     @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ class TestHeldSpeeds:
         ids=["acceleration", "tool", "short"],
     )
     @pytest.mark.real_time
-    def test_what_needs_another_program(self, robot: Rehearsal, other: Callable[[Any], Motion]) -> None:
+    def test_some_changes_need_another_program(self, robot: Rehearsal, other: Callable[[Any], Motion]) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
         next(answers(robot))
@@ -230,7 +230,7 @@ class TestHeldSpeeds:
             motion.wait(TIMEOUT)
 
     @pytest.mark.real_time
-    def test_a_stop_refuses_the_next_call(self, robot: Rehearsal) -> None:
+    def test_safety_stop_refuses_next_call(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
         next(answers(robot))
@@ -240,7 +240,7 @@ class TestHeldSpeeds:
             robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
 
     @pytest.mark.simulated_time
-    def test_it_is_refused_where_motions_have_to_be_enabled_anew(self, robot: Rehearsal) -> None:
+    def test_next_call_is_refused_until_enabled_again(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.safety.policy = "always"
         with pytest.raises(LinkError, match="enable"):
@@ -248,7 +248,7 @@ class TestHeldSpeeds:
         motion.cancel()
 
     @pytest.mark.simulated_time
-    def test_a_program_that_ends_before_its_time_fails_it(self, robot: Rehearsal) -> None:
+    def test_early_program_end_fails_motion(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
         robot.finish()
@@ -256,7 +256,7 @@ class TestHeldSpeeds:
             motion.wait(TIMEOUT)
 
 
-def test_a_speed_is_over_once_it_was_held_for_its_time() -> None:
+def test_held_speed_ends_after_duration() -> None:
     holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)
     state = cast(RealtimeState, None)
     for now, is_over in ((10.0, False), (10.25, False), (10.499, False), (10.5, True)):
@@ -266,7 +266,7 @@ def test_a_speed_is_over_once_it_was_held_for_its_time() -> None:
     assert read_message(holding.step(b"", state, 10.5))[0] == [0.3] * 6
 
 
-def test_a_speed_that_is_changed_begins_its_time_anew() -> None:
+def test_changed_speed_restarts_duration() -> None:
     holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)
     state = cast(RealtimeState, None)
     assert holding.part(9.0) == 0.0
@@ -279,8 +279,8 @@ def test_a_speed_that_is_changed_begins_its_time_anew() -> None:
     assert holding.part(12.0) == 0.5
 
 
-def test_the_whole_speed_is_what_the_vendor_moves_at_by_default() -> None:
-    """Of `movej` rad/s of the leading joint, of `movel` m/s; to turn the tool the vendor has none."""
+def test_full_speed_equals_vendor_defaults() -> None:
+    """Vendor defaults exist for `movej` (rad/s of the leading joint) and `movel` (m/s), not for turning the tool."""
     assert FULL_SPEED["joints"] == (1.05,) * 6
     frames: list[FrameName] = ["base", "tool"]
     for frame in frames:
@@ -300,8 +300,8 @@ def told(bench: Bench, speeds: list[float], seconds: float) -> None:
 
 
 @pytest.mark.parametrize("firmware", _FIRMWARES, ids=str)
-class TestTheProgram:
-    def test_from_speed_to_speed(self, firmware: Firmware) -> None:
+class TestProgram:
+    def test_speed_changes_at_limited_acceleration(self, firmware: Firmware) -> None:
         jogged = bench(firmware)
         for speed in (0.4, -0.4, 0.0):
             told(jogged, [0, 0, 0, 0, 0, speed], 0.6)
@@ -313,7 +313,7 @@ class TestTheProgram:
         assert jogged.has_finished
         assert jogged.said == []
 
-    def test_brakes_by_itself(self, firmware: Firmware) -> None:
+    def test_program_brakes_without_messages(self, firmware: Firmware) -> None:
         starved, cut = bench(firmware), bench(firmware)
         for jogged, text in ((starved, STARVED), (cut, LINK_ENDED)):
             told(jogged, [0, 0, 0, 0, 0, 0.4], 0.4)
@@ -322,24 +322,24 @@ class TestTheProgram:
             jogged.run(round(0.5 / jogged.period))
             assert jogged.said == [text]
             assert jogged.motion.is_standing
-        # 0.4 rad/s for 0.1 s, and what it takes to brake.
+        # 0.4 rad/s for 0.1 s, with a tolerance for braking.
         way = starved.path[-1][5] - cut.path[-1][5]
         assert way == pytest.approx(0.04, abs=0.4 * 4 * starved.period)
 
 
 @pytest.mark.parametrize("firmware", [_FIRMWARES[2], _FIRMWARES[4]], ids=str)
-def test_the_tool_in_a_straight_line(firmware: Firmware) -> None:
+def test_tool_moves_in_a_straight_line(firmware: Firmware) -> None:
     jogged = bench(firmware, is_tool=True)
     kinematics = Arm(jogged.model)
     before = kinematics.forward(HOME)
     told(jogged, [0, 0, -0.1, 0, 0, 0], 0.5)
     moved = kinematics.forward(jogged.path[-1]) - before
-    # Up to its speed in 0.05 s.
+    # The tool reaches its speed in 0.05 s.
     assert moved == pytest.approx([0, 0, -0.0475, 0, 0, 0], abs=0.1 * 3 * jogged.period)
 
 
 @pytest.mark.simulated_time
-def test_many_calls_of_the_hand_are_one_program(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_repeated_moves_use_one_program(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal("3.15", "UR5", link="rtde")
     with opened(robot, link="rtde") as jog:
         for _ in range(20):

@@ -1,4 +1,4 @@
-"""A program that is talked to while it runs: what is said when, and what ends it, on a clock that the test has."""
+"""Messages to and from a running program, and its ends, on a clock that the test controls."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.simulated_time
 
 
 class Talk(LinkDialogue):
-    """A dialogue, its link, and the program that they lead; each does as the test has set it."""
+    """Fake dialogue, its link, and the program that they drive; the test sets their behaviour."""
 
     endpoint = ReverseSocket("10.0.0.1", 50001, 7)
 
@@ -38,7 +38,7 @@ class Talk(LinkDialogue):
         self.is_over = False
         self.answer = b"message"
         self.concluded = 0
-        #: what it was told with each state: what came, and when
+        #: received bytes and time of each call of `step`
         self.steps: list[tuple[bytes, float]] = []
         self.failure: Exception | None = None
         # the link
@@ -106,17 +106,17 @@ class Talk(LinkDialogue):
     def close(self, *, farewell: bool) -> None:
         self.closed.append(farewell)
 
-    # -- what the test does ------------------------------------------------------------------------------
+    # -- actions of the test ------------------------------------------------------------------------------
 
     def look(self, seconds: float = 0.0) -> None:
-        """States come so much later on both clocks, of which one has been seen to its end, or it is over."""
+        """Advance both clocks, then wait until a state was processed completely or the motion has ended."""
         self.now += seconds
         self.robot.time += seconds
         looks = self._looks
         self.robot.until(lambda: self._looks >= looks + 2 or self.life.is_over)
 
     def begin(self) -> Talk:
-        """It is sent, it begins, and it has been told the first message."""
+        """Send the program, start it, and wait until it has received the first message."""
         self.program.begin()
         self.robot.begin()
         if self.comes_up:
@@ -135,9 +135,10 @@ def talk(robot: Rehearsal) -> Talk:
     return Talk(robot)
 
 
-def test_is_told_something_once_it_has_begun(talk: Talk) -> None:
+def test_program_receives_messages_after_start(talk: Talk) -> None:
     talk.program.begin()
-    assert "urlink_cycles" not in talk.robot.uploaded  # it asks for nothing: nobody would take its connection
+    # It needs no start permission, because without a handle its connection would be refused.
+    assert "urlink_cycles" not in talk.robot.uploaded
     talk.look()
     assert talk.polls
     assert not any(talk.polls)
@@ -158,7 +159,7 @@ def test_is_told_something_once_it_has_begun(talk: Talk) -> None:
     assert talk.closed == [True]
 
 
-def test_one_that_does_not_come(talk: Talk) -> None:
+def test_missing_connection_raises_connect_failed(talk: Talk) -> None:
     talk.comes_up = False
     talk.begin().look(5.0)
     assert not talk.motion.done
@@ -166,11 +167,11 @@ def test_one_that_does_not_come(talk: Talk) -> None:
     talk.fails(ConnectFailed, "absent: it did not connect within 5 s")
     assert "stopj" in talk.robot.sent[-1]
     assert [talk.said, talk.closed] == [[], [False]]
-    assert talk.linked == 1  # nobody is left waiting for it
+    assert talk.linked == 1  # no caller keeps waiting for the link
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_has_a_second_to_end_once_it_was_told_to(talk: Talk, is_told: bool) -> None:
+def test_program_has_a_second_to_end_after_farewell(talk: Talk, is_told: bool) -> None:
     talk.begin().look(3.0)
     assert not talk.program.is_finishing
     talk.is_over = True
@@ -188,8 +189,8 @@ def test_has_a_second_to_end_once_it_was_told_to(talk: Talk, is_told: bool) -> N
     assert talk.closed == [True]
 
 
-def test_the_farewell_is_the_last_message(talk: Talk) -> None:
-    """Of two threads one may have composed a message while the other ends the program."""
+def test_farewell_is_the_last_message(talk: Talk) -> None:
+    """One thread might have composed a message while another thread ends the program."""
     talk.begin()
     talk.program.finish()
     talk.program.say(b"composed before")
@@ -198,7 +199,7 @@ def test_the_farewell_is_the_last_message(talk: Talk) -> None:
     talk.motion.wait(TIMEOUT)
 
 
-def test_what_it_says_at_its_end_does_not_count(talk: Talk) -> None:
+def test_messages_of_program_after_farewell_are_ignored(talk: Talk) -> None:
     talk.begin()
     talk.program.finish()
     talk.robot.text("urlink: nothing to go to")
@@ -207,7 +208,7 @@ def test_what_it_says_at_its_end_does_not_count(talk: Talk) -> None:
     talk.motion.wait(TIMEOUT)
 
 
-def test_one_that_needs_no_farewell(robot: Rehearsal) -> None:
+def test_program_without_farewell_is_stopped(robot: Rehearsal) -> None:
     talk = Talk(robot, farewell=b"").begin()
     talk.program.finish()
     assert b"" not in talk.said
@@ -220,7 +221,7 @@ def test_one_that_needs_no_farewell(robot: Rehearsal) -> None:
     assert [b"" in other.said, other.closed] == [False, [False]]
 
 
-def test_the_reason_of_a_loss_has_a_second_to_come(talk: Talk) -> None:
+def test_loss_is_reported_after_a_second_without_reason(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("first")
     talk.look()
@@ -232,12 +233,12 @@ def test_the_reason_of_a_loss_has_a_second_to_come(talk: Talk) -> None:
     talk.look(0.01)
     talk.fails(ConnectionLost, r"^the connection of the program on the robot was lost; it brakes on its own: first$")
     assert len(talk.steps) == steps
-    # It is gone, and brakes by itself: there is nobody to tell.
+    # The program is lost and brakes on its own, so it can receive no message.
     assert b"bye" not in talk.said
     assert not any("stopj" in text for text in talk.robot.sent)
 
 
-def test_a_stop_is_the_reason_of_a_loss(talk: Talk) -> None:
+def test_safety_stop_is_reported_instead_of_loss(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("reset")
     talk.look()
@@ -245,7 +246,7 @@ def test_a_stop_is_the_reason_of_a_loss(talk: Talk) -> None:
     talk.fails(SafetyStop, "protective stop")
 
 
-def test_an_end_after_a_loss_is_the_loss(talk: Talk) -> None:
+def test_loss_is_reported_if_program_ends_afterwards(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("reset")
     talk.look()
@@ -253,13 +254,13 @@ def test_an_end_after_a_loss_is_the_loss(talk: Talk) -> None:
     talk.fails(ConnectionLost, "reset")
 
 
-def test_an_end_before_its_time(talk: Talk) -> None:
+def test_early_program_end_raises_program_stopped(talk: Talk) -> None:
     talk.begin()
     talk.robot.finish()
     talk.fails(ProgramStopped, "the program of talk ended unexpectedly")
 
 
-def test_one_that_goes_on_after_its_program(robot: Rehearsal) -> None:
+def test_dialogue_can_outlive_program(robot: Rehearsal) -> None:
     talk = Talk(robot, survives_its_program=True).begin()
     talk.heard = b"never mind"
     robot.finish()
@@ -268,7 +269,7 @@ def test_one_that_goes_on_after_its_program(robot: Rehearsal) -> None:
     said = len(talk.said)
     talk.look(1.0)
     assert not talk.motion.done
-    # Nobody is there any more to hear or be told something, but the states still count.
+    # The program can no longer receive or send messages, but the states still count.
     assert talk.steps[-1] == (b"", 1001.0)
     assert len(talk.said) == said
     talk.is_over = True
@@ -278,7 +279,7 @@ def test_one_that_goes_on_after_its_program(robot: Rehearsal) -> None:
 
 
 @pytest.mark.parametrize("failure", [ToleranceExceeded("off"), ZeroDivisionError("off")])
-def test_a_dialogue_that_cannot_go_on(talk: Talk, failure: Exception) -> None:
+def test_failing_dialogue_fails_motion(talk: Talk, failure: Exception) -> None:
     talk.begin()
     talk.failure = failure
     subscription = talk.program._subscription
@@ -286,7 +287,7 @@ def test_a_dialogue_that_cannot_go_on(talk: Talk, failure: Exception) -> None:
     talk.look()
     talk.fails(type(failure), "off")
     assert talk.said[-1] == b"bye"
-    # A mistake of ours is one that the subscription tells of.
+    # The subscription counts an unexpected error, but not an error of the library.
     until(lambda: subscription.stats.raised == isinstance(failure, ZeroDivisionError))
 
 
@@ -303,7 +304,7 @@ def test_a_dialogue_that_cannot_go_on(talk: Talk, failure: Exception) -> None:
         ("urlink: the first point is too far away", ToleranceExceeded, "first point is too far away"),
     ],
 )
-def test_what_ends_it_is_what_it_says(talk: Talk, text: str, error: type[Exception], message: str) -> None:
+def test_message_of_program_determines_error(talk: Talk, text: str, error: type[Exception], message: str) -> None:
     talk.begin()
     talk.robot.text("urlink: good morning")
     talk.robot.text(text)
@@ -321,7 +322,7 @@ def taken() -> Talk:
 @pytest.mark.parametrize(
     ("open_link", "raised", "error"), [(taken, BadAddress, BadAddress), (interrupted, KeyboardInterrupt, LocalError)]
 )
-def test_a_link_that_cannot_be_had(
+def test_unavailable_link_fails_motion(
     talk: Talk, open_link: Callable[[], Talk], raised: type[BaseException], error: type[Exception]
 ) -> None:
     talk.program._open_link = open_link
@@ -331,7 +332,7 @@ def test_a_link_that_cannot_be_had(
     assert [talk.robot.sent, talk.linked, talk.closed] == [[], 1, []]
 
 
-def test_an_arm_that_may_not_be_moved(talk: Talk) -> None:
+def test_safety_stop_prevents_start(talk: Talk) -> None:
     talk.robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: talk.robot.safety.cause)
     with pytest.raises(SafetyStop):
@@ -339,7 +340,7 @@ def test_an_arm_that_may_not_be_moved(talk: Talk) -> None:
     assert [talk.opened, talk.robot.sent, talk.linked] == [0, [], 1]
 
 
-def test_a_program_that_cannot_be_sent(talk: Talk) -> None:
+def test_unsent_program_fails_motion(talk: Talk) -> None:
     talk.robot.slow.refusal = ConnectionLost("not sent")
     with pytest.raises(ConnectionLost, match="not sent"):
         talk.program.begin()
@@ -349,15 +350,15 @@ def test_a_program_that_cannot_be_sent(talk: Talk) -> None:
     assert len(talk.steps) == steps
 
 
-def test_a_robot_that_is_lost_before_it_began(talk: Talk) -> None:
-    """Its link is closed, so a program that the controller begins later finds nobody, and moves nothing."""
+def test_robot_lost_before_start_fails_motion(talk: Talk) -> None:
+    """The link is closed, so a program that starts later cannot connect, and moves nothing."""
     talk.program.begin()
     talk.robot.fast.put(ConnectionLost("pulled"))
     talk.fails(NotRunning, "pulled; it moves nothing if it begins later")
 
 
-def test_its_end_waits_for_no_thread(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who ends it may be the thread of the states, or hold up the one that is."""
+def test_end_does_not_wait_for_reader_thread(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread that ends the motion might be the thread of the states, or might block it."""
     waited: list[float] = []
     talk.begin()
     monkeypatch.setattr(talk.program._subscription, "close", waited.append)
@@ -365,13 +366,13 @@ def test_its_end_waits_for_no_thread(talk: Talk, monkeypatch: pytest.MonkeyPatch
     assert waited == [0]
 
 
-def test_an_arm_that_nobody_enables_any_more_can_be_stopped(talk: Talk) -> None:
+def test_disabled_arm_can_be_stopped(talk: Talk) -> None:
     talk.begin().robot.safety.policy = "always"
     talk.motion.cancel()
     assert talk.said[-1] == b"bye"
 
 
-def test_nothing_is_said_after_its_end(talk: Talk) -> None:
+def test_ended_program_receives_no_message(talk: Talk) -> None:
     talk.begin()
     talk.robot.vanish()
     talk.robot.until(lambda: talk.motion.done)
@@ -382,9 +383,7 @@ def test_nothing_is_said_after_its_end(talk: Talk) -> None:
     assert len(talk.said) == said
 
 
-def test_each_message_says_in_which_cycle_and_how_many_pauses_there_were(
-    talk: Talk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_contain_cycle_and_number_of_pauses(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
     talk.answer = setpoint([0.0] * 6, [0.0] * 6)
     sent: list[bytes] = []
     monkeypatch.setattr(talk, "send", sent.append)
@@ -395,17 +394,17 @@ def test_each_message_says_in_which_cycle_and_how_many_pauses_there_were(
         before = int.from_bytes(sent[-1][-4:], "big")
         talk.look(0.1)
         date = int.from_bytes(sent[-1][-4:], "big")
-        assert 0.1 / talk.robot.cycle <= date - before < 0.1 / talk.robot.cycle + 10  # states come meanwhile
+        assert 0.1 / talk.robot.cycle <= date - before < 0.1 / talk.robot.cycle + 10  # states arrive meanwhile
         assert int.from_bytes(sent[-1][-8:-4], "big") == (WAIT + pauses if pauses else FOLLOW)
 
 
 @pytest.mark.parametrize(
     ("silence", "says"), [(0.0, True), (0.125, True), (0.126, False), (0.25, False), (0.251, None)]
 )
-def test_what_a_loop_sends_after_a_silence(talk: Talk, silence: float, says: bool | None) -> None:
-    """Read at once, after a controller has hung, it would be where the arm has to go with all its speed.
+def test_loop_messages_are_dropped_after_silence(talk: Talk, silence: float, says: bool | None) -> None:
+    """After a controller has hung, it would read them at once, and the arm would move at full speed.
 
-    So it is not sent after the time of the watchdog, and after twice that time the motion is over.
+    Therefore, nothing is sent after the time of the watchdog, and after twice that time the motion ends.
     """
     talk.begin()
     said = len(talk.said)
@@ -422,7 +421,7 @@ def test_what_a_loop_sends_after_a_silence(talk: Talk, silence: float, says: boo
         assert talk.said[said:] == ([b"mine"] if says else [])
 
 
-def test_a_program_that_is_paused_is_sent_nothing_by_a_loop(talk: Talk) -> None:
+def test_loop_messages_are_dropped_during_pause(talk: Talk) -> None:
     talk.begin()
     said = len(talk.said)
     talk.program._pause.holds = True
@@ -432,8 +431,8 @@ def test_a_program_that_is_paused_is_sent_nothing_by_a_loop(talk: Talk) -> None:
 
 
 @pytest.mark.parametrize("state", [ProgramState.PAUSING, ProgramState.PAUSED, ProgramState.PLAYING])
-def test_is_paused_by_a_state_that_was_not_looked_at_yet(talk: Talk, state: ProgramState) -> None:
-    """A loop of the user may have it before the thread that answers states."""
+def test_pause_is_detected_in_unprocessed_state(talk: Talk, state: ProgramState) -> None:
+    """The user's loop might get the state before the thread that answers states."""
     context, found = talk.program._context, []
     for latest, holds in ((None, False), (SimpleNamespace(program_state=state), False), (None, True)):
         talk.program._context = replace(context, realtime=SimpleNamespace(latest=latest))  # type: ignore[arg-type]
@@ -442,7 +441,7 @@ def test_is_paused_by_a_state_that_was_not_looked_at_yet(talk: Talk, state: Prog
     assert found == [False, state is not ProgramState.PLAYING, True]
 
 
-def test_after_a_pause_the_dialogue_goes_on_once(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dialogue_resumes_once_after_pause(talk: Talk, monkeypatch: pytest.MonkeyPatch) -> None:
     resumed: list[float] = []
     monkeypatch.setattr(talk, "resume", lambda state: resumed.append(len(talk.steps)))
     talk.begin()
@@ -453,8 +452,8 @@ def test_after_a_pause_the_dialogue_goes_on_once(talk: Talk, monkeypatch: pytest
     assert not talk.program._pause.is_over
 
 
-def test_who_waited_until_it_was_linked_is_let_go_of_at_its_end(talk: Talk) -> None:
-    """It refers to the handle, and this to the program."""
+def test_link_callback_is_released_at_end(talk: Talk) -> None:
+    """The callback refers to the handle, and the handle refers to the program."""
     talk.begin().motion.cancel()
     linked = talk.linked
     talk.program._on_linked()

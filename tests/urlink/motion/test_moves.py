@@ -1,4 +1,4 @@
-"""Motions of one command, and the handle that all motions share."""
+"""Motions of a single command, and the handle that all motions share."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ MOVES: list[tuple[Callable[[Rehearsal], Motion], str, str]] = [
 
 
 def phase_of(motion: Motion) -> Phase:
-    """It changes while a test goes on, which a type checker does not expect of an attribute."""
+    """Return the phase, so that a type checker does not assume that it stays the same."""
     return motion.phase
 
 
 @pytest.mark.parametrize(("move", "name", "text"), MOVES)
-def test_sends_one_program_and_ends_with_it(
+def test_motion_sends_one_program_and_ends_with_program(
     robot: Rehearsal, move: Callable[[Rehearsal], Motion], name: str, text: str
 ) -> None:
     motion = move(robot)
@@ -81,10 +81,10 @@ def test_sends_one_program_and_ends_with_it(
 
 
 @pytest.mark.parametrize(("move", "name", "text"), MOVES)
-def test_is_let_go_on_once_it_has_begun(
+def test_program_gets_start_permission(
     robot: Rehearsal, move: Callable[[Rehearsal], Motion], name: str, text: str
 ) -> None:
-    """But for what only brings the arm to rest, which begins whenever it comes."""
+    """Programs that only bring the arm to rest start without permission."""
     move(robot)
     robot.begin()
     if name == "stop":
@@ -97,7 +97,7 @@ def test_is_let_go_on_once_it_has_begun(
         assert robot.sent[1:] == [f"sec urlink_permission():\n  write_output_integer_register(47, {asked[1]})\nend\n"]
 
 
-def test_what_begins_after_its_handle_has_failed_is_not_let_go_on(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_late_program_gets_no_permission_after_timeout(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(start_timeout=0.2)
     late = robot.motion.move_joints(HOME)
     robot.until(lambda: late.done)
@@ -115,7 +115,7 @@ def test_what_begins_after_its_handle_has_failed_is_not_let_go_on(rehearsal: Cal
     ]
 
 
-def test_one_that_was_cancelled_before_it_began_is_not_let_go_on(robot: Rehearsal) -> None:
+def test_cancelled_program_gets_no_permission(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     name = robot.program
     motion.cancel()
@@ -128,7 +128,7 @@ def test_one_that_was_cancelled_before_it_began_is_not_let_go_on(robot: Rehearsa
     assert not any("urlink_permission" in text for text in robot.sent)
 
 
-def test_one_that_was_not_let_go_on_in_time_has_ended(robot: Rehearsal) -> None:
+def test_program_without_permission_raises_timeout(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     robot.key("PROGRAM_XXX_STARTED", robot.program)
     robot.text(expiry_marker(robot.program))
@@ -137,7 +137,7 @@ def test_one_that_was_not_let_go_on_in_time_has_ended(robot: Rehearsal) -> None:
         motion.wait(TIMEOUT)
 
 
-def test_a_stop_between_its_beginning_and_the_permission(robot: Rehearsal) -> None:
+def test_safety_stop_withholds_start_permission(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
     robot.key("PROGRAM_XXX_STARTED", robot.program)
@@ -148,7 +148,7 @@ def test_a_stop_between_its_beginning_and_the_permission(robot: Rehearsal) -> No
     assert len(robot.sent) == 1
 
 
-def test_without_a_place_for_its_permission_it_begins_at_once(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_program_starts_at_once_without_permission_place(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(start_place=StartPlace(None, ()), start_timeout=0.2)
     motion = robot.motion.move_joints(HOME)
     assert "urlink_cycles" not in robot.sent[0]
@@ -158,7 +158,7 @@ def test_without_a_place_for_its_permission_it_begins_at_once(rehearsal: Callabl
 
 
 @pytest.mark.parametrize(("move", "name", "text"), MOVES)
-def test_nothing_is_sent_while_a_stop_holds(
+def test_safety_stop_prevents_every_motion(
     robot: Rehearsal, move: Callable[[Rehearsal], Motion], name: str, text: str
 ) -> None:
     robot.state(safety=SafetyMode.PROTECTIVE_STOP)
@@ -169,8 +169,8 @@ def test_nothing_is_sent_while_a_stop_holds(
     assert robot.motion.current is None
 
 
-def test_an_arm_that_nobody_enabled_can_be_stopped(robot: Rehearsal) -> None:
-    """It may be moving: by a program that went on while the robot could not be heard."""
+def test_disabled_arm_can_be_stopped(robot: Rehearsal) -> None:
+    """The arm might be moving, because a program continued while the robot was disconnected."""
     running = robot.motion.move_joints([0] * 6)
     robot.begin()
     robot.safety.policy = "always"
@@ -183,7 +183,7 @@ def test_an_arm_that_nobody_enabled_can_be_stopped(robot: Rehearsal) -> None:
     assert "stopj(2.0)" in robot.sent[before + 1]
 
 
-def test_nothing_is_sent_to_a_robot_that_does_not_run(robot: Rehearsal) -> None:
+def test_motion_is_refused_if_robot_is_not_running(robot: Rehearsal) -> None:
     robot.state(RobotMode.IDLE)
     until(lambda: not robot.safety.is_enabled)
     with pytest.raises(NotRunning):
@@ -226,13 +226,13 @@ NAN = float("nan")
         lambda m: m.servo(watchdog="soon"),
     ],
 )
-def test_nonsense_is_refused_before_anything_is_sent(robot: Rehearsal, call: Callable[[object], object]) -> None:
+def test_invalid_arguments_are_rejected_before_sending(robot: Rehearsal, call: Callable[[object], object]) -> None:
     with pytest.raises(BadValue):
         call(robot.motion)
     assert robot.sent == []
 
 
-def test_progress_is_the_way_behind(robot: Rehearsal) -> None:
+def test_progress_is_fraction_of_distance(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(turned(0.4))
     assert motion.progress == 0.0
     robot.q = turned(0.1)
@@ -241,25 +241,27 @@ def test_progress_is_the_way_behind(robot: Rehearsal) -> None:
     robot.q = turned(0.5)
     robot.show()
     assert motion.progress == pytest.approx(0.75)
-    with pytest.raises(LinkTimeout, match=r"has not ended within 0\.01 s, and continues; its phase is sent"):
+    with pytest.raises(
+        LinkTimeout, match=r"move_joints has not ended within 0\.01 s, and continues; its phase is sent"
+    ):
         motion.wait(0.01)
-    # Of a stop nobody knows how far it has got.
+    # The progress of a stop is unknown.
     assert robot.motion.stop().progress == 0.0
 
 
 @pytest.mark.parametrize("timeout", [None, -1, "soon", float("nan")])
-def test_waiting_for_no_number_of_seconds(robot: Rehearsal, timeout: object) -> None:
+def test_wait_rejects_invalid_timeout(robot: Rehearsal, timeout: object) -> None:
     with pytest.raises(BadValue, match="timeout"):
         robot.motion.stop().wait(timeout)  # type: ignore[arg-type]
 
 
-def test_preempted(robot: Rehearsal) -> None:
+def test_cancelling_preempted_motion_sends_no_stop(robot: Rehearsal) -> None:
     first = robot.motion.move_joints(HOME)
     robot.begin()
     name, sent = robot.program, len(robot.sent)
     second = robot.motion.move_linear([0.1, 0.2, 0.3, 0, 0, 0])
     assert robot.motion.current is second
-    first.cancel()  # ends it, and stops nothing: the arm is the other's
+    first.cancel()  # ends the handle without a stop: the arm belongs to the other motion
     assert len(robot.sent) == sent + 1
     robot.key("PROGRAM_XXX_STOPPED", name)
     robot.begin()
@@ -268,7 +270,7 @@ def test_preempted(robot: Rehearsal) -> None:
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_preempted_when_the_controller_says_so(robot: Rehearsal, is_told: bool) -> None:
+def test_motion_is_preempted_by_next_motion(robot: Rehearsal, is_told: bool) -> None:
     first = robot.motion.move_joints(HOME)
     robot.begin()
     name = robot.program
@@ -283,7 +285,7 @@ def test_preempted_when_the_controller_says_so(robot: Rehearsal, is_told: bool) 
     second.cancel()
 
 
-def test_what_does_not_begin_preempts_nothing(robot: Rehearsal) -> None:
+def test_failed_start_does_not_preempt(robot: Rehearsal) -> None:
     first = robot.motion.move_joints(HOME)
     robot.begin()
     name = robot.program
@@ -302,7 +304,7 @@ def test_what_does_not_begin_preempts_nothing(robot: Rehearsal) -> None:
     first.wait(TIMEOUT)
 
 
-def test_cancelled(robot: Rehearsal) -> None:
+def test_leaving_block_cancels_motion(robot: Rehearsal) -> None:
     with robot.motion.move_joints(HOME) as motion:
         robot.begin()
     assert motion.phase is Phase.CANCELLED
@@ -311,7 +313,7 @@ def test_cancelled(robot: Rehearsal) -> None:
     assert "stopj" in robot.sent[-1]
 
 
-def test_a_stop_ends_it_at_once(robot: Rehearsal) -> None:
+def test_safety_stop_ends_motion_at_once(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     robot.begin()
     robot.state(safety=SafetyMode.SAFEGUARD_STOP)
@@ -332,7 +334,7 @@ def test_a_stop_ends_it_at_once(robot: Rehearsal) -> None:
         ),
     ],
 )
-def test_a_robot_that_is_lost_says_what_may_still_move(
+def test_error_of_lost_robot_describes_remaining_motion(
     robot: Rehearsal, move: Callable[[Rehearsal], Motion], left: str
 ) -> None:
     motion = move(robot)
@@ -343,22 +345,22 @@ def test_a_robot_that_is_lost_says_what_may_still_move(
         motion.wait(TIMEOUT)
 
 
-def test_a_robot_that_is_lost_before_it_began(robot: Rehearsal) -> None:
+def test_robot_lost_before_start_raises_not_running(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     robot.fast.put(ConnectionLost("pulled"))
     with pytest.raises(NotRunning, match="pulled; it moves nothing if it begins later"):
         motion.wait(TIMEOUT)
-    # Where the arm is, nobody can tell any more.
+    # The position of the arm is no longer known.
     until(lambda: robot.realtime.latest is None)
     assert motion.progress == 0.0
 
 
-def test_one_that_has_nowhere_to_go_is_all_behind(robot: Rehearsal) -> None:
+def test_progress_without_distance_is_complete(robot: Rehearsal) -> None:
     assert robot.motion.move_joints(robot.q).progress == 1.0
 
 
-def test_how_the_tool_is_turned_does_not_count_as_way(robot: Rehearsal) -> None:
-    """One rotation has more than one vector."""
+def test_progress_ignores_rotation_of_tool(robot: Rehearsal) -> None:
+    """One rotation has several rotation vectors."""
     goal = robot.pose.copy()
     goal[0] += 0.1
     goal[3:] *= 1.0 - 2.0 * np.pi / np.linalg.norm(goal[3:])
@@ -370,7 +372,7 @@ def test_how_the_tool_is_turned_does_not_count_as_way(robot: Rehearsal) -> None:
     assert motion.progress == pytest.approx(0.25, abs=1e-6)
 
 
-def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
+def test_stop_at_pendant_raises_program_stopped(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     robot.begin()
     robot.vanish()
@@ -380,7 +382,7 @@ def test_stopped_at_the_pendant(robot: Rehearsal) -> None:
     assert motion.phase is Phase.FAILED
 
 
-def test_failed_on_the_controller(robot: Rehearsal) -> None:
+def test_controller_exception_raises_script_failed(robot: Rehearsal) -> None:
     motion = robot.motion.move_linear([0.4, 0.2, 0.3, 0, 0, 0])
     robot.begin()
     robot.exception(3, 1, "no inverse kinematics")
@@ -389,13 +391,13 @@ def test_failed_on_the_controller(robot: Rehearsal) -> None:
         motion.wait(TIMEOUT)
 
 
-def test_awaited(robot: Rehearsal) -> None:
+def test_motion_can_be_awaited(robot: Rehearsal) -> None:
     async def move() -> None:
         motion = robot.motion.move_joints(HOME)
         robot.begin()
         with pytest.raises(asyncio.TimeoutError):
             await asyncio.wait_for(asyncio.shield(_wrapped(motion)), 0.01)
-        assert not motion.done  # what is shielded goes on
+        assert not motion.done  # a shielded motion continues
         robot.finish()
         await motion
         cancelled = robot.motion.move_joints(HOME)
@@ -410,7 +412,7 @@ async def _wrapped(motion: Motion) -> None:
     await motion
 
 
-def test_speeds_one_after_the_other(robot: Rehearsal) -> None:
+def test_consecutive_speeds_preempt_without_stop(robot: Rehearsal) -> None:
     motions = []
     for i in range(50):
         motions.append(robot.motion.speed_joints([i / 100, 0, 0, 0, 0, 0], duration=0.1))
@@ -420,13 +422,13 @@ def test_speeds_one_after_the_other(robot: Rehearsal) -> None:
     assert [motion.done for motion in motions] == [True] * 49 + [False]
     assert all(isinstance(motion.error, Cancelled) for motion in motions[:-1])
     assert not any("stopj" in text.split("speedj")[0] for text in robot.sent)
-    # The first asks before it moves the arm. The others go on with what moves, and to ask would make it stutter.
+    # Only the first program waits for permission. The others continue a motion, which would stutter if they waited.
     assert ["urlink_cycles" in text for text in robot.sent if text.startswith("def ")] == [True] + [False] * 49
     robot.finish()
     motions[-1].wait(TIMEOUT)
 
 
-def test_time_is_the_progress_of_a_speed(robot: Rehearsal) -> None:
+def test_progress_of_speed_is_elapsed_time(robot: Rehearsal) -> None:
     motion = robot.motion.speed_joints([0] * 6, duration=0.01)
     assert motion.progress == 0.0
     robot.time += 0.004
@@ -436,7 +438,7 @@ def test_time_is_the_progress_of_a_speed(robot: Rehearsal) -> None:
     assert not motion.done
 
 
-def test_closed(robot: Rehearsal) -> None:
+def test_close_cancels_motion(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     robot.programs.close(0.0)
     robot.programs.close(0.0)
@@ -446,8 +448,8 @@ def test_closed(robot: Rehearsal) -> None:
         robot.motion.stop()
 
 
-def test_which_motions_end_where_the_arm_is_moved_in_a_pause(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those with a goal: the controller would lead the arm back onto the path to it."""
+def test_motions_with_goal_end_when_arm_is_moved_in_pause(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise, the controller would move the arm back onto the path to the goal."""
     watched: list[str] = []
     monkeypatch.setattr("urlink.motion.motions.end_where_moved", lambda life, realtime: watched.append(life.name))
     motion, pose = robot.motion, robot.pose

@@ -1,4 +1,4 @@
-"""Messages that waited while the controller hung: how long they lead the arm; what ends by the controller's clock."""
+"""Messages that were queued while the controller hung, and programs that end by its clock."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from urlink.simulator import Controller, Still
 
 STILL = [0.0] * 6
 LINK = ReverseSocket("10.0.0.1", 50001, 7)
-#: One of CB2, CB3 and e-Series, and PolyScope X.
+#: one firmware of CB2, CB3, e-Series and PolyScope X
 FIRMWARES = ["1.8", "3.15", "5.11", "10.12"]
-#: s of the robot without a message, after which it brakes; rad/s of the base.
+#: Time in s of the robot without a message until it brakes, and speed of the moved joint in rad/s.
 WATCHDOG, SPEED = 0.1, 0.5
 CELL = "192.168.0.100"
 
 
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
 @pytest.mark.parametrize("late", [0.0, 0.09])
-def test_messages_that_are_late_evenly_or_by_jitter_are_obeyed(firmware: Firmware, late: float) -> None:
-    """Some states reach this computer late by nearly the watchdog's time, some at once."""
+def test_late_messages_are_obeyed_within_watchdog_time(firmware: Firmware, late: float) -> None:
+    """Some states reach this computer late, by nearly the time of the watchdog, and others immediately."""
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=WATCHDOG), firmware)
     bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     begin, most = bench.cycle, round(late * firmware.rate)
@@ -54,7 +54,7 @@ def test_messages_that_are_late_evenly_or_by_jitter_are_obeyed(firmware: Firmwar
 def test_old_set_points_are_followed_for_one_watchdog_time(firmware: Firmware) -> None:
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=WATCHDOG), firmware)
     bench.run(5, lambda: bench.say(WAIT_MESSAGE))
-    last = bench.cycle  # of the last state before the controller hung
+    last = bench.cycle  # cycle of the last state before the controller hung
 
     def feed() -> None:
         message = setpoint(turned(SPEED * (bench.cycle - last) * bench.period), [*STILL[:5], SPEED])
@@ -65,7 +65,7 @@ def test_old_set_points_are_followed_for_one_watchdog_time(firmware: Firmware) -
     bench.run(firmware.rate, feed)
     assert bench.execution.is_over
     assert STARVED in bench.said
-    # The watchdog's time at the set-points, and as long coasting: half as far.
+    # The arm follows set-points for the watchdog's time, then coasts for the same time, half as far.
     assert told[-1] - turned(0.0)[5] == pytest.approx(1.5 * WATCHDOG * SPEED, abs=0.02)
 
 
@@ -83,12 +83,12 @@ def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
     bench.run(firmware.rate, feed)
     assert bench.execution.is_over
     assert STARVED in bench.said
-    # As long at the last speed as at the old ones, and a tenth of a second for changes of speed.
+    # The arm keeps the last speed for the same time as the old ones; a tenth of a second is for changes of speed.
     assert 0.0 < bench.q_actual[5] - before < 3.0 * WATCHDOG * SPEED
 
 
 def followed(firmware: Firmware, watchdog: float) -> Bench:
-    """A program that has had a set-point in each cycle of a fifth of a second."""
+    """Return a program that has received a set-point in each cycle for a fifth of a second."""
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
     bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     bench.run(firmware.rate // 5, lambda: bench.say(setpoint(turned(0.0), STILL)))
@@ -99,8 +99,8 @@ def followed(firmware: Firmware, watchdog: float) -> Bench:
 @pytest.mark.matrix(4)
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
 @pytest.mark.parametrize("watchdog", [WATCHDOG, 1.9, 3.0, 5.0, 10.0])
-def test_silence_ends_a_program_after_the_time_of_its_watchdog(firmware: Firmware, watchdog: float) -> None:
-    """Longer than a read of the program waits, which is 2 s, too."""
+def test_silence_ends_program_after_watchdog_time(firmware: Firmware, watchdog: float) -> None:
+    """This also holds for watchdogs longer than the program's read timeout, which is 2 s."""
     bench = followed(firmware, watchdog)
     bench.run(round((watchdog - 0.05) * firmware.rate))
     assert bench.said == []
@@ -112,7 +112,7 @@ def test_silence_ends_a_program_after_the_time_of_its_watchdog(firmware: Firmwar
 
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
 @pytest.mark.parametrize("watchdog", [WATCHDOG, 5.0])
-def test_a_closed_connection_ends_a_program_at_once(firmware: Firmware, watchdog: float) -> None:
+def test_closed_connection_ends_program_at_once(firmware: Firmware, watchdog: float) -> None:
     bench = followed(firmware, watchdog)
     bench.sockets.is_open = False
     bench.run(round(0.3 * firmware.rate))
@@ -121,7 +121,7 @@ def test_a_closed_connection_ends_a_program_at_once(firmware: Firmware, watchdog
 
 
 @pytest.mark.parametrize("watchdog", [WATCHDOG, 5.0])
-def test_a_program_that_is_told_nothing_at_first_ends_too(watchdog: float) -> None:
+def test_program_without_first_set_point_ends(watchdog: float) -> None:
     firmware = Firmware(5, 11)
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
     bench.run(5, lambda: bench.say(WAIT_MESSAGE))
@@ -131,7 +131,7 @@ def test_a_program_that_is_told_nothing_at_first_ends_too(watchdog: float) -> No
 
 
 class Compliant(Bench):
-    """Notes in which mode the arm yields, which takes no arm."""
+    """Bench that records the compliant modes, without an arm."""
 
     modes: tuple[str, ...] = ()
     pose_target = (0.0,) * 6
@@ -153,7 +153,7 @@ class Compliant(Bench):
 
 @pytest.mark.parametrize("version", ["3.15", "5.11", "10.12"])
 @pytest.mark.parametrize("kind", ["force_mode", "freedrive"])
-def test_a_mode_with_old_messages_ends_as_one_without(version: str, kind: str) -> None:
+def test_old_messages_end_compliant_mode(version: str, kind: str) -> None:
     firmware = Firmware.parse(version)
     if kind == "force_mode":
         axes, limits = (False, False, True, False, False, False), (0.1,) * 6
@@ -166,12 +166,12 @@ def test_a_mode_with_old_messages_ends_as_one_without(version: str, kind: str) -
     bench.run(5, lambda: bench.say(WAIT_MESSAGE))
     bench.run(firmware.rate, lambda: bench.say(message))
     assert list(bench.modes) == [kind]
-    last = bench.cycle  # of the last state before the controller hung
+    last = bench.cycle  # cycle of the last state before the controller hung
 
     def feed() -> None:
         bench.sockets.waiting += dated(message, last)
 
-    # For the watchdog's time they might be late by jitter; after as long again the mode ends.
+    # For the watchdog's time, messages might be late because of jitter. After the same time again, the mode ends.
     bench.run(round(1.8 * WATCHDOG * firmware.rate), feed)
     assert list(bench.modes) == [kind]
     bench.run(round(0.4 * WATCHDOG * firmware.rate), feed)
@@ -179,27 +179,27 @@ def test_a_mode_with_old_messages_ends_as_one_without(version: str, kind: str) -
     assert STARVED in bench.said
 
 
-# -- both ends, in simulated time -----------------------------------------------------------------------------------
+# -- controller and client, in simulated time -----------------------------------------------------------------------
 
 
 class Ends:
-    """A controller on a computer of its own, and a robot that is connected to it."""
+    """A controller on its own computer, and a robot that is connected to it."""
 
     def __init__(self, sim: Simulation, cell: Computer, controller: Controller, robot: Robot) -> None:
         self.sim, self.cell, self.controller, self.robot = sim, cell, controller, robot
 
     @property
     def base(self) -> float:
-        """rad; where the base is led."""
+        """Commanded position of the base, in rad."""
         return float(self.controller.arm.setpoint.q[0])
 
     @property
     def speed(self) -> float:
-        """rad/s of the fastest joint."""
+        """Speed of the fastest joint, in rad/s."""
         return max(map(abs, self.controller.arm.setpoint.qd))
 
     def hang(self, seconds: float) -> None:
-        """The controller hangs for so long, beginning now, and goes on."""
+        """Suspend the controller for `seconds`, starting now."""
         self.cell.suspend()
         self.sim.at(self.sim.now + seconds, self.cell.resume)
 
@@ -230,13 +230,13 @@ def ends(arm: str, firmware: str) -> Iterator[Ends]:
         ("UR5e", "10.12", "rtde"),
     ],
 )
-def test_a_controller_that_hung_does_not_catch_up(arm: str, firmware: str, link: str) -> None:
-    """A loop goes on by the clock of this computer while the controller hangs for 0.8 s."""
+def test_hung_controller_does_not_catch_up(arm: str, firmware: str, link: str) -> None:
+    """A loop continues, by the clock of this computer, while the controller hangs for 0.8 s."""
     with ends(arm, firmware) as both:
         robot, cycle = both.robot, 1.0 / both.robot.firmware.rate
         way: dict[str, Any] = {} if link == "reverse" else {"link": link}
         hung: float | None = None
-        with pytest.raises(ConnectionLost), robot.motion.servo(watchdog=WATCHDOG, **way) as servo:  # noqa: PT012 -- which of its set-points fails is not known
+        with pytest.raises(ConnectionLost), robot.motion.servo(watchdog=WATCHDOG, **way) as servo:  # noqa: PT012 -- any of its set-points may fail
             begin, q = time.monotonic(), np.array(robot.realtime.wait().q_target)
             while (t := time.monotonic() - begin) < 3.0:
                 servo.send(q + np.array([SPEED * t, 0.0, 0.0, 0.0, 0.0, 0.0]))
@@ -247,13 +247,13 @@ def test_a_controller_that_hung_does_not_catch_up(arm: str, firmware: str, link:
         assert hung is not None
         time.sleep(1.0)
         assert both.speed == 0.0
-        # The watchdog's time at the old set-points, as long coasting, and braking.
+        # The watchdog's time at the old set-points, the same time coasting, and braking.
         assert 0.0 <= both.base - hung < 2.5 * WATCHDOG * SPEED
 
 
 @pytest.mark.parametrize("share", [1.0, 0.2])
-def test_a_torque_block_ends_at_rest_on_a_controller_that_is_slow(share: float) -> None:
-    """At a fifth of its speed the controller needs longer to brake than the library's own clock would wait."""
+def test_torque_block_ends_at_rest_on_slow_controller(share: float) -> None:
+    """At a fifth of its speed, the controller needs longer to brake than the library's own clock would wait."""
     with ends("UR5e", "10.12") as both:
         with both.robot.motion.torque(watchdog=0.5) as block:
             both.cell.rate = share

@@ -1,4 +1,4 @@
-"""Paths of several movements: what is refused before it is sent, what is sent, and how far it has got."""
+"""Paths of several movements: rejected paths, sent programs, and progress."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 
 ARM = Arm("UR5e")
-#: rad; elbow up, tool down.
+#: Joint positions in rad: elbow up, tool down.
 READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
 POSE = ARM.forward(READY)
 TCP = (0.0, 0.02, 0.1, 0.0, 0.3, 0.0)
@@ -37,7 +37,7 @@ JOINT_RATES, TOOL_RATES = Rates(1.05, 1.4), Rates(0.25, 1.2)
 
 
 def state_at(q: FloatArray, arm: Arm = ARM) -> RealtimeState:
-    """An arm that stands, with a tool."""
+    """Return the state of an arm at rest, with a tool."""
     return RealtimeState("5.11", q_target=q, q_actual=q, tool_vector_actual=arm.forward(q, TCP))
 
 
@@ -46,22 +46,22 @@ def planned(waypoints: list[Waypoint], rates: Rates = TOOL_RATES, arm: Arm | Non
 
 
 def shifted(pose: FloatArray, *way: float) -> FloatArray:
-    """Metres further in the base frame."""
+    """Return a pose that is shifted in the base frame, in m."""
     there = pose.copy()
     there[: len(way)] += way
     return there
 
 
 def moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> list[float]:
-    """The pose of the tool at `READY`, m further in the base frame."""
+    """Return the pose of the tool at `READY`, shifted in the base frame, in m."""
     pose: list[float] = shifted(ARM.forward(READY, TCP), x, y, z).tolist()
     return pose
 
 
-# -- what is sent --------------------------------------------------------------------------------------
+# -- sent programs -------------------------------------------------------------------------------------
 
 
-def test_each_waypoint_is_a_line_with_its_own_figures() -> None:
+def test_each_waypoint_is_sent_with_given_options() -> None:
     body = planned(
         [
             Linear(moved(z=0.1), blend=0.02),
@@ -77,7 +77,7 @@ def test_each_waypoint_is_a_line_with_its_own_figures() -> None:
     ]
 
 
-# -- what is refused -----------------------------------------------------------------------------------
+# -- rejected paths ------------------------------------------------------------------------------------
 
 REFUSED: list[tuple[list[Waypoint], str]] = [
     ([], "the path has 0 waypoints"),
@@ -87,7 +87,7 @@ REFUSED: list[tuple[list[Waypoint], str]] = [
     ([Joint(READY), Joint([7.0, *READY[1:]])], r"waypoint 1: q\[0\] \(base\) is 7 rad"),
     ([Joint(READY, speed=4.0)], "waypoint 0: speed is 4 rad/s"),
     ([Linear(moved(x=-3.0))], "waypoint 0: the path to it is out of reach: a UR5e cannot bring its tool to"),
-    # The end can be reached, and what is between is within the base.
+    # The end can be reached, but the path to it leads through the base.
     ([Linear(compose([0, 0, 0, 0, 0, math.pi], moved()))], "out of reach: .* from the axis of the base"),
     (
         [Linear(moved(z=0.1), blend=0.06), Linear(moved(y=0.1, z=0.1), blend=0.05), Joint(READY)],
@@ -99,44 +99,44 @@ REFUSED: list[tuple[list[Waypoint], str]] = [
 
 
 @pytest.mark.parametrize(("waypoints", "why"), REFUSED, ids=[why[:40] for _, why in REFUSED])
-def test_what_will_not_do_is_refused(waypoints: list[Waypoint], why: str) -> None:
+def test_impossible_path_is_rejected(waypoints: list[Waypoint], why: str) -> None:
     with pytest.raises(BadValue, match=why):
         planned(waypoints)
 
 
 @pytest.mark.parametrize("bad", [{"blend": -0.1}, {"blend": 20.0}, {"speed": 0.0}, {"acceleration": math.nan}])
-def test_no_such_figures(bad: dict[str, float]) -> None:
+def test_invalid_waypoint_options_are_rejected(bad: dict[str, float]) -> None:
     with pytest.raises(BadValue, match=next(iter(bad))):
         Linear(moved(), **bad)
 
 
-def test_the_largest_and_the_smallest_figures() -> None:
+def test_waypoint_options_are_limited_to_ranges() -> None:
     planned([Linear(moved(), blend=2.0, speed=5.0, acceleration=1e-3), *[Joint(READY)] * 999], arm=None)
     for bad in ({"blend": 2.1}, {"speed": 6.3}, {"speed": 9e-4}, {"acceleration": 41.0}, {"acceleration": 9e-4}):
         with pytest.raises(BadValue, match=next(iter(bad))):
             Joint(READY, **bad)
 
 
-def test_a_waypoint_that_says_how_it_is_reached() -> None:
+def test_waypoint_with_options_has_separate_motion() -> None:
     assert not Joint(READY).has_motion_of_its_own
     for own in ({"blend": 0.1}, {"speed": 0.1}, {"acceleration": 0.1}):
         assert Joint(READY, **own).has_motion_of_its_own
 
 
 def from_there(q: list[float], waypoint: Waypoint, rates: Rates = TOOL_RATES, arm: Arm = ARM) -> PathSection:
-    """One movement from joint positions, of an arm without a tool."""
+    """Return the section for one movement from joint positions, of an arm without a tool."""
     state = RealtimeState("5.11", q_target=q, q_actual=q, tool_vector_actual=arm.forward(q))
     (section,) = plan([waypoint], JOINT_RATES, rates, arm, state).sections
     return section
 
 
 def turned_in_place(q: list[float], angle: float, x: float = 0.0) -> Linear:
-    """The tool turned about its own axis, and m further in the base frame."""
+    """Return a waypoint: the tool turned about its own axis, and shifted in the base frame, in m."""
     return Linear(compose(shifted(ARM.forward(q), x, 0.0, 0.0), [0.0, 0.0, 0.0, 0.0, 0.0, angle]))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_joint_that_would_leave_its_range_on_the_way(sign: float) -> None:
+def test_joint_leaving_range_on_path_is_rejected(sign: float) -> None:
     q = [*READY[:5], sign * 6.15]
     from_there(q, turned_in_place(q, sign * 0.13))
     with pytest.raises(BadValue, match=rf"wrist 3 would be at {sign * 6.3:.3f} rad at 75% of the path; a UR5e reaches"):
@@ -144,40 +144,40 @@ def test_a_joint_that_would_leave_its_range_on_the_way(sign: float) -> None:
 
 
 @pytest.mark.parametrize(("rates", "name"), [(Rates(3.2, 1.0), "speed"), (Rates(1.0, 40.1), "acceleration")])
-def test_a_joint_movement_is_no_faster_than_the_arm(rates: Rates, name: str) -> None:
+def test_joint_movement_faster_than_arm_is_rejected(rates: Rates, name: str) -> None:
     state = RealtimeState("5.11", q_target=READY, q_actual=READY, tool_vector_actual=POSE)
     with pytest.raises(BadValue, match=f"^waypoint 0: {name} is .* UR5e$"):
         plan([Joint(READY + 0.1)], rates, TOOL_RATES, ARM, state)
 
 
-def test_a_tool_that_turns_in_place() -> None:
-    """How fast it turns is not known; that it takes as long as 0.25 m a rad is a guess, which refuses nothing."""
+def test_tool_turning_in_place_has_assumed_duration() -> None:
+    """The speed of such a turn is unknown; the assumed time (0.25 m per rad) rejects no path."""
     q = READY.tolist()
     for way in (0.0, 9e-4):
         assert from_there(q, turned_in_place(q, 1.0, way)).seconds == pytest.approx(TOOL_RATES.seconds(0.25))
         from_there(q, turned_in_place(q, 1.0, way), Rates(100.0, 100.0))
-    # Where it also goes a little way, so much time is counted on, and it is refused where even that is too fast.
+    # If the tool also moves a little, the assumed time counts: the path is rejected if even this time is too short.
     assert from_there(q, turned_in_place(q, 1.0, 0.0015)).seconds == pytest.approx(TOOL_RATES.seconds(0.25))
     with pytest.raises(BadValue, match="would have to turn at"):
         from_there(q, turned_in_place(q, 1.0, 0.0015), Rates(100.0, 100.0))
 
 
-def test_a_way_through_a_singularity_is_refused_however_slow() -> None:
+def test_path_through_singularity_is_rejected_at_any_speed() -> None:
     q = [*READY[:4], -0.001, READY[5]]
     with pytest.raises(BadValue, match=r"elbow would jump by 0\.5\d rad at 0% of the path: .* singularity"):
         from_there(q, Linear(shifted(ARM.forward(q), 0.0, 0.05, 0.0)), Rates(1e-3, 10.0))
 
 
 class Watched(Arm):
-    """Remembers along which poses it was asked to go."""
+    """Arm that records the poses of `inverse_path`."""
 
     def inverse_path(self, poses: ArrayLike, *arguments: Any) -> FloatArray:
         self.poses = np.array(poses)
         return super().inverse_path(poses, *arguments)
 
 
-def test_a_blend_makes_a_way_fast_from_its_beginning_or_to_its_end() -> None:
-    """Close to the axis of the base the joints turn fastest. An arm that stops there is slow enough, others are not."""
+def test_blend_makes_path_fast_at_start_or_end() -> None:
+    """Close to the axis of the base, the joints turn fastest. Only an arm that stops there is slow enough."""
     pose = shifted(ARM.forward(READY), 0.25)
     across = 0.25 * np.array([pose[1], -pose[0]]) / np.hypot(*pose[:2])
     near, away = ARM.inverse(pose, READY), shifted(pose, *across)
@@ -197,12 +197,12 @@ def test_a_blend_makes_a_way_fast_from_its_beginning_or_to_its_end() -> None:
                 plan(waypoints, JOINT_RATES, rates, ARM, state)
 
 
-def test_a_joint_movement_to_where_the_arm_is_is_over() -> None:
+def test_joint_movement_without_distance_is_complete() -> None:
     (section,) = planned([Joint(READY)]).sections
     assert (section.seconds, section.part(state_at(READY))) == (0.0, 1.0)
 
 
-def test_how_closely_a_way_is_looked_at() -> None:
+def test_path_is_sampled_with_limited_step_and_count() -> None:
     arm = Watched("UR5e")
     q = READY.tolist()
     from_there(q, Linear(shifted(arm.forward(q), 0.0, 0.0, 0.0975)), arm=arm)
@@ -217,7 +217,7 @@ def test_how_closely_a_way_is_looked_at() -> None:
     assert len(arm.poses) == 2001
 
 
-def test_how_long_a_movement_takes_from_rest_to_rest() -> None:
+def test_duration_from_rest_to_rest() -> None:
     assert Rates(0.5, 2.0).seconds(1.0) == pytest.approx(2.0 + 0.25)
     assert Rates(0.5, 2.0).seconds(0.08) == pytest.approx(2.0 * 0.2)
     assert Rates(2.0, 1.0).seconds(3.0) == pytest.approx(2.0 * math.sqrt(3.0))
@@ -235,38 +235,38 @@ def test_how_long_a_movement_takes_from_rest_to_rest() -> None:
         (True, True, [3, 3, 3, 3]),
     ],
 )
-def test_how_fast_the_tool_is_on_its_way(is_fast_at_start: bool, is_fast_at_end: bool, speeds: list[float]) -> None:
-    """At 2 m/s² it has 2 m/s after one metre, the middle of the first of four steps, and 3 m/s after 2.25 m."""
+def test_speed_of_tool_along_path(is_fast_at_start: bool, is_fast_at_end: bool, speeds: list[float]) -> None:
+    """At 2 m/s², the speed is 2 m/s after one metre, the middle of the first of four steps, and 3 m/s after 2.25 m."""
     found = path._speed_along(8.0, Rates(3.0, 2.0), 4, is_fast_at_start, is_fast_at_end)
     assert found[:, 0] == pytest.approx(speeds)
 
 
-def test_a_line_past_a_singular_wrist_is_refused_unless_it_is_slow() -> None:
+def test_line_past_singular_wrist_is_rejected_unless_slow() -> None:
     near = READY.copy()
     near[4] = -0.06
     start, end = ARM.forward(near), ARM.forward([*near[:4], 0.06, *near[5:]])
     state = RealtimeState("5.11", q_target=near, q_actual=near, tool_vector_actual=start)
-    # Sideways past the place where joints 4 and 6 turn about the same direction: they have to turn round.
+    # The line passes sideways the place where joints 4 and 6 turn about the same axis, so they have to turn around.
     sideways = [*(start[:3] + 0.2 * (end - start)[:3] / np.linalg.norm((end - start)[:3])), *start[3:]]
     with pytest.raises(BadValue, match=r"waypoint 0: .* would have to turn at .* at \d+% of the path"):
         plan([Linear(sideways)], JOINT_RATES, Rates(1.0, 10.0), ARM, state)
     plan([Linear(sideways)], JOINT_RATES, Rates(0.002, 10.0), ARM, state)
 
 
-def test_of_an_arm_that_nobody_knows_only_the_numbers_are_checked() -> None:
+def test_unknown_arm_checks_numbers_only() -> None:
     found = planned([Linear(moved(x=-3.0)), Joint(READY)], arm=None)
     assert [section.part(state_at(READY)) for section in found.sections] == [0.0, 0.0]
     with pytest.raises(BadValue, match="is the last"):
         planned([Linear(moved(), blend=0.1)], arm=None)
 
 
-# -- what is accepted is carried out -------------------------------------------------------------------
+# -- accepted paths are executed -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("firmware", ["3.15", "5.11"])
-def test_what_is_accepted_breaks_no_limit(seed: int, firmware: str) -> None:
-    """The simulated arm refuses what its joints cannot do. It reaches each waypoint as far as its blend lets it."""
+def test_accepted_path_respects_limits(seed: int, firmware: str) -> None:
+    """The simulated arm rejects motions beyond its joints, and reaches each waypoint as closely as its blend allows."""
     rng = np.random.default_rng(seed)
     rates = Rates(1.0, 5.0)
     version = Firmware.parse(firmware)
@@ -303,11 +303,11 @@ def test_what_is_accepted_breaks_no_limit(seed: int, firmware: str) -> None:
         assert away.min() < (0.05 if waypoint.blend else 1e-4)
 
 
-# -- how far it has got --------------------------------------------------------------------------------
+# -- progress ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.simulated_time
-def test_progress_by_segment(robot: Rehearsal) -> None:
+def test_progress_follows_segments(robot: Rehearsal) -> None:
     up, down = [*HOME[:5], 0.4], list(HOME)
     motion = robot.motion.path([Joint(up), Joint(down), Joint([*HOME[:5], 0.1])])
     long, short = JOINT_RATES.seconds(0.4), JOINT_RATES.seconds(0.1)
@@ -325,7 +325,7 @@ def test_progress_by_segment(robot: Rehearsal) -> None:
     assert motion.progress == pytest.approx(1.25 * long / whole)
     robot.q = list(HOME)
     robot.show()
-    # Somebody else's messages.
+    # Messages of other programs are ignored.
     for text in ("urlink: segment 7", "urlink: segment 3", "urlink: segment", "urlink: segment 2 or so"):
         motion._on_text(text)
         assert motion.segment == 1
@@ -343,7 +343,7 @@ def test_progress_by_segment(robot: Rehearsal) -> None:
 
 
 @pytest.mark.simulated_time
-def test_nothing_is_sent_of_a_path_that_is_refused(robot: Rehearsal) -> None:
+def test_rejected_path_sends_nothing(robot: Rehearsal) -> None:
     with pytest.raises(BadValue, match="waypoint 0"):
         robot.motion.path([Joint([9.0] * 6)])
     assert robot.sent == []
@@ -353,7 +353,7 @@ def test_nothing_is_sent_of_a_path_that_is_refused(robot: Rehearsal) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("arm", "firmware"), [("ur5", "1.8"), ("ur5", "3.15"), ("ur5e", "5.11"), ("ur5e", "10.12")])
 @pytest.mark.simulated_time
-def test_a_path_on_the_simulated_arm(arm: str, firmware: str) -> None:
+def test_path_runs_on_simulated_arm(arm: str, firmware: str) -> None:
     with urlink.connect(f"sim://{arm}?firmware={firmware}", stale_after=20.0, silence=30.0) as robot:
         robot.motion.move_joints(READY, speed=3.0, acceleration=20.0, wait=TIMEOUT)
         here = robot.realtime.wait(TIMEOUT).tool_vector_actual
@@ -370,7 +370,7 @@ def test_a_path_on_the_simulated_arm(arm: str, firmware: str) -> None:
         motion.wait(0.0)
         assert motion.phase is Phase.DONE
         assert {segment for segment, _ in seen} == {0, 1, 2}
-        # A blend ends a movement a little before its end.
+        # With a blend, a movement ends a little before its target.
         assert all(later >= before - 1e-3 for (_, before), (_, later) in pairwise(seen))
         robot.motion.move_linear(up, speed=0.3, wait=TIMEOUT)
         motion_round = robot.motion.move_circular(shifted(here, 0, 0.03, 0.06), aside, speed=0.5)
@@ -379,7 +379,7 @@ def test_a_path_on_the_simulated_arm(arm: str, firmware: str) -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_circle_is_measured_along_it(robot: Rehearsal) -> None:
+def test_progress_of_circle_is_measured_along_arc(robot: Rehearsal) -> None:
     start = robot.pose
     via, to = shifted(start, 0, 0.05, 0.05), shifted(start, 0, 0.1, 0)
     motion = robot.motion.move_circular(via, to)
@@ -394,13 +394,13 @@ def test_a_circle_is_measured_along_it(robot: Rehearsal) -> None:
 
 
 @pytest.mark.simulated_time
-def test_points_in_a_row_are_no_circle(robot: Rehearsal) -> None:
+def test_circle_rejects_points_on_a_line(robot: Rehearsal) -> None:
     with pytest.raises(BadValue, match="are on a straight line"):
         robot.motion.move_circular(shifted(robot.pose, 0, 0.1, 0), shifted(robot.pose, 0, 0.2, 0))
     assert robot.sent == []
 
 
-# -- waiting for it ------------------------------------------------------------------------------------
+# -- waiting -------------------------------------------------------------------------------------------
 
 WAITING: list[Callable[[Rehearsal, float], object]] = [
     lambda r, wait: r.motion.move_joints(HOME, wait=wait),
@@ -413,7 +413,7 @@ WAITING: list[Callable[[Rehearsal, float], object]] = [
 
 @pytest.mark.parametrize("move", WAITING)
 @pytest.mark.simulated_time
-def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, float], object]) -> None:
+def test_wait_option_waits_for_end(robot: Rehearsal, move: Callable[[Rehearsal, float], object]) -> None:
     def play() -> None:
         until(lambda: robot.sent)
         robot.begin()
@@ -442,7 +442,7 @@ def test_waits_when_it_is_asked_to(robot: Rehearsal, move: Callable[[Rehearsal, 
     ids=["wait=True", "wait()", "stop"],
 )
 @pytest.mark.real_time
-def test_an_interrupted_wait_cancels_the_motion(robot: Rehearsal, waiting: Callable[[Rehearsal], object]) -> None:
+def test_interrupted_wait_cancels_motion(robot: Rehearsal, waiting: Callable[[Rehearsal], object]) -> None:
     def begins() -> bool:
         if robot.motion.current is None:
             return False
@@ -457,14 +457,14 @@ def test_an_interrupted_wait_cancels_the_motion(robot: Rehearsal, waiting: Calla
 
 
 @pytest.mark.real_time
-def test_waiting_can_end_without_the_motion(robot: Rehearsal) -> None:
+def test_interrupted_wait_can_keep_motion(robot: Rehearsal) -> None:
     motion = robot.motion.move_joints(HOME)
     interrupted(lambda: motion.wait(TIMEOUT, cancel=False))
     assert robot.motion.current is motion
 
 
 @pytest.mark.simulated_time
-def test_what_ends_a_motion_is_raised_while_it_is_waited_for(robot: Rehearsal) -> None:
+def test_wait_raises_reason_of_end(robot: Rehearsal) -> None:
     def preempt() -> None:
         until(lambda: robot.motion.current is not None)
         robot.begin()

@@ -1,4 +1,4 @@
-"""Motions whose program is paused, by a button or a safeguard stop, and an arm that is moved meanwhile."""
+"""Motions whose program is paused, by a button or a safeguard stop; the arm might be moved meanwhile."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def cell() -> Iterator[Callable[[str, str], Cell]]:
 
 
 def pressed(cell: Cell, button: Callable[[], bool]) -> None:
-    """A button of the pendant is pressed, with success."""
+    """Press a button of the pendant; it must succeed."""
     results: list[bool] = []
     cell.controller.call(lambda: results.append(button()))
     assert results == [True]
 
 
 def comes_to_rest(cell: Cell) -> FloatArray:
-    time.sleep(0.1)  # to set out, if it stands yet
+    time.sleep(0.1)  # the arm might not have started yet
     until(lambda: not cell.controller.arm.is_moving, TIMEOUT)
     time.sleep(0.1)
     return np.array(cell.controller.arm.setpoint.q)
@@ -63,8 +63,8 @@ def comes_to_rest(cell: Cell) -> FloatArray:
 @pytest.mark.slow
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
-def test_goes_on_smoothly_from_where_it_was_paused(cell: Callable[[str, str], Cell], way: str) -> None:
-    """At full speed, and ahead of where the last set-point was: it does not go back."""
+def test_motion_resumes_smoothly_after_pause(cell: Callable[[str, str], Cell], way: str) -> None:
+    """The arm was at full speed and stopped beyond the last set-point; it does not move back."""
     arm, firmware, options = WAYS[way]
     one = cell(arm, firmware)
     _, told, _ = followed(one, **options)
@@ -92,7 +92,7 @@ def test_goes_on_smoothly_from_where_it_was_paused(cell: Callable[[str, str], Ce
 
 
 def moved_after(cell: Cell, act: Callable[[], object], seconds: float = 1.5) -> float:
-    """rad by which the furthest joint goes anywhere from what is done on."""
+    """Call `act` and return the largest distance that any joint moves afterwards, in rad."""
     cell.path.clear()
     here = np.array(cell.controller.arm.setpoint.q)
     act()
@@ -103,8 +103,8 @@ def moved_after(cell: Cell, act: Callable[[], object], seconds: float = 1.5) -> 
 @pytest.mark.slow
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
-def test_an_arm_that_was_jogged_away_is_left_there(cell: Callable[[str, str], Cell], way: str) -> None:
-    """The program goes on, and its set-points from before the pause are there; the arm is not led back to them."""
+def test_arm_jogged_away_in_pause_is_not_moved_back(cell: Callable[[str, str], Cell], way: str) -> None:
+    """The program resumes and set-points from before the pause are queued, but the arm does not move back."""
     arm, firmware, options = WAYS[way]
     one = cell(arm, firmware)
     pendant = one.controller.pendant
@@ -127,10 +127,10 @@ def test_an_arm_that_was_jogged_away_is_left_there(cell: Callable[[str, str], Ce
 @pytest.mark.matrix(5)
 @pytest.mark.parametrize("firmware", ["3.2", "3.15", "5.11", "10.12"])
 @pytest.mark.parametrize("how", ["move_joints", "move_linear", "path"])
-def test_what_the_controller_executes_is_stopped_where_the_arm_was_jogged_away(
+def test_controller_motion_ends_if_arm_is_jogged_away(
     cell: Callable[[str, str], Cell], how: str, firmware: str
 ) -> None:
-    """Played, the controller would lead the arm back onto its way."""
+    """If it resumed, the controller would move the arm back onto its path."""
     one = cell("UR5e" if Firmware.parse(firmware).is_e_series else "UR5", firmware)
     pendant, motions = one.controller.pendant, one.robot.motion
     goal = [*READY[:4], READY[4] + 0.2, 1.0]
@@ -154,7 +154,7 @@ def test_what_the_controller_executes_is_stopped_where_the_arm_was_jogged_away(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["move_joints", "path"])
-def test_what_the_controller_executes_goes_on_after_a_pause(cell: Callable[[str, str], Cell], how: str) -> None:
+def test_controller_motion_resumes_after_pause(cell: Callable[[str, str], Cell], how: str) -> None:
     one = cell("UR5e", "5.11")
     pendant, motions = one.controller.pendant, one.robot.motion
     goal = [*READY[:5], 1.0]
@@ -171,8 +171,8 @@ def test_what_the_controller_executes_goes_on_after_a_pause(cell: Callable[[str,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["streamed at 500 Hz", "points at 500 Hz"])
-def test_an_arm_that_was_moved_a_little_goes_on_from_there(cell: Callable[[str, str], Cell], way: str) -> None:
-    """By hand, in freedrive, within `start_tolerance`."""
+def test_arm_moved_a_little_resumes_from_new_position(cell: Callable[[str, str], Cell], way: str) -> None:
+    """Move the arm by hand, in freedrive, within `start_tolerance`."""
     one = cell(*WAYS[way][:2])
     pendant = one.controller.pendant
     motion = one.robot.motion.follow(curve(), start_tolerance=0.2, **WAYS[way][2])
@@ -198,8 +198,8 @@ def test_an_arm_that_was_moved_a_little_goes_on_from_there(cell: Callable[[str, 
 
 @pytest.mark.matrix(5)
 @pytest.mark.parametrize("way", WAYS)
-def test_what_is_given_up_in_a_pause_does_not_go_on(cell: Callable[[str, str], Cell], way: str) -> None:
-    """Its program reads nothing meanwhile, and would set out before it reads that it is to end."""
+def test_motion_cancelled_in_pause_does_not_resume(cell: Callable[[str, str], Cell], way: str) -> None:
+    """A paused program reads nothing, and would move before it reads that it must end."""
     arm, firmware, options = WAYS[way]
     one = cell(arm, firmware)
     motion = one.robot.motion.follow(curve(), **options)
@@ -211,7 +211,7 @@ def test_what_is_given_up_in_a_pause_does_not_go_on(cell: Callable[[str, str], C
     assert moved_after(one, lambda: one.controller.call(one.controller.pendant.play)) < REST
 
 
-def test_a_loop_that_is_left_in_a_pause_does_not_go_on(cell: Callable[[str, str], Cell]) -> None:
+def test_loop_left_in_pause_does_not_resume(cell: Callable[[str, str], Cell]) -> None:
     one = cell("UR5e", "5.11")
     with one.robot.motion.servo() as servo:
         for part in np.linspace(0.0, 0.1, 200):
@@ -227,10 +227,8 @@ def test_a_loop_that_is_left_in_a_pause_does_not_go_on(cell: Callable[[str, str]
 @pytest.mark.matrix(5)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("resumes", [True, False])
-def test_a_safeguard_stop_ends_it_and_nothing_moves_after(
-    cell: Callable[[str, str], Cell], way: str, resumes: bool
-) -> None:
-    """Also where the controller lets its program go on by itself."""
+def test_safeguard_stop_ends_motion_for_good(cell: Callable[[str, str], Cell], way: str, resumes: bool) -> None:
+    """This holds even if the controller resumes the program automatically."""
     arm, firmware, options = WAYS[way]
     one = cell(arm, firmware)
     motion = one.robot.motion.follow(curve(), **options)
@@ -240,12 +238,12 @@ def test_a_safeguard_stop_ends_it_and_nothing_moves_after(
         motion.wait(TIMEOUT)
     comes_to_rest(one)
     assert moved_after(one, one.controller.faults.clear) < REST
-    # The robot stops what is left of the program as soon as it may, so there is nothing to play.
+    # The robot stops the rest of the program as early as possible, so there is nothing to play.
     until(lambda: not one.controller.is_running_program, TIMEOUT)
     one.robot.motion.move_joints(READY).wait(TIMEOUT)
 
 
-def test_closing_during_a_stop_says_that_the_program_is_paused(
+def test_close_during_stop_logs_paused_program(
     cell: Callable[[str, str], Cell], caplog: pytest.LogCaptureFixture
 ) -> None:
     one = cell("UR5e", "5.11")
@@ -261,7 +259,7 @@ def test_closing_during_a_stop_says_that_the_program_is_paused(
 
 
 @pytest.mark.parametrize("target_filter", [None, pytest.param("jerk_limited", marks=pytest.mark.slow)])
-def test_a_loop_of_ones_own_begins_anew_after_a_pause(cell: Callable[[str, str], Cell], target_filter: Any) -> None:
+def test_user_loop_restarts_after_pause(cell: Callable[[str, str], Cell], target_filter: Any) -> None:
     one = cell("UR5e", "5.11")
     pendant = one.controller.pendant
     with one.robot.motion.servo(target_filter=target_filter) as servo:
@@ -286,7 +284,7 @@ def test_a_loop_of_ones_own_begins_anew_after_a_pause(cell: Callable[[str, str],
 
 
 @pytest.mark.slow
-def test_a_set_point_that_ran_on_in_a_pause_is_refused(cell: Callable[[str, str], Cell]) -> None:
+def test_set_point_advanced_in_pause_is_rejected(cell: Callable[[str, str], Cell]) -> None:
     one = cell("UR5e", "5.11")
     pendant = one.controller.pendant
     with one.robot.motion.servo() as servo:
@@ -304,16 +302,18 @@ def test_a_set_point_that_ran_on_in_a_pause_is_refused(cell: Callable[[str, str]
     assert np.ptp(np.array(one.path)[:, 5]) < REST
 
 
-# -- what users of the vendor's driver report ------------------------------------------------------------
+# -- problems that users of the vendor's driver report ---------------------------------------------------
 
 
 @pytest.mark.slow
 @pytest.mark.matrix(2)
 @pytest.mark.parametrize("way", ["streamed at 500 Hz", "registers at 125 Hz", "points at 500 Hz"])
 @pytest.mark.parametrize("how", ["jogged", "freedrive"])
-def test_stopped_at_the_pendant_and_moved(cell: Callable[[str, str], Cell], way: str, how: str) -> None:
-    """Universal_Robots_ROS2_Driver#515 and #279: the program is stopped, the arm is moved, and what comes next leads it
-    back to the old target. Here the next motion begins where the arm is, or is refused.
+def test_arm_moved_after_pendant_stop_is_not_moved_back(cell: Callable[[str, str], Cell], way: str, how: str) -> None:
+    """Universal_Robots_ROS2_Driver#515 and #279: after a stop, the next motion leads to an old target.
+
+    There, the program is stopped, the arm is moved, and the next motion moves it back to the old target. Here, the next
+    motion starts where the arm is, or is rejected.
     """
     arm, firmware, options = WAYS[way]
     one = cell(arm, firmware)
@@ -349,8 +349,8 @@ def test_stopped_at_the_pendant_and_moved(cell: Callable[[str, str], Cell], way:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["streamed at 500 Hz", "points at 500 Hz"])
-def test_stopped_by_the_safety_system_and_played_again(cell: Callable[[str, str], Cell], way: str) -> None:
-    """Universal_Robots_ROS2_Driver#1084: after a protective stop that is unlocked, *play* leads to the old target."""
+def test_play_after_protective_stop_does_not_move_arm(cell: Callable[[str, str], Cell], way: str) -> None:
+    """Universal_Robots_ROS2_Driver#1084: after an unlocked protective stop, *play* moves the arm to the old target."""
     arm, firmware, options = WAYS[way]
     one = cell(arm, firmware)
     motion = one.robot.motion.follow(curve(), **options)
@@ -367,8 +367,8 @@ def test_stopped_by_the_safety_system_and_played_again(cell: Callable[[str, str]
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("version", ["1.8", "3.15", "5.11"])
-def test_a_program_that_is_found_elsewhere_follows_nothing_from_before(version: str) -> None:
-    """Nobody tells it of the pause; what waits in its socket, and its own coasting, do not lead the arm back."""
+def test_program_ignores_old_set_points_after_displacement(version: str) -> None:
+    """The program is not notified of the pause. Queued set-points and coasting do not move the arm back."""
     firmware = Firmware.parse(version)
     speeds = largest_speeds(model("UR5e" if firmware.is_e_series else "UR5"))
     how = Servoing(firmware, speeds, 0.1, 0.03, 300.0)

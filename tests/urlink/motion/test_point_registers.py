@@ -1,4 +1,4 @@
-"""Streams of points over registers: what is written, what is reported, and messages that are lost."""
+"""Streams of points over registers: written values, reports, and lost messages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Registered(Streamed):
     """A stream over registers.
 
     Args:
-        lost: part of the messages that another one overwrites before the program looks.
+        lost: Fraction of the messages that another message overwrites before the program reads them.
     """
 
     def __init__(self, firmware: Firmware, lost: float = 0.0, **options: Any) -> None:
@@ -55,8 +55,8 @@ class Registered(Streamed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_set_points_are_on_the_curve_of_the_points(firmware: Firmware) -> None:
-    """As they are over a connection, cycle by cycle, but for when they begin."""
+def test_set_points_equal_stream_over_connection(firmware: Firmware) -> None:
+    """The set-points of each cycle are the same as over a connection, apart from their start."""
     paths = []
     for stream in (Streamed(firmware), Registered(firmware)):
         stream.append(waves(0.05, 2.0))
@@ -69,14 +69,14 @@ def test_set_points_are_on_the_curve_of_the_points(firmware: Firmware) -> None:
 
 
 @pytest.mark.slow
-def test_messages_that_are_lost_are_said_again() -> None:
+def test_lost_messages_are_repeated() -> None:
     stream = Registered(E_SERIES, lost=0.3, buffer=0.5)
     stream.append(waves(0.05, 3.0, spacing=0.02))
     stream.until(lambda: stream.feed.time > 1.0)
     for _ in range(30):
         looked = stream.feed.time
         since = stream.replace(looked, [wave(looked + 0.05 * i) for i in range(1, 61)])
-        # One that was lost does not count as one that came too late, after which more time is given to it.
+        # A lost message does not count as late. After a late message, the next one would get more time.
         assert since - looked < 0.03
     end = looked + 3.0
     stream.run_dry()
@@ -88,7 +88,7 @@ def test_messages_that_are_lost_are_said_again() -> None:
 
 
 @pytest.mark.slow
-def test_a_tail_is_replaced_and_cleared() -> None:
+def test_tail_is_replaced_and_cleared() -> None:
     stream = Registered(E_SERIES)
     stream.append(waves(0.05, 3.0))
     stream.until(lambda: stream.feed.time > 0.5)
@@ -100,8 +100,8 @@ def test_a_tail_is_replaced_and_cleared() -> None:
     assert stream.feed.starved == 0
 
 
-def test_which_registers_it_has() -> None:
-    """Integers from 24 to 29 are left to users, and so are outputs below 30 and above 36."""
+def test_registers_of_point_streams() -> None:
+    """Integer inputs 24 to 29 are left to users, and so are outputs below 30 and above 36."""
     assert [name for name in POINT_INPUTS if "int" in name] == [f"input_int_register_{i}" for i in range(30, 44)]
     assert [name for name in POINT_INPUTS if "double" in name] == [f"input_double_register_{i}" for i in range(24, 36)]
     assert [*POINT_OUTPUTS] == [f"output_int_register_{i}" for i in range(30, 37)]
@@ -109,8 +109,8 @@ def test_which_registers_it_has() -> None:
     assert (endpoint.first_float, endpoint.first_integer, endpoint.first_output) == (24, 30, 30)
 
 
-def test_the_outputs_are_asked_for_once() -> None:
-    """They are started with each link: the connection may have been closed meanwhile."""
+def test_outputs_are_requested_once() -> None:
+    """Each link starts them, because the connection might have been closed meanwhile."""
     asked: list[tuple[str, ...]] = []
     started: list[None] = []
     stream = SimpleNamespace(latest="newest", start=lambda: started.append(None))
@@ -127,8 +127,8 @@ def test_the_outputs_are_asked_for_once() -> None:
     assert asked == [POINT_OUTPUTS]
 
 
-def test_after_the_largest_number_of_a_message_comes_one() -> None:
-    """Never 0, which is what a register holds that nobody has written."""
+def test_message_number_wraps_to_one() -> None:
+    """The number is never 0, because an unwritten register holds 0."""
     packages: list[dict[str, float]] = []
     link = PointRegisterLink(Inputs(packages.append), lambda: None)
     link._count = 0x7FFF_FFFE  # as after 49 days at 500 Hz
@@ -138,8 +138,8 @@ def test_after_the_largest_number_of_a_message_comes_one() -> None:
 
 
 @pytest.mark.parametrize("after", [1, 60, 100, 101, 102, 110, 400])
-def test_points_are_taken_and_cuts_answered_whatever_the_numbers_of_the_messages(after: int) -> None:
-    """The numbers begin anew after so many messages: before, during and after a cut, or once the stream is dry."""
+def test_points_and_cuts_work_when_message_number_wraps(after: int) -> None:
+    """The numbers start again after some messages: before, during and after a cut, or when the stream is dry."""
     stream = Registered(E_SERIES, lost=0.2)
     stream.link._count = stream.feed._messages = stream.feed._last_answered = 0x7FFF_FFFF - after
     stream.append(waves(0.05, 0.5))
@@ -153,7 +153,7 @@ def test_points_are_taken_and_cuts_answered_whatever_the_numbers_of_the_messages
     assert stream.bench.texts == ["tried started"]
 
 
-def test_outputs_may_stay_away_for_a_second() -> None:
+def test_outputs_may_be_missing_for_a_second() -> None:
     there: list[Any] = [None]
     now = [8.0]
     link = PointRegisterLink(Inputs(lambda package: None), lambda: there[0], lambda: now[0])
@@ -168,7 +168,7 @@ def test_outputs_may_stay_away_for_a_second() -> None:
         link.received()
 
 
-def test_what_is_written_and_what_is_heard() -> None:
+def test_link_writes_messages_and_reads_reports() -> None:
     packages: list[dict[str, float]] = []
     there: list[Any] = [None]
     now = [0.0]
@@ -183,7 +183,7 @@ def test_what_is_written_and_what_is_heard() -> None:
     assert list(packages[0].values())[:14] == [links.STOP, *[0] * 10, 7, 1, token]
     assert list(packages[1].values()) == [*range(1, 12), 500, 2, token, *range(12, 24)]
     there[0] = SimpleNamespace(**dict(zip(POINT_OUTPUTS, [1, 2, 3, 4, 5, 6, token + 1], strict=True)))
-    assert link.received() == b""  # it is another program's
+    assert link.received() == b""  # the outputs belong to another program
     there[0] = SimpleNamespace(**dict(zip(POINT_OUTPUTS, [1, 2, 3, 4, 5, 6, token], strict=True)))
     assert link.received() == b"".join(each.to_bytes(4, "big") for each in range(1, 7))
     assert link.received() == b""

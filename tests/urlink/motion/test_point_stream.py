@@ -1,4 +1,4 @@
-"""What a user asks of a stream of points, on a robot that is played by the test and takes none of them."""
+"""Calls of a point stream, on a robot that the test plays and that accepts no points."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ def there(angle: float, t: float) -> TrajectoryPoint:
     return TrajectoryPoint(turned(angle), t)
 
 
-# -- what it begins with -----------------------------------------------------------------------------------
+# -- start -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("firmware", "buffer", "capacity"),
     [("5.11", 0.3, 79), ("5.11", 0.5, 129), ("5.11", 10.0, 256), ("3.4", 0.48, 34), ("3.4", 0.05, 7)],
 )
-def test_the_program_holds_as_many_points_as_fit_into_its_buffer(
+def test_buffer_determines_number_of_points(
     rehearsal: Callable[..., Rehearsal], firmware: str, buffer: float, capacity: int
 ) -> None:
-    """Two cycles apart, 256 at most."""
+    """Points are two cycles apart, and there are at most 256."""
     robot = rehearsal(firmware, "UR5" if firmware < "5" else "UR5e")
     with entered(robot, robot.motion.stream(buffer, watchdog=0.5)) as stream:
         assert stream.buffer == buffer
@@ -48,7 +48,7 @@ def test_the_program_holds_as_many_points_as_fit_into_its_buffer(
         )
 
 
-def test_a_firmware_that_cannot_hold_points(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_old_firmware_cannot_buffer_points(rehearsal: Callable[..., Rehearsal]) -> None:
     for firmware, model, why in (
         ("1.8", "UR5", "CB2 controllers cannot read binary messages"),
         ("3.3", "UR5", "its URScript does not have the required functions"),
@@ -60,7 +60,7 @@ def test_a_firmware_that_cannot_hold_points(rehearsal: Callable[..., Rehearsal])
             robot.motion.stream()
 
 
-def test_before_its_block_nothing_is_told(robot: Rehearsal) -> None:
+def test_stream_rejects_calls_outside_block(robot: Rehearsal) -> None:
     stream = robot.motion.stream()
     assert (stream.time, stream.end, stream.buffered, stream.room, stream.starved) == (0.0, 0.0, 0.0, 0.5, 0)
     assert stream.is_dry
@@ -80,21 +80,21 @@ def test_before_its_block_nothing_is_told(robot: Rehearsal) -> None:
 
 @pytest.fixture
 def stream(robot: Rehearsal) -> Any:
-    """In its block; no state comes, so no point is sent."""
+    """Stream in its block; no state arrives, so no point is sent."""
     with entered(robot, robot.motion.stream(0.5)) as stream:
         while not stream._feed.begun.done():
             robot.show()
         yield stream
 
 
-def test_points_that_wait_in_memory(stream: Any) -> None:
+def test_unsent_points_count_for_end_and_room(stream: Any) -> None:
     assert stream.append([there(0.1, 0.4), there(0.2, 0.8)], wait=False) == pytest.approx(-0.3)
     assert (stream.end, stream.time, stream.is_dry) == (0.8, 0.0, False)
     assert stream.buffered == 0.8
     assert stream.room == pytest.approx(-0.3)
 
 
-def test_where_it_is_and_how_often_it_starved(stream: Any) -> None:
+def test_properties_report_the_feed(stream: Any) -> None:
     stream._feed = SimpleNamespace(time=3.0, mark=SimpleNamespace(time=2.0), starved=7, is_dry=True)
     assert (stream.time, stream.end, stream.buffered, stream.room, stream.starved) == (3.0, 2.0, 0.0, 0.5, 7)
     assert stream.is_dry
@@ -107,7 +107,7 @@ def test_where_it_is_and_how_often_it_starved(stream: Any) -> None:
         (lambda stream: stream.wait_until_dry(0.7), 0.7, "the stream did not run dry within 0.7 s"),
     ],
 )
-def test_each_wait_has_an_end(stream: Any, call: Callable[[Any], object], seconds: float, why: str) -> None:
+def test_each_wait_times_out(stream: Any, call: Callable[[Any], object], seconds: float, why: str) -> None:
     stream.append(there(0.05, 0.2), wait=False)
     begin = time.monotonic()
     with pytest.raises(LinkTimeout, match=re.escape(why)):
@@ -123,7 +123,7 @@ def test_each_wait_has_an_end(stream: Any, call: Callable[[Any], object], second
         (lambda stream: stream._await_answer(), "the robot did not answer within 10 s"),
     ],
 )
-def test_a_change_is_waited_for_for_ten_seconds(stream: Any, call: Callable[[Any], object], why: str) -> None:
+def test_change_times_out_after_ten_seconds(stream: Any, call: Callable[[Any], object], why: str) -> None:
     never: Future[Any] = Future()
     stream._feed.replace = lambda since, curve: never
     stream._feed.answered = lambda: never
@@ -134,16 +134,16 @@ def test_a_change_is_waited_for_for_ten_seconds(stream: Any, call: Callable[[Any
 
 
 @pytest.mark.parametrize("call", [lambda stream: stream.clear(), lambda stream: stream.wait_until_dry(30.0)])
-def test_it_begins_once_the_arm_rests(robot: Rehearsal, call: Callable[[Any], object]) -> None:
+def test_calls_time_out_if_arm_does_not_come_to_rest(robot: Rehearsal, call: Callable[[Any], object]) -> None:
     with entered(robot, robot.motion.stream()) as stream:
-        cast(Any, stream)._feed.begun = Future()  # it does not
+        cast(Any, stream)._feed.begun = Future()  # never done, because the arm does not come to rest
         begin = time.monotonic()
         with pytest.raises(LinkTimeout, match="the arm did not come to rest within 10 s"):
             call(stream)
         assert time.monotonic() - begin == pytest.approx(10.0, abs=0.05)
 
 
-def test_all_is_cleared_and_waited_for_for_a_minute(stream: Any) -> None:
+def test_clear_replaces_all_and_dry_wait_is_a_minute(stream: Any) -> None:
     put: list[tuple[float, Sequence[Aim]]] = []
     waited: list[float] = []
     stream._put = lambda since, curve: put.append((since, curve))
@@ -158,7 +158,7 @@ def test_all_is_cleared_and_waited_for_for_a_minute(stream: Any) -> None:
         stream.wait_until_dry(float("inf"))
 
 
-def test_room_is_waited_for_for_a_minute_or_not_at_all(stream: Any) -> None:
+def test_append_waits_a_minute_for_room_by_default(stream: Any) -> None:
     waited: list[float] = []
     stream._await_room = lambda handed, seconds: waited.append(seconds)
     stream.append(there(0.1, 0.4))
@@ -166,25 +166,25 @@ def test_room_is_waited_for_for_a_minute_or_not_at_all(stream: Any) -> None:
     assert waited == [60.0]
 
 
-def test_there_is_one_producer(stream: Any) -> None:
+def test_second_producer_is_rejected(stream: Any) -> None:
     with stream._producing():
         with pytest.raises(LocalError, match="only one may do so at once"):
             stream.append(there(0.1, 0.4))
         with pytest.raises(LocalError, match="only one may do so at once"):
             stream.replace(0.0, there(0.1, 0.4))
-        stream.clear()  # is for any thread
+        stream.clear()  # allowed in any thread
     with pytest.raises(BadValue):
         stream.append([])
     stream.append(there(0.1, 0.4), wait=False)
 
 
-def test_points_are_read_again_where_another_thread_has_cleared_the_stream(stream: Any) -> None:
+def test_points_are_read_again_after_concurrent_clear(stream: Any) -> None:
     after, read = stream._reader.after, list[float]()
 
     def clears(points: Any, mark: Any, begins: float) -> Sequence[Aim]:
         read.append(mark.time)
         if len(read) == 1:
-            stream._feed.skip(2.0)  # where nothing is left it ends elsewhere after that
+            stream._feed.skip(2.0)  # an empty stream then has another end
         return cast(Sequence[Aim], after(points, mark, begins))
 
     stream._reader.after = clears
@@ -193,8 +193,8 @@ def test_points_are_read_again_where_another_thread_has_cleared_the_stream(strea
     assert stream.end == 3.0
 
 
-def test_a_trajectory_that_begins_later(stream: Any) -> None:
-    """As of several arms: nothing is left, so the clock is set forward."""
+def test_trajectory_may_start_later(stream: Any) -> None:
+    """Set the clock forward, as for several arms, because no points are left."""
     path = Trajectory.from_arrays([0, 1], [turned(0.0), turned(0.1)])
     mark, aims = stream._checked(path, 4.0)
     assert mark.time == stream.time == 4.0
@@ -203,14 +203,14 @@ def test_a_trajectory_that_begins_later(stream: Any) -> None:
     assert mark.time == 4.0
 
 
-def test_a_pose_is_reached_with_the_tool_that_the_robot_shows(stream: Any) -> None:
+def test_pose_is_reached_with_current_tool(stream: Any) -> None:
     q = turned(0.1)
     (point,) = stream._checked(PosePoint(Arm("UR5e").forward(q), 1.0))[1]
     assert point.moment.q == pytest.approx(q, abs=1e-6)
     assert stream._curve(PosePoint(Arm("UR5e").forward(HOME), 1.0), 0.0)[0].moment.q == pytest.approx(HOME, abs=1e-6)
 
 
-def test_what_is_asked_of_the_feed(stream: Any) -> None:
+def test_calls_are_passed_to_the_feed(stream: Any) -> None:
     asked: list[tuple[Any, ...]] = []
     stream._feed = SimpleNamespace(
         check=lambda *what: asked.append(("check", *what)),
@@ -226,9 +226,9 @@ def test_what_is_asked_of_the_feed(stream: Any) -> None:
 # -- its end -----------------------------------------------------------------------------------------------
 
 
-def test_what_was_not_sent_when_its_block_is_left(robot: Rehearsal) -> None:
+def test_feed_ends_with_error_of_stream(robot: Rehearsal) -> None:
     ended: list[Exception] = []
-    for error in (None, ConnectionLost("it is away")):
+    for error in (None, ConnectionLost("stream lost")):
         stream = robot.motion.stream()
         cast(Any, stream)._feed.end = ended.append
         if error is None:
@@ -239,13 +239,13 @@ def test_what_was_not_sent_when_its_block_is_left(robot: Rehearsal) -> None:
     assert "the block of this stream was left" in str(ended[0])
 
 
-def test_the_reason_of_its_end_is_what_a_call_raises(stream: Any) -> None:
+def test_call_raises_reason_of_end(stream: Any) -> None:
     failed: Future[float] = Future()
     failed.set_exception(Cancelled("dropped"))
     with pytest.raises(Cancelled, match="dropped"):
         stream._answered(failed)
-    stream._life.fail(ConnectionLost("it is away"))
-    with pytest.raises(ConnectionLost, match="it is away"):
+    stream._life.fail(ConnectionLost("stream lost"))
+    with pytest.raises(ConnectionLost, match="stream lost"):
         stream._answered(failed)
     refused: Future[float] = Future()
     refused.set_exception(ValueError("not of the link"))
@@ -253,7 +253,7 @@ def test_the_reason_of_its_end_is_what_a_call_raises(stream: Any) -> None:
         stream._answered(refused)
 
 
-def test_it_goes_on_with_others(robot: Rehearsal) -> None:
+def test_stream_joins_and_leaves_common_pace(robot: Rehearsal) -> None:
     left: list[int] = []
     pace = SimpleNamespace(is_paused=None, leave=lambda: left.append(1))
     stream = robot.motion.stream()

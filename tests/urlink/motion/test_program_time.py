@@ -1,4 +1,4 @@
-"""The time of a program, state by state, and its pauses. (The controller's clock is with the follower.)"""
+"""The time of a program, state by state, and its pauses. `test_follower.py` tests the controller's clock."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def state(scaling: float | None, program: ProgramState | None = PLAYING, time: f
         (1.5, PLAYING, 1.0),
     ],
 )
-def test_how_fast_a_program_is(scaling: float | None, program: ProgramState | None, rate: float) -> None:
+def test_rate_is_the_reported_scaling(scaling: float | None, program: ProgramState | None, rate: float) -> None:
     assert reported_scaling(state(scaling, program)) == rate
     assert is_paused(state(scaling, program)) == (program in (PAUSED, PAUSING))
 
 
-def test_its_time_is_the_controllers_by_the_mean_of_two_states() -> None:
+def test_program_time_uses_mean_scaling_of_two_states() -> None:
     clock, wall = ProgramTimer(0.002), ProgramTimer(0.002, "ignore")
     seen = [(0.5, 0.0), (0.5, 0.002), (1.0, 0.002), (0.0, 0.01), (0.0, 1.0), (0.2, 0.002)]
     expected, now = [0.0, 0.001, 0.0015, 0.005, 0.0, 0.0002], 0.0
@@ -59,7 +59,7 @@ def test_its_time_is_the_controllers_by_the_mean_of_two_states() -> None:
         assert wall.rate == 1.0
 
 
-def test_a_program_that_goes_on_is_slow_at_first() -> None:
+def test_resumed_program_is_slow_at_first() -> None:
     clock = ProgramTimer(0.008)
     clock.passed(state(1.0, time=50.0), 0.0)
     clock.passed(state(1.0, time=50.008), 0.008)
@@ -81,21 +81,21 @@ def test_a_program_that_goes_on_is_slow_at_first() -> None:
 
 
 def arm(turned: float = 0.0, speed: float = 0.0, program: ProgramState = PAUSED) -> RealtimeState:
-    """Joint 4 is turned, and moves."""
+    """Return a state with joint 4 turned, at some speed."""
     q, qd = np.zeros(6), np.zeros(6)
     q[4], qd[4] = turned, speed
     return cast(RealtimeState, SimpleNamespace(q_target=q, qd_target=qd, program_state=program))
 
 
-def test_an_arm_that_is_where_it_came_to_rest_goes_on() -> None:
+def test_arm_at_rest_position_may_resume() -> None:
     pause = Pause("a motion", 0.05)
     assert [pause.look(arm(0.1 * n, program=PLAYING)) for n in range(3)] == [False] * 3
     assert (pause.holds, pause.is_over, pause.count) == (False, False, 0)
     for _ in range(2):
         assert pause.look(arm(0.3, 1.0, PAUSING))
         assert pause.look(arm(0.4, -1.1e-4))
-        assert pause.look(arm(0.5, 0.9e-4))  # here it rests
-        assert pause.look(arm(0.9, 0.0))  # it is pushed, and back in time
+        assert pause.look(arm(0.5, 0.9e-4))  # the arm is at rest here
+        assert pause.look(arm(0.9, 0.0))  # the arm is pushed, and returns in time
         assert pause.holds
         assert not pause.look(arm(0.5 + 0.0499, program=PLAYING))
         assert pause.is_over
@@ -104,7 +104,7 @@ def test_an_arm_that_is_where_it_came_to_rest_goes_on() -> None:
 
 
 @pytest.mark.parametrize("moved", [0.0501, -0.0501])
-def test_an_arm_that_was_moved_does_not_go_on(moved: float) -> None:
+def test_arm_moved_in_pause_may_not_resume(moved: float) -> None:
     pause = Pause("a motion", 0.05)
     pause.look(arm(0.5))
     pause.look(arm(0.5 + moved))
@@ -116,7 +116,7 @@ def test_an_arm_that_was_moved_does_not_go_on(moved: float) -> None:
     assert (pause.holds, pause.is_over, pause.count) == (False, True, 1)
 
 
-def test_where_it_is_looked_at_once_the_pause_need_not_be_over() -> None:
+def test_at_once_raises_before_end_of_pause() -> None:
     pause = Pause("a motion", 0.05, at_once=True)
     pause.look(arm(0.2, 1.0, PAUSING))
     pause.look(arm(0.5))
@@ -125,11 +125,11 @@ def test_where_it_is_looked_at_once_the_pause_need_not_be_over() -> None:
         pause.look(arm(0.551))
 
 
-def test_an_arm_that_had_not_come_to_rest_may_be_anywhere() -> None:
+def test_arm_not_yet_at_rest_may_be_anywhere() -> None:
     pause = Pause("a motion", 0.05)
     pause.look(arm(0.2, 1.0, PAUSING))
     assert not pause.look(arm(0.5, program=PLAYING))
-    # The place of the pause before does not count.
+    # The position of the previous pause does not count.
     pause.look(arm(0.6))
     pause.look(arm(0.6, program=PLAYING))
     pause.look(arm(0.9, 1.0, PAUSING))
@@ -137,8 +137,8 @@ def test_an_arm_that_had_not_come_to_rest_may_be_anywhere() -> None:
 
 
 @pytest.mark.parametrize(("moved", "is_ended"), [(0.0499, False), (0.0501, True)])
-def test_a_motion_of_the_controllers_ends_as_soon_as_its_arm_is_moved(moved: float, is_ended: bool) -> None:
-    """Before it goes on: the program is stopped."""
+def test_controller_motion_ends_when_arm_is_moved(moved: float, is_ended: bool) -> None:
+    """Stop the program before it resumes."""
     looks: list[Callable[[RealtimeState], None]] = []
     closed: list[float] = []
     braked: list[int] = []

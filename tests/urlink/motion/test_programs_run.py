@@ -1,4 +1,4 @@
-"""The uploaded programs, run by the simulator's interpreter, cycle by cycle."""
+"""Run the uploaded programs in the simulator's interpreter, cycle by cycle."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from urlink.script.text import number
 from urlink.script.wrapping import Permission, expiry_marker, grant
 
 TOKEN = 0x01020304
-#: rad/s, of each joint of a UR5.
+#: Largest speed of each joint of a UR5, in rad/s.
 SPEEDS = [np.pi] * 6
 FIRMWARES = [Firmware(1, 8), Firmware(3, 4), Firmware(5, 11), Firmware(10, 12)]
 NEW = FIRMWARES[1:]
@@ -35,7 +35,7 @@ STILL = [0.0] * 6
 
 
 def spinning(speed: float) -> list[float]:
-    """Of the last joint, rad/s."""
+    """Return speeds with only the last joint turning, in rad/s."""
     return [*STILL[:5], speed]
 
 
@@ -50,13 +50,13 @@ def streaming(firmware: Firmware, **options: float) -> Bench:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_follows_what_is_streamed(firmware: Firmware) -> None:
+def test_program_follows_streamed_set_points(firmware: Firmware) -> None:
     bench = streaming(firmware, lookahead_time=0.03)
     cycles = round(WAVE.duration / bench.period)
     times = iter(np.arange(cycles) * bench.period)
     bench.run(cycles, lambda: bench.say(setpoint(*WAVE.sample(next(times))[:2])))
     wanted = WAVE.at(np.arange(cycles) * bench.period)[0]
-    # Whatever the arm trails by, it is never further away than it gets in 60 ms.
+    # The arm never trails by more than the distance that it moves in 60 ms.
     fastest = np.abs(WAVE.at(np.linspace(0, 1.5, 1000))[1]).max()
     assert np.abs(np.array(bench.path[3:]) - wanted).max() < 0.06 * fastest
     bench.say(setpoint(HOME, STILL) + STOP_MESSAGE)
@@ -68,7 +68,7 @@ def test_follows_what_is_streamed(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_a_set_point_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
+def test_missing_set_point_causes_no_dent(firmware: Firmware) -> None:
     smooth, gappy = streaming(firmware), streaming(firmware)
     for bench in (smooth, gappy):
         for i in range(100):
@@ -79,7 +79,7 @@ def test_a_set_point_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_goes_on_at_the_speed_that_it_was_told_ever_slower(firmware: Firmware) -> None:
+def test_program_coasts_at_decreasing_speed(firmware: Firmware) -> None:
     bench = streaming(firmware, watchdog=0.1)
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append)
@@ -94,7 +94,7 @@ def test_goes_on_at_the_speed_that_it_was_told_ever_slower(firmware: Firmware) -
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_wherever_the_last_two_were_the_speed_that_is_told_counts(firmware: Firmware) -> None:
+def test_coasting_uses_sent_speed_not_differences(firmware: Firmware) -> None:
     most = links.missable(0.1, firmware.rate)
     late = streaming(firmware, watchdog=0.1)
     targets: list[list[float]] = []
@@ -106,8 +106,8 @@ def test_wherever_the_last_two_were_the_speed_that_is_told_counts(firmware: Firm
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_does_not_leap_whatever_it_is_told(firmware: Firmware) -> None:
-    """It goes there all the same, at the largest speed of each joint; on CB2 it gets faster by 50 rad/s² at most."""
+def test_distant_set_point_is_reached_without_jump(firmware: Firmware) -> None:
+    """The arm still gets there, at the largest speed of each joint; on CB2 it accelerates by 50 rad/s² at most."""
     bench = streaming(firmware, watchdog=0.1)
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append, is_followed=False)
@@ -125,7 +125,7 @@ def test_does_not_leap_whatever_it_is_told(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
+def test_program_brakes_if_set_points_are_missing(firmware: Firmware) -> None:
     bench = streaming(firmware, watchdog=0.1)
     for i in range(50):
         bench.say(setpoint(turned(1.0 * i * bench.period), spinning(1.0)))
@@ -138,7 +138,7 @@ def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
     bench.run(round(0.6 / bench.period))
     assert bench.motion.is_standing
     assert not bench.execution.is_over
-    # What comes now comes too late.
+    # A set-point that arrives now is too late.
     bench.say(setpoint(turned(0), STILL))
     bench.run(10)
     assert bench.has_finished
@@ -146,7 +146,7 @@ def test_brakes_where_set_points_stay_away(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
+def test_program_brakes_and_ends_with_link(firmware: Firmware) -> None:
     bench = streaming(firmware)
     for i in range(50):
         bench.say(setpoint(turned(1.0 * i * bench.period), spinning(1.0)))
@@ -159,7 +159,7 @@ def test_brakes_and_ends_where_the_link_ends(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_says_that_it_cannot_connect(firmware: Firmware) -> None:
+def test_program_reports_failed_connection(firmware: Firmware) -> None:
     for body in (
         streaming_program(firmware, links.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS),
         waypoints.interpolating(firmware, "10.0.0.1", 50001, TOKEN, is_quintic=True),
@@ -172,7 +172,7 @@ def test_says_that_it_cannot_connect(firmware: Firmware) -> None:
 
 
 class Server:
-    """Answers a waypoint program, so many cycles later."""
+    """Server that answers a waypoint program, `late` cycles after each request."""
 
     def __init__(self, bench: Bench, path: Trajectory, late: int = 0, until: int = 99) -> None:
         self.bench, self.path, self.late, self.until = bench, path, late, until
@@ -219,7 +219,7 @@ def handing_over(firmware: Firmware, path: Trajectory = WAVE, **options: int) ->
 
 @pytest.mark.parametrize("is_quintic", [False, True])
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_follows_what_it_is_handed(firmware: Firmware, is_quintic: bool) -> None:
+def test_program_follows_requested_points(firmware: Firmware, is_quintic: bool) -> None:
     path = WAVE if is_quintic else Trajectory.from_arrays(WAVE.time, WAVE.q, WAVE.qd)
     bench, server = handing_over(firmware, path)
     targets: list[list[float]] = []
@@ -231,7 +231,7 @@ def test_follows_what_it_is_handed(firmware: Firmware, is_quintic: bool) -> None
     assert [each for each in server.requests if each != waypoints.BEAT] == [0, 1, 2, 3, 4, waypoints.ARRIVED]
     assert server.beats > 1
     assert bench.path[-1] == pytest.approx(WAVE.q[-1], abs=1e-6)
-    # Each cycle it is led to where the trajectory is then, from the first that moves it to the last.
+    # Between its first and last movement, the arm is sent to the current point of the trajectory in each cycle.
     moving = targets[int(np.flatnonzero(np.abs(np.diff([q[5] for q in targets])) > 0.0)[0]) :]
     times = np.arange(len(moving)) * bench.period
     assert np.abs(np.array(moving) - path.at(times)[0]).max() < 1e-8
@@ -239,8 +239,8 @@ def test_follows_what_it_is_handed(firmware: Firmware, is_quintic: bool) -> None
 
 @pytest.mark.parametrize("is_quintic", [False, True])
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_each_number_of_a_point_counts(firmware: Firmware, is_quintic: bool) -> None:
-    """Speeds and accelerations at the points between, in every joint, and no two of them alike."""
+def test_each_number_of_a_point_is_used(firmware: Firmware, is_quintic: bool) -> None:
+    """Points in between have speeds and accelerations in every joint, all of them different."""
     rng = np.random.default_rng(7)
     q = np.tile(HOME, (4, 1)) + 0.1 * rng.uniform(-1, 1, (4, 6))
     q[0] = HOME
@@ -258,7 +258,7 @@ def test_each_number_of_a_point_counts(firmware: Firmware, is_quintic: bool) -> 
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_an_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> None:
+def test_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> None:
     bench, server = handing_over(firmware, late=round(0.4 * firmware.rate))
     bench.run(round(5.0 / bench.period), server)
     assert bench.said == []
@@ -266,7 +266,7 @@ def test_an_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> N
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_a_waypoint_that_does_not_come(firmware: Firmware) -> None:
+def test_missing_waypoint_ends_program_at_rest(firmware: Firmware) -> None:
     bench, server = handing_over(firmware, until=2)
     bench.run(round(4.0 / bench.period), server)
     assert bench.said[0] in (links.STARVED, links.LINK_ENDED)
@@ -277,7 +277,7 @@ def test_a_waypoint_that_does_not_come(firmware: Firmware) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_the_link_is_cut_while_no_waypoint_is_needed(firmware: Firmware) -> None:
+def test_cut_link_is_noticed_without_pending_waypoint(firmware: Firmware) -> None:
     slow = Trajectory.from_arrays([0, 10], [turned(0), turned(2)])
     bench, server = handing_over(firmware, slow)
     bench.run(round(5.0 / bench.period), server)
@@ -290,7 +290,7 @@ def test_the_link_is_cut_while_no_waypoint_is_needed(firmware: Firmware) -> None
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_a_first_waypoint_that_is_too_far_away(firmware: Firmware) -> None:
+def test_far_first_waypoint_ends_program(firmware: Firmware) -> None:
     far = Trajectory.from_arrays([0, 1], [turned(0.02), turned(0.02)])
     bench, server = handing_over(firmware, far)
     bench.run(50, server)
@@ -300,17 +300,17 @@ def test_a_first_waypoint_that_is_too_far_away(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("version", ["1.8", "3.1", "3.4", "5.11"])
-def test_a_speed_lasts_as_long_as_it_was_told_to(version: str) -> None:
+def test_speed_lasts_for_given_duration(version: str) -> None:
     firmware = Firmware.parse(version)
     bench = Bench(commands.speed_joints(firmware, [0, 0, 0, 0, 0, 0.5], 2.0, 0.5), firmware)
     bench.run(round(2.0 / bench.period))
     assert bench.has_finished
     assert bench.motion.is_standing
-    # 3.1 counts the time only from when the speed is reached.
+    # Firmware 3.1 starts to count the time when the speed is reached.
     assert 0.2 < bench.path[-1][5] < 0.4
 
 
-# -- permission ------------------------------------------------------------------------------------------
+# -- start permission ------------------------------------------------------------------------------------
 
 
 def permission_on(firmware: Firmware, token: int = 5) -> Permission:
@@ -319,7 +319,7 @@ def permission_on(firmware: Firmware, token: int = 5) -> Permission:
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
 @pytest.mark.parametrize("after", [0, 1, 38])
-def test_waits_to_be_let_go_on(firmware: Firmware, after: int) -> None:
+def test_program_waits_for_start_permission(firmware: Firmware, after: int) -> None:
     permission = permission_on(firmware)
     bench = Bench(commands.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
     bench.beside(grant(permission))  # left over from an earlier program with the same token
@@ -333,7 +333,7 @@ def test_waits_to_be_let_go_on(firmware: Firmware, after: int) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_ends_without_moving_where_nobody_lets_it_go_on(firmware: Firmware) -> None:
+def test_program_without_permission_ends_without_moving(firmware: Firmware) -> None:
     permission = permission_on(firmware)
     bench = Bench(commands.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
     bench.beside(grant(permission))
@@ -348,14 +348,14 @@ def test_ends_without_moving_where_nobody_lets_it_go_on(firmware: Firmware) -> N
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_another_programs_permission_does_not_start_it_and_is_no_loss(firmware: Firmware) -> None:
+def test_permission_for_another_program_is_ignored(firmware: Firmware) -> None:
     permission = permission_on(firmware)
     bench = Bench(commands.move_joints(turned(0.1), 1.0, 5.0), firmware, permission=permission)
     bench.run(2)
     bench.beside(grant(permission))
-    bench.beside(grant(permission_on(firmware, 7)))  # which overwrites its own before the program has looked
+    bench.beside(grant(permission_on(firmware, 7)))  # overwrites the right permission before the program reads it
     bench.run(2)
-    assert bench.texts == ["tried started"] * 2  # so it asks anew
+    assert bench.texts == ["tried started"] * 2  # so the program asks again
     assert bench.path[-1] == list(HOME)
     bench.beside(grant(permission))
     bench.run(2 * firmware.rate)

@@ -1,4 +1,4 @@
-"""Which numbers motions take: the least and the most pass, what is beyond is refused before anything is sent."""
+"""Ranges of arguments of motions: limits are accepted, values beyond them are rejected before sending."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ POSES = [[0.1, 0.2, 0.3, 0, 0, 0], [0.3, 0.2, 0.4, 0, 0, 0]]
 SIX = [[1] * 6, [0] * 6, [1] * 6]
 
 Call = Callable[[Any, Any], object]
-#: (name in the error, call, least, most)
+#: (name in the error, call, minimum, maximum)
 RANGES: list[tuple[str, Call, float, float]] = [
     ("speed", lambda m, x: m.move_joints(HOME, x), 1e-3, math.pi),
     ("acceleration", lambda m, x: m.move_joints(HOME, acceleration=x), 1e-3, 40),
@@ -83,7 +83,7 @@ RANGES: list[tuple[str, Call, float, float]] = [
     ),
     (r"limits\[3\] \(wrist 1\)", lambda m, x: m.torque(limits=[1, 1, 1, x, 1, 1]), 0, UR5E.max_torque[3]),
 ]
-#: For an arm that nobody knows, whose joints have no limits that could be held against.
+#: for an unknown arm, whose joints have no known limits
 UNKNOWN: list[tuple[str, Call, float, float]] = [
     ("speed", lambda m, x: m.move_joints(HOME, x), 1e-3, math.tau),
     ("speed", lambda m, x: m.path([Linear(POSES[0])], x), 1e-3, 5),
@@ -96,7 +96,7 @@ UNKNOWN: list[tuple[str, Call, float, float]] = [
 
 
 @pytest.mark.parametrize(("arm", "ranges"), [("UR5e", RANGES), ("UR9000", UNKNOWN)], ids=["UR5e", "unknown"])
-def test_the_least_and_the_most(
+def test_minimum_and_maximum_are_accepted(
     rehearsal: Callable[..., Rehearsal], arm: str, ranges: list[tuple[str, Call, float, float]]
 ) -> None:
     robot = rehearsal("5.25", arm)
@@ -111,7 +111,7 @@ def test_the_least_and_the_most(
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_each_joint_has_a_speed_of_its_own(rehearsal: Callable[..., Rehearsal], joint: int) -> None:
+def test_each_joint_has_a_separate_speed_limit(rehearsal: Callable[..., Rehearsal], joint: int) -> None:
     robot = rehearsal("5.25", "UR10e")
     limits = model("UR10e").max_speed
     for limit in (limits[joint], -limits[joint]):
@@ -123,7 +123,7 @@ def test_each_joint_has_a_speed_of_its_own(rehearsal: Callable[..., Rehearsal], 
             robot.motion.speed_joints(qd)
 
 
-def test_what_the_delay_is_measured_with(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arguments_of_measure_delay_are_limited(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[tuple[int, float, float]] = []
     monkeypatch.setattr("urlink.motion.servo.servo.measure", lambda states, send, *how: measured.append(how))
     ranges: list[tuple[str, Call, float, float]] = [
@@ -149,7 +149,7 @@ def test_what_the_delay_is_measured_with(robot: Rehearsal, monkeypatch: pytest.M
     ]
 
 
-# -- which firmware has it -------------------------------------------------------------------------------
+# -- required firmware -----------------------------------------------------------------------------------
 
 TRY: dict[str, Callable[[Any], object]] = {
     "registers": lambda m: m.servo(link="rtde"),
@@ -185,7 +185,7 @@ TRY: dict[str, Callable[[Any], object]] = {
         ("impedance of the tool", "5.9", "5.10"),
     ],
 )
-def test_the_first_firmware_that_has_it(
+def test_first_firmware_with_feature(
     rehearsal: Callable[..., Rehearsal], what: str, last_without: str, first_with: str
 ) -> None:
     before, since = (
@@ -198,8 +198,8 @@ def test_the_first_firmware_that_has_it(
     TRY[what](since.motion)
 
 
-def test_what_a_contact_is_without_a_force(rehearsal: Callable[..., Rehearsal]) -> None:
-    """From 5.4 on the controller finds it; before, 20 N are one."""
+def test_default_force_of_contact(rehearsal: Callable[..., Rehearsal]) -> None:
+    """The controller detects contacts since 5.4; on older firmware, a contact is a force of 20 N."""
     for firmware, expected in (("5.3", "if against >= 20.0:"), ("5.4", "tool_contact(direction=[0.0, 0.6, -0.8, ")):
         robot = rehearsal(firmware)
         robot.motion.until_contact([0, 3, -4])

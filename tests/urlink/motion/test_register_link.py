@@ -1,4 +1,4 @@
-"""Set-points over input registers: what is written, and what the program on the robot makes of it, cycle by cycle."""
+"""Set-points over input registers: written values, and the program on the robot, cycle by cycle."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from urlink.script.streaming import streaming
 from urlink.simulator.registers import Bank
 
 FIRMWARES = [Firmware(3, 15), Firmware(5, 11), Firmware(10, 12)]
-#: rad/s, of each joint of a UR5.
+#: Largest speed of each joint of a UR5, in rad/s.
 SPEEDS = [np.pi] * 6
 STILL = [0.0] * 6
 PATH = Trajectory.from_arrays([0, 0.5, 1.0], [turned(0), turned(0.2), turned(0)])
 
 
 def write(inputs: Bank, package: Mapping[str, float]) -> None:
-    """As a controller takes a package of RTDE inputs."""
+    """Write a package of RTDE inputs, as a controller does."""
     for name, value in package.items():
         _, kind, _, number = name.split("_")
         if kind == "double":
@@ -39,7 +39,7 @@ def write(inputs: Bank, package: Mapping[str, float]) -> None:
 
 
 class Inputs:
-    """RTDE inputs that were claimed."""
+    """Claimed RTDE inputs."""
 
     def __init__(self, take: Callable[[dict[str, float]], object]) -> None:
         self._take = take
@@ -49,13 +49,13 @@ class Inputs:
 
 
 class Led(Bench):
-    """A streaming program, and the link that it is led by; what other clients wrote stands in all registers."""
+    """A streaming program and its link; all registers contain values from other clients."""
 
     def __init__(self, firmware: Firmware, **options: float) -> None:
         self.link = RegisterLink(Inputs(lambda package: write(self.registers.inputs, package)))
         super().__init__(streaming(firmware, self.link.endpoint, speeds=SPEEDS, **options), firmware)
         self.registers.inputs.floats = [0.5] * 48
-        self.registers.inputs.integers = [1] * 48  # FOLLOW, if anybody believed it
+        self.registers.inputs.integers = [1] * 48  # FOLLOW, for a program that ignores the token
 
     def connect(self) -> Led:
         self.run(3)
@@ -68,7 +68,7 @@ class Led(Bench):
         self.run(cycles)
 
 
-def test_what_is_written() -> None:
+def test_link_writes_all_inputs() -> None:
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))
     assert not link.is_up
@@ -90,8 +90,8 @@ def test_what_is_written() -> None:
     assert isinstance(link.absence("nothing came"), ConnectFailed)
 
 
-def test_numbers_and_dates_of_messages_fit_a_register_for_ever() -> None:
-    """Nor are they ever 0, which is what a register holds that nobody has written."""
+def test_message_numbers_and_dates_always_fit_a_register() -> None:
+    """They are never 0, because an unwritten register holds 0."""
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))
     link._count = 0x7FFF_FFFD  # as after 50 days at 500 Hz
@@ -102,7 +102,7 @@ def test_numbers_and_dates_of_messages_fit_a_register_for_ever() -> None:
     assert packages[-1]["input_int_register_44"] == 0x7FFF_FFFF
 
 
-def test_registers_are_claimed_for_the_first_program_alone() -> None:
+def test_registers_are_claimed_only_for_first_program() -> None:
     claimed: list[tuple[str, ...]] = []
 
     def claim(names: tuple[str, ...]) -> Inputs:
@@ -113,7 +113,7 @@ def test_registers_are_claimed_for_the_first_program_alone() -> None:
     assert claimed == []
     opened = [port.open() for _ in range(3)]
     assert claimed == [SETPOINT_INPUTS]
-    # Each has a token of its own, which no register holds by itself.
+    # Each link has a different token, which is not the initial value of a register.
     tokens = {link.endpoint.token for link in opened}
     assert len(tokens) == 3
     assert all(0 < token < links.TOKENS for token in tokens)
@@ -140,20 +140,20 @@ def test_two_threads_claim_the_registers_once() -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_claim_is_waited_for_no_longer_than_the_timeout() -> None:
+def test_claim_is_awaited_no_longer_than_timeout() -> None:
     def claim(names: tuple[str, ...]) -> Inputs:
         with pytest.raises(LinkTimeout, match="still being claimed after 1 s"):
             port.open()  # as a signal handler does
         raise ConnectionLost("cut")
 
     port = RegisterPort(claim, 1.0, SETPOINT_INPUTS, RegisterLink)
-    for _ in range(2):  # the next one tries again
+    for _ in range(2):  # the second attempt claims again
         with pytest.raises(ConnectionLost, match=r"^cut$"):
             port.open()
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_follows_what_is_written(firmware: Firmware) -> None:
+def test_program_follows_written_set_points(firmware: Firmware) -> None:
     bench = Led(firmware, lookahead_time=0.03).connect()
     times = np.arange(round(PATH.duration * firmware.rate)) * bench.period
     for t in times:
@@ -165,15 +165,15 @@ def test_follows_what_is_written(firmware: Firmware) -> None:
     assert bench.has_finished
     assert bench.motion.is_standing
     assert bench.said == []
-    # The controller's own watchdog comes after the program's.
+    # The controller's own watchdog expires after the program's watchdog.
     ((variable, frequency, action),) = bench.watched
     assert (variable, action) == ("input_int_register_45", "stop")
     assert frequency == pytest.approx(1 / 1.1)
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_the_first_message_may_be_a_set_point(firmware: Firmware) -> None:
-    """It comes in the same package as the token."""
+def test_first_message_may_be_a_set_point(firmware: Firmware) -> None:
+    """The set-point arrives in the same package as the token."""
     bench = Led(firmware)
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append)
@@ -185,8 +185,8 @@ def test_the_first_message_may_be_a_set_point(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_moves_by_nobody_elses_messages(firmware: Firmware) -> None:
-    """Registers keep what was written last: without the token it is not for this program."""
+def test_program_ignores_messages_without_token(firmware: Firmware) -> None:
+    """Registers keep the last written values; without the token, they are not for this program."""
     bench = Led(firmware)
     bench.run(5 * firmware.rate - 5)
     assert not bench.execution.is_over
@@ -197,7 +197,7 @@ def test_moves_by_nobody_elses_messages(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_brakes_where_nothing_new_is_written(firmware: Firmware) -> None:
+def test_program_brakes_without_new_messages(firmware: Firmware) -> None:
     bench = Led(firmware, watchdog=0.1).connect()
     for i in range(50):
         bench.say(setpoint(turned(1.0 * i * bench.period), [*STILL[:5], 1.0]))
@@ -211,7 +211,7 @@ def test_brakes_where_nothing_new_is_written(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_a_message_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
+def test_missing_message_causes_no_dent(firmware: Firmware) -> None:
     smooth, gappy = Led(firmware).connect(), Led(firmware).connect()
     for bench in (smooth, gappy):
         for i in range(100):
@@ -223,7 +223,7 @@ def test_a_message_that_is_missing_makes_no_dent(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_does_not_leap_whatever_is_written(firmware: Firmware) -> None:
+def test_distant_set_point_is_reached_without_jump(firmware: Firmware) -> None:
     bench = Led(firmware, watchdog=0.1).connect()
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append, is_followed=False)

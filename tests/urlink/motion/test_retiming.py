@@ -1,4 +1,4 @@
-"""Trajectories along poses, and the fastest ones along a path."""
+"""Trajectories along poses, and the fastest trajectories along a path."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ SPEED = np.array([2.0, 2.0, 3.0, 3.0, 3.0, 3.0])
 ACCELERATION = np.array([5.0, 4.0, 8.0, 10.0, 10.0, 10.0])
 READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
 
-#: Joint positions in steps of 1 mrad, of which some stay.
+#: Joint positions in steps of 1 mrad; some joints do not move.
 joints = st.lists(st.integers(-1500, 1500).map(lambda n: n * 1e-3) | st.just(0.0), min_size=6, max_size=6)
 
 
 def usage(trajectory: Trajectory, speed: FloatArray = SPEED, acceleration: FloatArray = ACCELERATION) -> FloatArray:
-    """Of the limit that is used most at each moment, the part."""
+    """Return the used fraction of the most used limit at each moment."""
     t = np.linspace(0.0, trajectory.duration, 5_000)
     _, qd, qdd = trajectory.at(t[1:-1])
     used: FloatArray = np.maximum(np.abs(qd) / speed, np.abs(qdd) / acceleration).max(axis=1)
     return used
 
 
-# -- in the shortest time ------------------------------------------------------------------------------
+# -- minimal time --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("way", "seconds"), [(2.0, 2.0 / 0.5 + 0.5 / 2.0), (0.1, 2.0 * math.sqrt(0.1 / 2.0))])
-def test_one_joint_accelerates_goes_on_and_brakes(way: float, seconds: float) -> None:
+def test_straight_path_accelerates_cruises_and_brakes(way: float, seconds: float) -> None:
     straight = Trajectory.from_arrays([0.0, 5.0], [[0.0] * 6, [0.0, way, 0.0, 0.5 * way, 0.0, 0.0]])
     retimed = straight.retimed(0.5, 2.0)
     assert retimed.duration == pytest.approx(seconds, rel=1e-3)
@@ -45,8 +45,8 @@ def test_one_joint_accelerates_goes_on_and_brakes(way: float, seconds: float) ->
 
 
 @pytest.mark.parametrize(("way", "acceleration"), [(1e-3, 1e6), (1e-5, 1e3), (1.3e-7, 1.0)])
-def test_the_shortest_ways_end_where_they_should(way: float, acceleration: float) -> None:
-    """Some are over before a controller has a cycle, or shorter than what can be told apart."""
+def test_shortest_paths_end_at_target(way: float, acceleration: float) -> None:
+    """Some end within one cycle of a controller, or are too short to distinguish their points."""
     q = [[0.5] * 6, [0.5 + way] * 6]
     retimed = Trajectory.from_arrays([0.0, 1.0], q).retimed(1e3, acceleration)
     assert retimed.q[[0, -1]].tolist() == q
@@ -58,8 +58,8 @@ def test_the_shortest_ways_end_where_they_should(way: float, acceleration: float
 @pytest.mark.parametrize(
     ("speed", "acceleration", "seconds"), [(1.0, 2.0, math.sqrt(0.9)), (0.5, 1e3, 0.9), (1e5, 1e9, 2e-4)]
 )
-def test_one_step_is_a_cubic_from_rest_to_rest(speed: float, acceleration: float, seconds: float) -> None:
-    """Its largest speed is 1.5 times the mean one, its acceleration 6 s / t²."""
+def test_single_step_is_a_cubic_from_rest_to_rest(speed: float, acceleration: float, seconds: float) -> None:
+    """Compare with the formulas: the largest speed is 1.5 times the mean, and the acceleration is 6 s / t²."""
     q = np.array([[0.0] * 6, [0.3, -0.3, 0.1, 0.0, 0.0, 0.0]])
     time, places, speeds = retime(q, np.zeros((2, 6)), np.full(6, speed), np.full(6, acceleration), 2e-4)
     assert time == pytest.approx([0.0, seconds])
@@ -68,8 +68,8 @@ def test_one_step_is_a_cubic_from_rest_to_rest(speed: float, acceleration: float
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_plan_uses_its_limits_up_and_keeps_them(seed: int) -> None:
-    """At both ends of each step: of a curve with tangent T and length s, the joints accelerate by T's'² + T s''."""
+def test_plan_exhausts_and_respects_limits(seed: int) -> None:
+    """Check both ends of each step: on a curve with tangent T and length s, joints accelerate by T's'² + T s''."""
     rng = np.random.default_rng(seed)
     u = np.linspace(0.0, 1.0, 81)[:, None]
     size, phase = rng.uniform(0.2, 1.0, 6), rng.uniform(0.0, 6.0, 6)
@@ -79,7 +79,7 @@ def test_a_plan_uses_its_limits_up_and_keeps_them(seed: int) -> None:
     squares = (speeds**2).sum(axis=1)[:, None]
     along = np.diff(squares, axis=0) / (2.0 * ds)
     tangent = qd / np.linalg.norm(qd, axis=1)[:, None]
-    # From and to rest it goes straight.
+    # At the rest positions, the path is straight.
     before, after = tangent[:-1].copy(), tangent[1:].copy()
     before[0], after[-1] = np.diff(q, axis=0)[0] / ds[0], np.diff(q, axis=0)[-1] / ds[-1]
     bend = (after - before) / ds
@@ -98,8 +98,8 @@ def test_a_plan_uses_its_limits_up_and_keeps_them(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_largest_x_from_which_some_y_is_left(seed: int) -> None:
-    """Of lines a x + b y <= c, against halving: where the limits of y meet, y is at most `end`."""
+def test_largest_x_with_feasible_y(seed: int) -> None:
+    """Compare with bisection, for lines a x + b y <= c and 0 <= y <= `end`."""
     rng = np.random.default_rng(seed)
     a, b, c = rng.normal(size=(3, 8))
     b[rng.integers(8)] = 0.0
@@ -119,8 +119,8 @@ def test_the_largest_x_from_which_some_y_is_left(seed: int) -> None:
     assert retiming._largest(np.zeros(1), np.ones(1), -np.ones(1), end, 1.0) == 0.0
 
 
-def test_places_that_are_passed_too_quickly_are_left_out() -> None:
-    """As many are left as fit into the time; both ends stay."""
+def test_points_passed_too_quickly_are_left_out() -> None:
+    """Keep as many points as fit into the time, and both ends."""
     u = np.linspace(0.0, math.pi, 2001)
     q, qd = np.outer(0.5 - 0.5 * np.cos(u), [0.3] * 6), np.outer(np.sin(u), [0.3] * 6)
     time, places, _ = retime(q, qd, np.full(6, 10.0), np.full(6, 120.0), 5e-3)
@@ -131,7 +131,7 @@ def test_places_that_are_passed_too_quickly_are_left_out() -> None:
 
 
 @pytest.mark.parametrize(("end", "rounds"), [(1.0, 1), (0.5, 5)])
-def test_it_is_planned_anew_only_where_the_path_bends(end: float, rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_path_is_planned_again_only_if_bent(end: float, rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
     planned: list[int] = []
     fastest = retiming._fastest
 
@@ -147,7 +147,7 @@ def test_it_is_planned_anew_only_where_the_path_bends(end: float, rounds: int, m
 
 @pytest.mark.parametrize("middle", [0.05, 0.15, 0.25])
 def test_two_steps_are_planned(middle: float) -> None:
-    """The shorter one takes all of the acceleration: from rest, or to rest."""
+    """The shorter step uses the full acceleration, from rest or to rest."""
     q = np.array([[0.0] * 6, [middle] * 6, [0.3] * 6])
     time, places, speeds = retime(
         q, np.array([[0.0] * 6, [1.0] * 6, [0.0] * 6]), np.full(6, 9.0), np.full(6, 2.0), 2e-4
@@ -158,13 +158,13 @@ def test_two_steps_are_planned(middle: float) -> None:
     assert speeds[1] == pytest.approx([fastest] * 6)
 
 
-def test_the_places_that_are_far_enough_apart_are_kept() -> None:
+def test_points_far_enough_apart_are_kept() -> None:
     assert retiming._spread(np.array([0.0, 1.0, 1.4, 2.5]), 1.0) == [0, 1, 3]
     assert retiming._spread(np.array([0.0, 1.0, 2.0, 2.5]), 1.0) == [0, 1, 3]
     assert retiming._spread(np.array([0.0, 0.4, 0.8]), 1.0) == [0, 2]
 
 
-def test_where_it_rests_it_rests() -> None:
+def test_rests_of_path_are_kept() -> None:
     there_and_back = Trajectory.from_arrays([0, 3, 9], [[0.0] * 6, [1.0, 0.5, 0.0, 0.0, 0.0, 0.0], [0.0] * 6])
     retimed = there_and_back.retimed(1.0, 2.0)
     assert retimed.duration == pytest.approx(2.0 * (1.0 + 0.5), rel=1e-3)
@@ -175,26 +175,26 @@ def test_where_it_rests_it_rests() -> None:
 @pytest.mark.property
 @settings(max_examples=max(settings().max_examples // 3, 1))
 @given(st.lists(joints, min_size=2, max_size=3), st.lists(st.floats(0.1, 5.0), min_size=2, max_size=2))
-def test_the_limits_hold_and_the_path_is_the_same(q: list[list[float]], steps: list[float]) -> None:
+def test_retiming_respects_limits_and_path(q: list[list[float]], steps: list[float]) -> None:
     assume(np.abs(np.diff(q, axis=0)).max() > 0.05)
     time = np.concatenate([[0.0], np.cumsum(steps[: len(q) - 1])])
     path = Trajectory.from_arrays(time, q)
     retimed = path.retimed(SPEED, ACCELERATION)
     assert usage(retimed).max() <= 1.0 + 1e-6
     assert np.abs(retimed.qd[[0, -1]]).max() == 0.0
-    # Each place is one of the old path, in the same order, and so is what is between them but for some mrad.
+    # Each position is on the old path, in the same order; between the points, it may differ by a few mrad.
     old, _, _ = path.at((time[:-1, None] + np.diff(time)[:, None] * np.linspace(0.0, 1.0, 1500)).ravel())
     new, _, _ = retimed.at(np.linspace(0.0, retimed.duration, 60))
     nearest = [int(np.abs(old - place).max(axis=1).argmin()) for place in new]
     assert max(float(np.abs(old[i] - place).max()) for i, place in zip(nearest, new, strict=True)) < 5e-3
-    # No slower than the old timing, faster or slower as a whole, but for what the steps leave.
+    # The result is not slower than the old timing, scaled as a whole, apart from the effect of the steps.
     times = np.linspace(0.0, path.duration, 5_000)[1:-1]
     _, qd, qdd = path.at(times)
     scale = max(float((np.abs(qd) / SPEED).max()), math.sqrt(float((np.abs(qdd) / ACCELERATION).max())))
     assert retimed.duration <= 1.05 * path.duration * scale
 
 
-def test_some_limit_is_used_up_most_of_the_time() -> None:
+def test_some_limit_is_used_most_of_the_time() -> None:
     rng = np.random.default_rng(0)
     q = np.cumsum(rng.uniform(-0.3, 0.3, (8, 6)), axis=0)
     used = usage(Trajectory.from_arrays(np.arange(8.0), q).retimed(SPEED, ACCELERATION))
@@ -202,7 +202,7 @@ def test_some_limit_is_used_up_most_of_the_time() -> None:
 
 
 @pytest.mark.slow
-def test_twice_retimed_is_once_retimed() -> None:
+def test_second_retiming_changes_nothing() -> None:
     rng = np.random.default_rng(1)
     q = np.cumsum(rng.uniform(-0.3, 0.3, (3, 6)), axis=0)
     once = Trajectory.from_arrays([0, 1, 2], q).retimed(2.0, 5.0)
@@ -213,7 +213,7 @@ def test_twice_retimed_is_once_retimed() -> None:
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, [1.0] * 5, "fast"])
-def test_limits_that_are_none(bad: object) -> None:
+def test_invalid_limits_are_rejected(bad: object) -> None:
     path = Trajectory.from_arrays([0.0, 1.0], [[0.0] * 6, [1.0] * 6])
     with pytest.raises(BadValue, match="speed"):
         path.retimed(bad, 1.0)  # type: ignore[arg-type]
@@ -221,7 +221,7 @@ def test_limits_that_are_none(bad: object) -> None:
         path.retimed(1.0, bad)  # type: ignore[arg-type]
 
 
-def test_what_does_not_move_cannot_be_retimed() -> None:
+def test_trajectory_without_motion_cannot_be_retimed() -> None:
     with pytest.raises(BadValue, match="does not move"):
         Trajectory.from_arrays([0.0, 1.0], [READY, READY]).retimed(1.0, 1.0)
 
@@ -229,7 +229,7 @@ def test_what_does_not_move_cannot_be_retimed() -> None:
 # -- along poses ---------------------------------------------------------------------------------------
 
 
-def test_the_tool_is_where_it_was_wanted() -> None:
+def test_tool_follows_given_poses() -> None:
     arm = calibrated("UR5e", 3)
     tcp = [0.0, 0.0, 0.1, 0.0, 0.2, 0.0]
     poses = arm.forward(READY, tcp) + np.linspace(0.0, 1.0, 21)[:, None] * [0.0, 0.1, 0.1, 0.0, 0.0, 0.0]
@@ -242,7 +242,7 @@ def test_the_tool_is_where_it_was_wanted() -> None:
     assert np.abs(off[:, 1] - off[:, 2]).max() < 1e-3
 
 
-def test_poses_that_cannot_be_followed() -> None:
+def test_impossible_poses_are_rejected() -> None:
     arm = Arm("UR5e")
     start = arm.forward(READY)
     far = start * [0.0, 1.0, 1.0, 1.0, 1.0, 1.0]
@@ -256,8 +256,8 @@ def test_poses_that_cannot_be_followed() -> None:
         Trajectory.from_poses([0.0, 1.0, 2.0], [arm.forward(near), tilted, turned], arm, near)
 
 
-def test_a_place_after_which_there_is_little_way_left_is_passed_slowly() -> None:
-    """Also the first one behind the beginning: one joint, 1 rad/s² at most, at rest at both ends."""
+def test_point_shortly_before_rest_is_passed_slowly() -> None:
+    """The first point after the start counts, too: one joint, 1 rad/s² at most, at rest at both ends."""
     ones, most = np.ones((2, 1)), np.ones((2, 1))
     rests = np.array([True, False, True])
     squares = retiming._squares(np.array([1.0, 0.1]), ones, ones, rests, np.array([10.0]), most)

@@ -1,4 +1,4 @@
-"""The connection that a program makes back, by itself."""
+"""The connection that a program makes to this computer, on its own."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def link() -> Iterator[ReverseLink]:
 
 
 def is_up(link: ReverseLink) -> bool:
-    """Whether its program has come; that the controller has begun it does not count, since it says so itself."""
+    """Whether the program has connected, regardless of the controller's report that it has started."""
     return link.poll(has_begun=False)
 
 
-def test_listens_on_the_route_to_the_robot_at_a_free_port(link: ReverseLink) -> None:
+def test_link_listens_at_free_port_on_route_to_robot(link: ReverseLink) -> None:
     host, port, _ = link.endpoint
     assert host == "127.0.0.1"
     assert port > 1023
@@ -44,7 +44,7 @@ def token(link: ReverseLink) -> bytes:
     return link.endpoint.token.to_bytes(4, "big")
 
 
-def test_takes_one_program(link: ReverseLink) -> None:
+def test_link_accepts_one_program(link: ReverseLink) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         assert not is_up(link)
         program.sendall(token(link)[:1])
@@ -62,9 +62,7 @@ def test_takes_one_program(link: ReverseLink) -> None:
             socket.create_connection(link.endpoint[:2], TIMEOUT)
 
 
-def test_link_aborts_a_connection_that_is_accepted_while_another_thread_closes_it(
-    link: ReverseLink, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_connection_accepted_during_close_is_aborted(link: ReverseLink, monkeypatch: pytest.MonkeyPatch) -> None:
     accept = link._listener.accept
 
     def accept_and_close(timeout: float) -> TcpTransport:
@@ -79,7 +77,7 @@ def test_link_aborts_a_connection_that_is_accepted_while_another_thread_closes_i
             program.recv(1)
 
 
-def test_a_program_that_is_gone(link: ReverseLink) -> None:
+def test_lost_program_raises_connection_lost(link: ReverseLink) -> None:
     with pytest.raises(ConnectionLost):
         link.send(b"before it came")
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
@@ -99,7 +97,7 @@ def read_all(program: socket.socket) -> None:
         pass
 
 
-def test_a_program_that_does_not_read(link: ReverseLink) -> None:
+def test_unread_messages_raise_connection_lost(link: ReverseLink) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(lambda: is_up(link))
@@ -110,16 +108,16 @@ def test_a_program_that_does_not_read(link: ReverseLink) -> None:
 
         with pytest.raises(ConnectionLost, match="does not read"):
             send_on()
-        # What comes next would be read as the rest of what went before.
+        # The program would read the next message as the rest of the previous one.
         with pytest.raises(ConnectionLost):
             link.send(b"answer")
-        # So the connection has ended for the program too, instead of going on once it reads again.
+        # Therefore, the connection has ended for the program too; it does not continue when the program reads again.
         with pytest.raises(ConnectionResetError):
             read_all(program)
 
 
 @pytest.mark.parametrize("options", [{}, {"farewell": False}, {"farewell": True}])
-def test_what_is_given_up_is_discarded_but_for_a_farewell(link: ReverseLink, options: dict[str, bool]) -> None:
+def test_close_discards_pending_data_except_farewell(link: ReverseLink, options: dict[str, bool]) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(lambda: is_up(link))
@@ -150,7 +148,7 @@ def is_refused(stranger: socket.socket) -> bool:
 
 
 def serves(link: ReverseLink) -> None:
-    """The program itself still finds the port."""
+    """Check that the expected program can still connect."""
     assert not link.is_up
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
@@ -160,7 +158,7 @@ def serves(link: ReverseLink) -> None:
 
 
 @pytest.mark.real_time
-def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
+def test_connection_from_other_address_is_refused(link: ReverseLink, caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT, source_address=("127.0.0.77", 0)) as stranger:
         stranger.sendall(token(link))
         until(lambda: is_up(link) or caplog.records)
@@ -171,7 +169,7 @@ def test_who_comes_from_elsewhere_is_refused(link: ReverseLink, caplog: pytest.L
 
 
 @pytest.mark.parametrize("said", [b"\xff\xff\xff\xff", b"0\n", b"GET / HTTP/1.0\r\n\r\n"])
-def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, caplog: pytest.LogCaptureFixture) -> None:
+def test_connection_without_token_is_refused(link: ReverseLink, said: bytes, caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as stranger:
         stranger.sendall(said)
         until(lambda: is_up(link) or caplog.records)
@@ -180,8 +178,8 @@ def test_who_says_something_else_is_refused(link: ReverseLink, said: bytes, capl
         serves(link)
 
 
-def test_those_who_say_nothing_keep_nobody_out(link: ReverseLink) -> None:
-    """Eight are waited for; the next one takes the place of the first."""
+def test_silent_clients_do_not_keep_program_out(link: ReverseLink) -> None:
+    """Up to eight clients may wait; the next client replaces the first one."""
     strangers: list[socket.socket] = []
 
     def comes() -> socket.socket:
@@ -205,8 +203,8 @@ def test_those_who_say_nothing_keep_nobody_out(link: ReverseLink) -> None:
 
 
 @pytest.mark.parametrize("said", [b"", b"nonsense"])
-def test_who_comes_and_goes_keeps_nobody_out(link: ReverseLink, said: bytes) -> None:
-    """Nor does who was refused: the program that came before them, and is slow to say who it is, is still heard."""
+def test_short_connections_do_not_keep_program_out(link: ReverseLink, said: bytes) -> None:
+    """This holds for refused clients, too: a program that connected earlier and is slow is still accepted."""
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         until(lambda: not is_up(link) and link._candidates)
         for _ in range(12):
@@ -219,7 +217,7 @@ def test_who_comes_and_goes_keeps_nobody_out(link: ReverseLink, said: bytes) -> 
 
 
 def is_left_alone(stranger: socket.socket) -> bool:
-    """The other side has closed or reset the connection; without waiting for it."""
+    """Whether the other side has closed or reset the connection, without waiting for it."""
     stranger.setblocking(False)
     try:
         return stranger.recv(100) == b""
@@ -229,7 +227,7 @@ def is_left_alone(stranger: socket.socket) -> bool:
         return True
 
 
-def test_free_ports_wait_side_by_side() -> None:
+def test_free_ports_can_wait_at_the_same_time() -> None:
     where = ReversePort("127.0.0.1")
     first, second = where.open(), where.open()
     for link in (first, second):
@@ -238,7 +236,7 @@ def test_free_ports_wait_side_by_side() -> None:
 
 
 class Interrupted(ReversePort):
-    """Another thread opens a link when the first one has just been kept."""
+    """Port whose next link is opened by another thread, right after the first link was stored."""
 
     others: ClassVar[list[ReverseLink]] = []
 
@@ -249,8 +247,8 @@ class Interrupted(ReversePort):
             self.others[:] = [self.open()]
 
 
-def test_threads_that_open_at_once_have_a_link_each() -> None:
-    """Two programs that shared one would be led by each other's messages."""
+def test_concurrent_opens_get_separate_links() -> None:
+    """Two programs on one link would receive each other's messages."""
     where = Interrupted("127.0.0.1")
     links = [where.open(), *where.others]
     assert len(set(links)) == 2
@@ -259,7 +257,7 @@ def test_threads_that_open_at_once_have_a_link_each() -> None:
 
 
 class Coming:
-    """A connection that has just been accepted, from elsewhere than a socket."""
+    """A connection that was just accepted, without a socket."""
 
     name, host = "127.0.0.1:9", "127.0.0.1"
 
@@ -278,16 +276,16 @@ class Coming:
 
 
 @pytest.mark.parametrize("is_closed_before", [True, False])
-def test_a_program_that_comes_while_its_link_is_closed(
+def test_program_connecting_during_close_is_aborted(
     link: ReverseLink, monkeypatch: pytest.MonkeyPatch, is_closed_before: bool
 ) -> None:
     coming = Coming(link, closes=not is_closed_before)
-    # Before it comes another, that is gone when it is looked at.
+    # An earlier connection is lost before it is read.
     queue = [ConnectionLost("gone"), coming]
 
     def accept(timeout: float) -> object:
         if not queue:
-            raise LinkTimeout("nobody")
+            raise LinkTimeout("no client")
         if isinstance(each := queue.pop(0), Exception):
             raise each
         if is_closed_before:
@@ -299,7 +297,7 @@ def test_a_program_that_comes_while_its_link_is_closed(
     assert coming.is_aborted
 
 
-def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
+def test_close_ends_waiting_connections(link: ReverseLink) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         is_up(link)
         link.close()
@@ -308,7 +306,7 @@ def test_closing_ends_those_who_wait(link: ReverseLink) -> None:
 
 
 @pytest.mark.real_time
-def test_another_address_that_programs_come_from() -> None:
+def test_peer_option_accepts_another_address() -> None:
     link = ReversePort("127.0.0.1", peer="127.0.0.77").open()
     with socket.create_connection(link.endpoint[:2], TIMEOUT, source_address=("127.0.0.77", 0)) as program:
         program.sendall(token(link))
@@ -316,8 +314,8 @@ def test_another_address_that_programs_come_from() -> None:
     link.close()
 
 
-def test_an_address_that_something_translates() -> None:
-    # It belongs to no network card here, so all of them are listened on.
+def test_translated_address_listens_on_all_interfaces() -> None:
+    # The address belongs to no network card here, so the link listens on all of them.
     link = ReversePort("127.0.0.1", "192.0.2.7").open()
     assert link.endpoint[:2][0] == "192.0.2.7"
     with socket.create_connection(("127.0.0.1", link.endpoint.port), TIMEOUT) as program:
@@ -327,12 +325,12 @@ def test_an_address_that_something_translates() -> None:
 
 
 @pytest.mark.real_time
-def test_a_fixed_port_waits_for_the_newest_program(own_port: int) -> None:
+def test_fixed_port_accepts_only_the_newest_program(own_port: int) -> None:
     where = ReversePort("127.0.0.1", port=own_port)
     first = where.open()
     second = where.open()
     assert first.endpoint[:2] == second.endpoint[:2] == ("127.0.0.1", own_port)
-    # The program of the first, which the controller begins late, is not taken for that of the second.
+    # The controller starts the first program late; the second link does not accept it.
     with socket.create_connection(second.endpoint[:2], TIMEOUT) as late:
         late.sendall(token(first))
         assert not is_up(first)
@@ -342,7 +340,7 @@ def test_a_fixed_port_waits_for_the_newest_program(own_port: int) -> None:
     second.close()
 
 
-def test_says_what_to_try(link: ReverseLink) -> None:
+def test_absence_error_suggests_remedies(link: ReverseLink) -> None:
     error = link.absence("refused")
     assert isinstance(error, ConnectFailed)
     for part in (
@@ -356,7 +354,7 @@ def test_says_what_to_try(link: ReverseLink) -> None:
         assert part in str(error)
 
 
-def test_where_nobody_can_listen(link: ReverseLink) -> None:
+def test_unusable_address_raises_error(link: ReverseLink) -> None:
     with pytest.raises(BadAddress):
         ReversePort("127.0.0.1", None, link.endpoint.port).open()
     with pytest.raises(ConnectFailed):

@@ -1,4 +1,4 @@
-"""The root of a growing function: where it is, and how often the function is asked."""
+"""Root of an increasing function: its position, and the number of function calls."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from urlink.motion.servo.jerk_limited import root
 
 PRECISION = 1e-12
 
-#: function, lower and upper end, root, calls of the function at most: two for the ends, then two in each step
+#: function, lower and upper end, root, maximum number of calls (two for the ends, then two in each step)
 GROWING: list[tuple[Callable[[float], float], float, float, float, int]] = [
     (lambda x: 3.0 * x - 1.0, 0.0, 1.0, 1.0 / 3.0, 4),
     (lambda x: x**3 - 1e-3, 0.0, 1.0, 0.1, 16),
     (lambda x: x**3 + x - 10.0, -5.0, 20.0, 2.0, 16),
     (lambda x: x * abs(x) + 0.25, -1.0, 1.0, -0.5, 14),
     (lambda x: math.exp(x) - 2.0, 0.0, 10.0, math.log(2.0), 10),
-    # It jumps past zero: in the end nothing is left of the bracket.
+    # The function jumps past zero, so the bracket shrinks to nothing.
     (lambda x: math.copysign(1.0, x - 0.3), 0.0, 1.0, 0.3, 122),
     (lambda x: min(x, 0.01 * x + 0.99) - 1.5, 0.0, 100.0, 51.0, 6),
 ]
 
 
 @pytest.mark.parametrize(("function", "low", "high", "place", "most"), GROWING)
-def test_it_is_found_in_a_few_steps(
+def test_root_is_found_in_few_steps(
     function: Callable[[float], float], low: float, high: float, place: float, most: int
 ) -> None:
     asked: list[float] = []
@@ -45,7 +45,7 @@ def test_it_is_found_in_a_few_steps(
     ("below", "above", "place"),
     [(0.0, 1.0, 0.0), (0.5, 1.0, 0.0), (-0.25, 1.0, 0.0), (-1.0, 0.0, 1.0), (-1.0, 0.25, 1.0), (-0.25, 0.25, 0.0)],
 )
-def test_an_end_that_is_good_enough_is_taken(below: float, above: float, place: float) -> None:
-    """Also where rounding has put the root a little outside of the bracket."""
+def test_end_within_precision_is_returned(below: float, above: float, place: float) -> None:
+    """This holds even if rounding has put the root slightly outside the bracket."""
     values = {0.0: below, 1.0: above}
     assert root(values.__getitem__, 0.0, 1.0, 0.25) == place

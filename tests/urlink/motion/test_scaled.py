@@ -1,4 +1,4 @@
-"""Trajectories on a robot whose speed is scaled: the arm stays on its path, and each end is the right one."""
+"""Trajectories on a robot with scaled speed: the arm stays on its path, and each motion ends correctly."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from urlink.simulator import Controller, Still
 pytestmark = pytest.mark.simulated_time
 
 TIMEOUT = 120.0
-#: rad; beside the lag, the arm may be so far from its path.
+#: Largest distance of the arm from its path in rad, apart from the lag.
 NEAR = 0.001
 
 WAYS: dict[str, tuple[str, str, dict[str, Any]]] = {
@@ -53,7 +53,7 @@ _NOISE = np.random.default_rng(2).random(10_000)
 
 
 def slider(t: float) -> float:
-    """0 to 1 at s since the motion was begun: a half, a step, 0 for 2 s, steps, noise, a ramp."""
+    """Return the slider (0 to 1) at `t` s after the start: a half, a step, 0 for 2 s, steps, noise, a ramp."""
     if t < 0.5:
         return 0.5
     if t < 0.9:
@@ -67,12 +67,12 @@ def slider(t: float) -> float:
     return min(0.2 + 0.5 * (t - 3.9), 1.0)
 
 
-#: rad; elbow up, tool down.
+#: Joint positions in rad: elbow up, tool down.
 READY = (0.0, -1.6, 1.6, -1.6, -1.6, 0.0)
 
 
 def curve(seconds: float = 2.0) -> Trajectory:
-    """Six joints on a closed curve that bends everywhere, from rest to rest: up to 2 rad/s."""
+    """Return a closed curve of six joints that bends everywhere, from rest to rest, up to 2 rad/s."""
     t = np.linspace(0.0, seconds, 33)
     u = t / seconds
     angle = 2.0 * np.pi * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
@@ -86,7 +86,7 @@ def curve(seconds: float = 2.0) -> Trajectory:
 
 
 class Cell:
-    """A robot in simulated time, and its arm as it is led: `path` is a row per cycle, rad."""
+    """A robot in simulated time, and its commanded positions: `path` has one row per cycle, in rad."""
 
     def __init__(self, arm: str, firmware: str) -> None:
         self.controller = Controller(arm, firmware, motion=Still(READY)).start()
@@ -104,7 +104,7 @@ class Cell:
 
     @contextmanager
     def slider(self, profile: Callable[[float], float]) -> Iterator[None]:
-        """The slider moves from now on, until the block is left."""
+        """Move the slider, from now until the block is left."""
         began, over = time.monotonic(), threading.Event()
 
         def move() -> None:
@@ -136,7 +136,7 @@ def cell() -> Iterator[Callable[[str, str], Cell]]:
 
 
 def distance(path: FloatArray, reference: FloatArray) -> float:
-    """rad; of the furthest joint of any row from the curve through the reference, along which they go on."""
+    """Return the largest distance of any joint from the reference curve, in rad, for rows in order along it."""
     furthest, at = 0.0, 0
     for row in path:
         low = max(at - 10, 0)
@@ -151,7 +151,7 @@ def distance(path: FloatArray, reference: FloatArray) -> float:
 
 
 def moving(path: list[list[float]]) -> FloatArray:
-    """Its rows without those in which the arm stands."""
+    """Return the rows of a path in which the arm moves."""
     rows = np.array(path)
     moved: FloatArray = rows[1:][np.abs(np.diff(rows, axis=0)).max(1) > 1e-7]
     return moved
@@ -169,8 +169,8 @@ def followed(cell: Cell, **options: Any) -> tuple[Motion, list[TrajectoryFeedbac
 @pytest.mark.slow
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize("way", WAYS)
-def test_on_its_path_whatever_the_slider_does(cell: Callable[[str, str], Cell], way: str) -> None:
-    """The path at full speed has the lag of ``servoj``; by it the others are measured."""
+def test_arm_stays_on_path_whatever_the_slider_does(cell: Callable[[str, str], Cell], way: str) -> None:
+    """The path at full speed includes the lag of ``servoj``, so it is the reference for the others."""
     arm, firmware, options = WAYS[way]
     one = cell(arm, firmware)
     _, told, full = followed(one, **options)
@@ -181,13 +181,13 @@ def test_on_its_path_whatever_the_slider_does(cell: Callable[[str, str], Cell], 
     assert motion.phase is Phase.DONE
     assert distance(path, full) < NEAR
     times = np.array([[each.time, each.trajectory_time] for each in told])
-    assert np.diff(times, axis=0).min() >= -0.005  # as long as a state is ahead of the last that was answered
+    assert np.diff(times, axis=0).min() >= -0.005  # while a state is later than the last answered state
     assert times[-1, 0] > times[-1, 1] + 2.5
 
 
 @pytest.mark.slow
-def test_tolerances_count_the_time_of_the_trajectory(cell: Callable[[str, str], Cell]) -> None:
-    """At a tenth of the speed the arm has ten times as long to arrive, and at 0 no time passes."""
+def test_tolerances_count_time_of_trajectory(cell: Callable[[str, str], Cell]) -> None:
+    """At a tenth of the speed, the arm has ten times as long to arrive. At 0, no time passes."""
     one = cell("UR5", "3.15")
     # At the end of a trajectory that stops from full speed, the lag is 15 ms at most.
     path = Trajectory.from_arrays([0.0, 0.3], [READY, (*READY[:5], 0.1)])
@@ -205,8 +205,8 @@ def test_tolerances_count_the_time_of_the_trajectory(cell: Callable[[str, str], 
 
 
 @pytest.mark.slow
-def test_by_the_controllers_clock_the_arm_leaves_its_path(cell: Callable[[str, str], Cell]) -> None:
-    """What `scaling="ignore"` costs: the set-points that were skipped are cut off, the faster the less was slowed."""
+def test_arm_leaves_path_if_scaling_is_ignored(cell: Callable[[str, str], Cell]) -> None:
+    """The cost of `scaling="ignore"`: the arm cuts off the skipped set-points, and catches up at a higher speed."""
     one = cell("UR5e", "5.11")
     _, _, full = followed(one)
     with one.slider(lambda t: 0.25):
@@ -222,7 +222,7 @@ def test_by_the_controllers_clock_the_arm_leaves_its_path(cell: Callable[[str, s
         one.robot.motion.follow(curve(), scaling="ignore", path_tolerance=0.05).wait(TIMEOUT)
 
 
-def test_the_robot_interpolates_in_its_own_time(cell: Callable[[str, str], Cell]) -> None:
+def test_low_bandwidth_uses_only_time_of_robot(cell: Callable[[str, str], Cell]) -> None:
     one = cell("UR5e", "5.11")
     with pytest.raises(LocalError, match="in its own time"):
         one.robot.motion.follow(curve(), low_bandwidth=True, scaling="ignore")
@@ -239,14 +239,14 @@ def test_the_robot_interpolates_in_its_own_time(cell: Callable[[str, str], Cell]
     st.sampled_from(["3.4", "5.11"]),
     st.integers(0, 3),
 )
-def test_any_profile_of_the_slider(profile: list[tuple[float, float]], version: str, late: int) -> None:
-    """The program itself on an arm without a network: states and set-points are up to 3 cycles late."""
+def test_arm_stays_on_path_for_any_slider_profile(profile: list[tuple[float, float]], version: str, late: int) -> None:
+    """Run the program on an arm without a network; states and set-points are up to 3 cycles late."""
     full = rehearsed([], version, 0)
     assert distance(rehearsed(profile, version, late), full) < NEAR
 
 
 def rehearsed(profile: list[tuple[float, float]], version: str, late: int) -> FloatArray:
-    """The path of the arm where the slider has each fraction for so many s, and after them 1."""
+    """Return the path of the arm if the slider has each fraction for some s, and 1 afterwards."""
     firmware = Firmware.parse(version)
     arm = model("UR5e" if firmware.is_e_series else "UR5")
     path, how = curve(), Servoing(firmware, largest_speeds(arm), 0.1, 0.03, 300.0)

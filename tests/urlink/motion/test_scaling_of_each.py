@@ -1,4 +1,4 @@
-"""What the speed slider does to each motion: what the classes state, each measured."""
+"""Measure the effect of the speed slider on each motion, and compare it with the declared effect."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from urlink.motion.slider import EFFECTS
 
 pytestmark = pytest.mark.simulated_time
 
-#: rad/s
+#: Speed of the moving joint, in rad/s.
 SPEED = 0.3
 FAR = (*READY[:5], 2.0)
 
 
 @contextlib.contextmanager
 def looped(cell: Cell, say: Callable[[float], object]) -> Iterator[None]:
-    """Say something for each state, with the s since then; what is refused ends the loop."""
+    """Call `say` for each state with the time in s since the start; a rejected call ends the loop."""
     over = threading.Event()
 
     def run() -> None:
@@ -179,7 +179,7 @@ WAYS: dict[str, Callable[[Cell], contextlib.AbstractContextManager[None]]] = {
 
 
 def went(way: Callable[[Cell], contextlib.AbstractContextManager[None]], fraction: float) -> float:
-    """rad that the arm goes in 0.4 s with the slider at a fraction, 1 s after it was begun."""
+    """Return the distance in rad that the arm moves in 0.4 s, with the slider at a fraction, 1 s after the start."""
     one = Cell("UR5e", "5.25")
     try:
         one.controller.speed_fraction = fraction
@@ -194,12 +194,12 @@ def went(way: Callable[[Cell], contextlib.AbstractContextManager[None]], fractio
 
 
 def test_each_motion_is_measured() -> None:
-    assert set(EFFECTS) == set(WAYS), f"what differs needs a way to go in WAYS of {__name__}"
+    assert set(EFFECTS) == set(WAYS), f"every motion in EFFECTS needs an entry in WAYS of {__name__}"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WAYS)
-def test_what_the_slider_does_to(name: str) -> None:
+def test_slider_effect_matches_declaration(name: str) -> None:
     effect = EFFECTS[name][1]
     full = went(WAYS[name], 1.0)
     assert full > 0.05
@@ -208,8 +208,8 @@ def test_what_the_slider_does_to(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_loop_that_runs_on_at_0_is_refused() -> None:
-    """Its budget counts the time of the program: with the slider at 0 the arm could only leap after it."""
+def test_loop_advancing_at_slider_0_is_rejected() -> None:
+    """The budget counts the time of the program: with the slider at 0, the arm could only jump afterwards."""
     one = Cell("UR5e", "5.11")
     try:
         with one.robot.motion.servo() as servo:

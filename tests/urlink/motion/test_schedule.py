@@ -1,4 +1,4 @@
-"""Waypoints on the robot's clock, and the delay of an arm that is led: on simulated arms whose clock the test has."""
+"""Waypoints on the robot's clock, and the delay of an arm, on simulated arms whose clock the test controls."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.15", "5.11")]
 
 
 class Scheduled(Led):
-    """A servo that is told waypoints; its arm lags by `delay`."""
+    """A servo with scheduled waypoints, on an arm that lags by `delay`."""
 
     def __init__(self, firmware: Firmware, delay: float) -> None:
         self.source = Schedule(
@@ -44,7 +44,7 @@ class Scheduled(Led):
         super().__init__(firmware, self.source)
 
     def add(self, q: list[float], seconds: float) -> float | None:
-        """So many seconds from the beginning; when it is reached, in the same way."""
+        """Add a waypoint, in s after the start; return the time when it is reached, in the same way."""
         reached = self.source.add(q, self.BEGIN + seconds, self.time, self.bench.motion.setpoint.q)
         return None if reached is None else reached - self.BEGIN
 
@@ -57,7 +57,7 @@ class Scheduled(Led):
 
 
 def delay_of(firmware: Firmware) -> float:
-    """As `Servo.measure_delay` measures it."""
+    """Return the delay, as `Servo.measure_delay` measures it."""
     led = Scheduled(firmware, 0.0)
 
     def states() -> Iterator[RealtimeState]:
@@ -73,10 +73,10 @@ def delay_of(firmware: Firmware) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", _FIRMWARES[1:], ids=str)
-def test_waypoints_are_reached_at_their_times_once_the_delay_is_known(firmware: Firmware) -> None:
+def test_waypoints_are_reached_in_time_with_known_delay(firmware: Firmware) -> None:
     delay = delay_of(firmware)
     cycle = 1.0 / firmware.rate
-    # The simulated arm lags by half the look-ahead and two over the gain, after what a set-point takes to arrive.
+    # The arm lags by half the look-ahead time plus two over the gain, after the time that a set-point takes to arrive.
     assert delay == pytest.approx(0.5 * 0.03 + 2 / 300 + 1.5 * cycle, abs=0.6 * cycle)
     wave = [0.15 * (1.0 - np.cos(2.0 * t)) for t in np.arange(0.0, 2.01, 0.16)]
     errors = []
@@ -85,7 +85,7 @@ def test_waypoints_are_reached_at_their_times_once_the_delay_is_known(firmware: 
         led.run(5)
         off = []
         for i in range(1, 13):
-            # Six a second, three ahead, as a policy plans them: those that are known replace themselves.
+            # Six per second, planned three ahead as a policy does; known waypoints are replaced by equal ones.
             for ahead in range(i, min(i + 3, 13)):
                 assert led.add(turned(wave[ahead]), 0.16 * ahead) == pytest.approx(0.16 * ahead)
             led.until(0.16 * i)
@@ -98,22 +98,22 @@ def test_waypoints_are_reached_at_their_times_once_the_delay_is_known(firmware: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", [_FIRMWARES[0], _FIRMWARES[2]], ids=str)
-def test_what_is_scheduled_when(firmware: Firmware) -> None:
+def test_schedule_delays_and_drops_waypoints(firmware: Firmware) -> None:
     led = Scheduled(firmware, 2.0 / firmware.rate)
-    assert led.add(turned(0.1), 0.0) is None  # now
+    assert led.add(turned(0.1), 0.0) is None  # the time is now
     led.run(3)
     assert led.sent == []
-    later = led.add(turned(0.5), 0.1)  # at 5 rad/s, which no joint does
+    later = led.add(turned(0.5), 0.1)  # this needs 5 rad/s, which no joint reaches
     assert later is not None
     assert 0.25 < later < 1.0
     assert led.add(turned(0.4), 1.5) == pytest.approx(1.5)
-    assert led.add(turned(0.2), later) == pytest.approx(later)  # in the place of that, and of all that come later
+    assert led.add(turned(0.2), later) == pytest.approx(later)  # replaces that waypoint and all later ones
     led.until(1.0)
     assert led.q5 == pytest.approx(0.2, abs=1e-5)
     assert led.add(turned(0.3), 0.9) is None
     with pytest.raises(BadValue, match="position of wrist 3"):
         led.add(turned(7.0), 9.0)
-    # Held up in the middle, and beyond the last: no leap, and it gets there.
+    # The loop is delayed in the middle, and after the last waypoint. The arm does not jump, and arrives.
     led.add(turned(-0.3), 1.8)
     for missed in (1, 6, round(0.08 * firmware.rate)):
         led.run(max(round(0.1 * firmware.rate), missed + 2), missed=missed)
@@ -125,8 +125,8 @@ def test_what_is_scheduled_when(firmware: Firmware) -> None:
 
 
 @pytest.mark.slow
-def test_a_trajectory_is_followed_without_the_lag() -> None:
-    """The error that tolerances and feedback see, before and after."""
+def test_trajectory_is_followed_without_lag() -> None:
+    """Compare the errors that tolerances and feedback see, before and after the delay is known."""
     firmware = _FIRMWARES[1]
     path = Trajectory.from_arrays([0, 1, 2], [turned(0), turned(0.5), turned(0)])
     seen = []
@@ -145,7 +145,7 @@ def test_a_trajectory_is_followed_without_the_lag() -> None:
             led.bench.run()
             assert led.time < led.BEGIN + 5
         seen.append(np.abs(errors).max())
-    assert seen[0] > 0.009  # what is beyond two cycles, 14 ms, at 0.75 rad/s
+    assert seen[0] > 0.009  # the lag beyond two cycles is 14 ms, at 0.75 rad/s
     assert seen[1] < 0.1 * seen[0]
 
 
@@ -162,8 +162,8 @@ def is_possible(times: list[float], way: list[float]) -> bool:
 
 
 @pytest.mark.parametrize("way", [0.1, 0.5, 6.0])
-def test_what_is_too_soon_is_put_off_no_further_than_need_be(way: float) -> None:
-    """The time that there is for it, from the waypoint before, is never half as long again as it has to be."""
+def test_early_waypoint_is_postponed_as_little_as_needed(way: float) -> None:
+    """The time since the previous waypoint is less than half as long again as it has to be."""
     made = schedule()
     reached = made.add(turned(way), 50.02, 50.0, HOME)
     assert reached is not None
@@ -177,8 +177,8 @@ def test_what_is_too_soon_is_put_off_no_further_than_need_be(way: float) -> None
     assert not is_possible([0.0, 2.0, 2.0 + (reached - 52.0) / 1.5], [0.0, 0.1, 0.1 + way])
 
 
-def test_what_takes_400_times_as_long_as_there_is_time_is_refused() -> None:
-    """At most 1.45 to the power of 16; a base that turns at 2.1 rad/s then comes 4.16 rad far."""
+def test_waypoint_far_too_early_is_rejected() -> None:
+    """The limit is 1.45 to the power of 16. Within that time, a base that turns at 2.1 rad/s gets 4.16 rad far."""
 
     def added(angle: float) -> float | None:
         made = Schedule(model("UR10"), 1 / 128, 0.0, nullcontext())
@@ -189,14 +189,14 @@ def test_what_takes_400_times_as_long_as_there_is_time_is_refused() -> None:
         added(4.2)
 
 
-def test_a_waypoint_is_over_when_the_set_point_for_it_was_sent() -> None:
-    """The set-point that answers a state is for `delay` later, and takes a cycle at least to be followed by another."""
+def test_waypoint_is_over_when_set_point_was_sent() -> None:
+    """The set-point that answers a state is for `delay` later; the next set-point follows at least a cycle later."""
     for delay in (0.0, 0.125):
         made = schedule(delay)
         assert [made.has_targets, made.last] == [False, None]
         assert made.add(list(HOME), math.nextafter(50.0 + delay + 1 / 128, 0.0), 50.0, HOME) is None
         assert not made.has_targets
-        # An arm that stands has nothing to brake from.
+        # An arm at rest has nothing to brake from.
         assert made.add(list(HOME), 50.0 + delay + 1 / 128, 50.0, HOME) == 50.0 + delay + 1 / 128
         assert made.last == list(HOME)
         made.begin(51.0, HOME)
@@ -206,24 +206,24 @@ def test_a_waypoint_is_over_when_the_set_point_for_it_was_sent() -> None:
         for time, q in ((51.1, 0.0), (51.3, 0.05), (51.5, 0.1), (60.0, 0.1)):
             assert made.at(time, 1.0)[0] == pytest.approx(turned(q))
         assert made.skip(51.25 + 1 / 128, 0.2)[0] == made.at(51.25, 1.0)[0]
-        # One that is reached right now is where the next curve begins, and no point of it.
+        # A waypoint that is reached right now is where the next curve begins, rather than a point of it.
         made.accept(51.5, 1.0)
         assert made.add(turned(0.2), 52.0 + delay, 60.0, HOME) == 52.0 + delay
         assert made.at(51.5, 1.0)[0] == pytest.approx(turned(0.1))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.125])
-def test_it_goes_on_from_where_it_is_led(delay: float) -> None:
+def test_restart_continues_from_reached_position(delay: float) -> None:
     made = schedule(delay)
     for at, q in ((50.5, 0.1), (51.0, 0.2), (51.5, 0.0)):
         assert made.add(turned(q), at + delay, 50.0, HOME) == at + delay
     made.begin(50.0, HOME)
     made.restart(50.75, turned(0.3), [0.0] * 5 + [0.25])
-    # That is where the set-point before led.
+    # This is the position of the previous set-point.
     for time, q in ((50.75 - 1 / 128, 0.3), (51.0, 0.2), (51.5, 0.0)):
         assert made.at(time, 1.0)[0] == pytest.approx(turned(q), abs=1e-9)
     assert made.at(50.75 - 1 / 128, 1.0)[1] == pytest.approx([0.0] * 5 + [0.25])
-    # Beyond the last, and within a cycle of it, there is a tenth of a second for what is left.
+    # After the last waypoint, and within a cycle of it, the rest of the distance takes a tenth of a second.
     for time in (51.5, 53.0):
         made.restart(time, turned(0.01), [0.0] * 6)
         begin = time - 1 / 128
@@ -233,8 +233,8 @@ def test_it_goes_on_from_where_it_is_led(delay: float) -> None:
 
 @pytest.mark.parametrize("speed", [-2.0, 0.0, 2.0])
 @pytest.mark.parametrize("away", [-0.3, 0.3])
-def test_after_a_hold_up_what_is_too_soon_comes_later(away: float, speed: float) -> None:
-    """Not only the last waypoint: the first may be a few milliseconds ahead, and the arm far from the way there."""
+def test_restart_postpones_waypoints_if_needed(away: float, speed: float) -> None:
+    """Not only the last waypoint counts: the first might be a few milliseconds ahead, and the arm far from the path."""
     made = Schedule(model("UR5e"), 0.002, 0.0, nullcontext())
     places = [0.1, 0.15, 0.2, 0.2]
     for number, q in enumerate(places):
@@ -251,20 +251,20 @@ def test_after_a_hold_up_what_is_too_soon_comes_later(away: float, speed: float)
 
 
 @pytest.mark.parametrize(("apart", "is_one"), [(0.0015, False), (0.0005, True)])
-def test_waypoints_less_than_a_millisecond_apart_are_one(apart: float, is_one: bool) -> None:
+def test_waypoints_within_a_millisecond_are_merged(apart: float, is_one: bool) -> None:
     made = schedule()
     for at in (51.0, 51.0 + apart):
         assert made.add(turned(0.1), at, 50.0, HOME) == at
-    # The last is reached with the speed going to zero, so it is not quite reached before.
+    # At the last waypoint the speed goes to zero, so the position is not quite reached before.
     assert (abs(made.at(51.0, 1.0)[0][5] - 0.1) > 1e-8) == is_one
 
 
 class Lagging:
-    """An arm that is where it was led `lag` s before, `gain` times as far; its sensor is off by `offset` rad."""
+    """An arm at the position commanded `lag` s ago, `gain` times as far; its sensor is off by `offset` rad."""
 
     def __init__(self, lag: float, gain: float = 1.0, offset: float = 0.01, joint: int = 5) -> None:
         self.lag, self.gain, self.offset, self.joint = lag, gain, offset, joint
-        #: s from the first state, and rad from there
+        #: time in s since the first state, and positions relative to the start, in rad
         self.sent: list[tuple[float, list[float]]] = []
 
     def measure(self, amplitude: float = 0.05, duration: float = 1.0) -> float:
@@ -283,13 +283,13 @@ class Lagging:
 
 
 @pytest.mark.parametrize(("lag", "amplitude"), [(0.003, 0.05), (0.12, -0.3), (0.45, 0.05)])
-def test_the_delay_is_that_by_which_an_arm_lags(lag: float, amplitude: float) -> None:
+def test_measured_delay_is_lag_of_arm(lag: float, amplitude: float) -> None:
     assert Lagging(lag).measure(amplitude) == pytest.approx(lag, abs=1e-7)
     assert Lagging(lag, joint=2).measure(amplitude, 3.0) == pytest.approx(lag, abs=1e-7)
 
 
-def test_what_is_sent_to_measure_it() -> None:
-    """One joint there and back, from rest to rest; the states after that are waited for too."""
+def test_measurement_moves_one_joint_forth_and_back() -> None:
+    """The joint moves from rest to rest; the measurement also waits for the states after that."""
     arm = Lagging(0.02, joint=2)
     arm.measure(0.1, 0.8)
     times, way = np.array([time for time, _ in arm.sent]), np.array([q for _, q in arm.sent])
@@ -300,19 +300,19 @@ def test_what_is_sent_to_measure_it() -> None:
 @pytest.mark.parametrize(
     "arm",
     [Lagging(0.0, 0.0), Lagging(0.6), Lagging(-0.01), Lagging(0.02, 0.7), Lagging(0.02, -1.0), Lagging(0.02, 1.3)],
-    ids=["at all", "within half a second", "but goes before", "all the way", "there", "and stop"],
+    ids=["no motion", "too late", "too early", "not far enough", "other direction", "too far"],
 )
-def test_an_arm_that_does_not_follow(arm: Lagging) -> None:
+def test_arm_not_following_is_reported(arm: Lagging) -> None:
     with pytest.raises(LinkError, match="does not follow"):
         arm.measure()
 
 
-def test_an_arm_that_follows_nearly_all_the_way() -> None:
+def test_arm_following_most_of_the_way_is_measured() -> None:
     assert Lagging(0.02, 0.85).measure() == pytest.approx(0.02, abs=1e-3)
 
 
 class TestServo:
-    def test_joints_and_poses(self, robot: Rehearsal) -> None:
+    def test_schedule_accepts_joints_and_poses(self, robot: Rehearsal) -> None:
         up = Arm("UR5e").forward(HOME)
         up[2] += 0.02
         with opened(robot) as servo:
@@ -339,9 +339,9 @@ class TestServo:
                 servo.measure_delay()
 
     @pytest.mark.parametrize("delay", [None, 0.0, 0.1])
-    def test_set_points_are_sent_so_much_earlier(self, robot: Rehearsal, delay: float | None) -> None:
+    def test_set_points_are_sent_earlier_by_delay(self, robot: Rehearsal, delay: float | None) -> None:
         with opened(robot, delay=delay) as servo:
-            # The states up to here are answered by a thread; this subscription is offered each one after that thread's.
+            # A thread answers the states up to here; this subscription receives each state after that thread.
             heard: list[float] = []
             robot.realtime.subscribe(lambda state: heard.append(state.time), inline=True)
             robot.tick()
@@ -359,8 +359,8 @@ class TestServo:
             # The last few thousandths of a second are less than a millionth of a radian.
             assert at - time == pytest.approx(2 * robot.cycle if delay is None else delay, abs=0.003)
 
-    def test_a_pose_that_would_turn_a_joint_far_is_refused(self, robot: Rehearsal) -> None:
-        """As behind a singularity, or far away: the way there would not be straight."""
+    def test_pose_needing_a_large_joint_turn_is_rejected(self, robot: Rehearsal) -> None:
+        """The pose might be behind a singularity or far away, so the path would not be straight."""
         with opened(robot) as servo:
             for turn, is_far in ((1.45, False), (-0.2, True), (2.9, False)):
                 pose = Arm("UR5e").forward([turn, *HOME[1:]])
@@ -375,9 +375,7 @@ class TestServo:
                 with pytest.raises(BadValue, match="expected a Joint or Linear without blend and speed"):
                     servo.schedule(refused, at=robot.time + 20)  # type: ignore[arg-type]
 
-    def test_after_an_interruption_the_next_waypoint_leads_the_arm(
-        self, robot: Rehearsal, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_schedule_works_after_an_interruption(self, robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
         def interrupt(*args: object) -> None:
             raise KeyboardInterrupt
 
@@ -389,7 +387,7 @@ class TestServo:
             assert servo.schedule(HOME, at=robot.time + 1) is not None
             assert servo._dialogue.resampled is not None
 
-    def test_one_way_or_the_other(self, rehearsal: Callable[..., Rehearsal]) -> None:
+    def test_send_and_schedule_cannot_be_combined(self, rehearsal: Callable[..., Rehearsal]) -> None:
         for options, message in (({}, "use either send"), ({"target_filter": "jerk_limited"}, "use send")):
             robot = rehearsal()
             with opened(robot, **options) as servo:

@@ -1,4 +1,4 @@
-"""Closed loops; the robot's side is played by the test."""
+"""Servo loops; the test plays the robot."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.simulated_time
 
 
 class Beside:
-    """The robot's side of the beginning and the end of a block, which the thread of the test waits in."""
+    """The robot's side at the start and the end of a block, while the thread of the test waits in the block."""
 
     def __init__(self, robot: Rehearsal) -> None:
         self._robot = robot
@@ -58,7 +58,7 @@ class Beside:
 
 @contextmanager
 def opened(robot: Rehearsal, **options: Any) -> Iterator[Servo]:
-    """A servo that has connected; the program ends when it is told to."""
+    """Open a servo and wait for its connection; at the end, its program ends when it receives a stop."""
     servo = robot.motion.servo(**options)
     with Beside(robot):
         servo.__enter__()
@@ -81,7 +81,7 @@ def next_set_point(robot: Rehearsal) -> list[float]:
 
 
 @pytest.mark.parametrize(("firmware", "arm"), [("1.8", "UR5"), ("3.4", "UR5"), ("5.11", "UR5e")])
-def test_sends_what_it_is_given(rehearsal: Callable[..., Rehearsal], firmware: str, arm: str) -> None:
+def test_servo_sends_given_set_points(rehearsal: Callable[..., Rehearsal], firmware: str, arm: str) -> None:
     robot = rehearsal(firmware, arm)
     with opened(robot) as servo:
         assert servo.rate == robot.firmware.rate
@@ -97,7 +97,7 @@ def test_sends_what_it_is_given(rehearsal: Callable[..., Rehearsal], firmware: s
         servo.__enter__()
 
 
-def test_outside_of_its_block(led: Rehearsal) -> None:
+def test_servo_rejects_calls_outside_block(led: Rehearsal) -> None:
     servo = led.motion.servo()
     calls: list[Callable[[], object]] = [
         lambda: servo.send(HOME),
@@ -110,8 +110,8 @@ def test_outside_of_its_block(led: Rehearsal) -> None:
     assert led.sent == []
 
 
-def test_statistics(led: Rehearsal) -> None:
-    """Of a loop that means to send each 2 ms, and is 2 ms late with every tenth set-point."""
+def test_statistics_count_late_set_points(led: Rehearsal) -> None:
+    """The loop should send every 2 ms, and sends every tenth set-point 2 ms late."""
     with opened(led, watchdog=5.0) as servo:
         assert servo.stats == ServoStatistics(0, 0.0, 0.0, 0.0, 0.0, 0)
         for n in range(101):
@@ -125,8 +125,8 @@ def test_statistics(led: Rehearsal) -> None:
     assert stats.p99 == pytest.approx(0.002)
 
 
-def test_an_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> None:
-    """Statistics look back on the newest intervals, but what they count is of all."""
+def test_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> None:
+    """Quantiles are for the newest intervals, but counts are for all intervals."""
     with opened(robot, rate=2.0, watchdog=5.0) as servo:
         for interval in (0.5, 0.75, 0.25, 0.8125, 0.5):
             servo.send(HOME)
@@ -139,7 +139,7 @@ def test_an_interval_is_late_beyond_one_and_a_half_periods(robot: Rehearsal) -> 
     assert 0.25 < stats.p99 < 0.3125
 
 
-def test_half_of_the_intervals_deviate_by_less(robot: Rehearsal) -> None:
+def test_median_of_deviations_from_interval(robot: Rehearsal) -> None:
     with opened(robot, rate=2.0, watchdog=5.0) as servo:
         for interval in (0.5, 0.625, 0.75, 0.875):
             servo.send(HOME)
@@ -148,7 +148,7 @@ def test_half_of_the_intervals_deviate_by_less(robot: Rehearsal) -> None:
         assert servo.stats.p50 == pytest.approx(0.1875)
 
 
-def test_statistics_of_a_loop_that_goes_on_for_long(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_statistics_of_long_loop_use_newest_intervals(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.servo._REMEMBERED", 2)
     with opened(robot, rate=2.0, watchdog=5.0) as servo:
         for interval in (2.0, 0.5, 0.75):
@@ -158,19 +158,19 @@ def test_statistics_of_a_loop_that_goes_on_for_long(robot: Rehearsal, monkeypatc
         assert (servo.stats.count, servo.stats.late, servo.stats.max) == (4, 1, 0.25)
 
 
-def test_a_set_point_carries_its_speed(led: Rehearsal) -> None:
+def test_set_point_carries_speed(led: Rehearsal) -> None:
     with opened(led) as servo:
         for q, seconds, speed in ((0.03, 0.0, 0.0), (0.032, 0.004, 0.5), (0.033, 0.0, 0.5), (0.031, 0.002, 0.0)):
             led.time += seconds
             servo.send(turned(q))
             assert next_set_point(led) == pytest.approx(turned(q))
             assert led.speeds == pytest.approx([0.0] * 5 + [speed], abs=1e-6)
-        # From now on the loop alone says something.
+        # From now on, only the loop sends messages.
         assert servo._dialogue.step(b"", servo._context.state(), led.time) == b""
 
 
-def test_the_way_between_two_set_points_at_once_after_a_hold_up_is_no_speed(led: Rehearsal) -> None:
-    """The loop goes at 0.15 rad/s; what it sends first after 60 ms is of before."""
+def test_burst_after_delay_causes_no_speed_peak(led: Rehearsal) -> None:
+    """The loop moves at 0.15 rad/s. Its first set-point after 60 ms is from before the delay."""
     speeds = []
     with opened(led) as servo:
         for n in range(60):
@@ -184,7 +184,7 @@ def test_the_way_between_two_set_points_at_once_after_a_hold_up_is_no_speed(led:
     assert max(speeds[29:]) < 0.151
 
 
-def test_speeds_are_of_the_last_set_points_only(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_speed_uses_only_recent_set_points(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.servo.LONGEST_PERIOD", 0.25)
     servo = robot.motion.servo()
 
@@ -195,7 +195,7 @@ def test_speeds_are_of_the_last_set_points_only(robot: Rehearsal, monkeypatch: p
             before = turned(q)
         return found
 
-    # Those since 0.25 s, and one before them where the others are less.
+    # Set-points of the last 0.25 s count, and an earlier one if they cover less time.
     assert speeds((0.0, 0.0), (0.125, 0.1), (0.25, 0.2), (0.375, 0.4)) == pytest.approx([0.0, 0.8, 0.8, 0.3 / 0.25])
     assert speeds((0.0, 0.0), (0.125, 0.0), (0.5, 0.3)) == pytest.approx([0.0, 0.0, 0.3 / 0.375])
 
@@ -209,7 +209,7 @@ def seen(time: float, scaling: float = 1.0, q: float = 0.0) -> RealtimeState:
     return cast(RealtimeState, state)
 
 
-def test_until_the_loop_sends_something_the_program_is_told_to_wait() -> None:
+def test_program_waits_until_loop_sends() -> None:
     servo = leading()
     assert servo.step(b"", seen(50.0, q=0.3), 1000.0) == WAIT_MESSAGE
     assert servo.here == turned(0.3)
@@ -218,22 +218,22 @@ def test_until_the_loop_sends_something_the_program_is_told_to_wait() -> None:
     assert servo.here == turned(0.3)
 
 
-def test_the_time_of_a_program_that_is_executed_slowly() -> None:
+def test_program_time_follows_scaling() -> None:
     servo = leading()
     assert servo.program_time(999.0) == 999.0
     servo.step(b"", seen(50.0), 1000.0)
-    servo.step(b"", seen(50.25, 0.5), 1000.25)  # three quarters on the average
+    servo.step(b"", seen(50.25, 0.5), 1000.25)  # three quarters on average
     assert servo.program_time(1000.25) == pytest.approx(1000.25 - 0.0625)
     assert servo.program_time(1000.5) == pytest.approx(1000.5 - 0.0625 - 0.125)
-    assert servo.program_time(1000.0) == pytest.approx(1000.0 - 0.0625)  # no time passes backwards
+    assert servo.program_time(1000.0) == pytest.approx(1000.0 - 0.0625)  # time does not run backwards
     servo.step(b"", seen(50.75, 0.5), 1000.75)
     assert servo.program_time(1000.75) == pytest.approx(1000.75 - 0.0625 - 0.25)
-    # A state from the past is one cycle later, of which the program has half.
+    # A state from the past counts as one cycle; for the program, half of it passes.
     servo.step(b"", seen(40.0, 0.5), 1000.75)
     assert servo.program_time(1000.75) == pytest.approx(1000.75 - 0.0625 - 0.25 - 0.001, abs=1e-9)
 
 
-def test_after_a_pause_the_time_of_the_program_begins_slowly() -> None:
+def test_program_time_starts_slowly_after_pause() -> None:
     servo = leading()
     servo.step(b"", seen(50.0), 1000.0)
     servo.resume(seen(60.0, q=0.2))
@@ -243,12 +243,12 @@ def test_after_a_pause_the_time_of_the_program_begins_slowly() -> None:
     assert (servo.here, servo.begins_anew) == (turned(0.3), True)
     servo.step(b"", seen(60.0), 1010.0)
     assert servo.program_time(1010.0) == pytest.approx(1000.0)
-    assert servo.program_time(1011.0) == pytest.approx(1000.0)  # by the first state it stands
+    assert servo.program_time(1011.0) == pytest.approx(1000.0)  # with the first state, no time passes
     servo.step(b"", seen(60.08), 1010.08)
     assert servo.program_time(1010.08) == pytest.approx(1000.0 + 0.5 * 0.5 * 0.08)
 
 
-def test_what_makes_the_set_points_is_told_of_a_pause() -> None:
+def test_source_of_set_points_is_notified_of_pause() -> None:
     resumed: list[RealtimeState] = []
     resampled = SimpleNamespace(resume=resumed.append)
     servo, state = leading(cast(ResampledSetpoints, resampled)), seen(60.0)
@@ -258,7 +258,7 @@ def test_what_makes_the_set_points_is_told_of_a_pause() -> None:
     assert not servo.begins_anew
 
 
-def test_a_loop_begins_anew_after_a_pause(robot: Rehearsal) -> None:
+def test_loop_restarts_after_pause(robot: Rehearsal) -> None:
     with opened(robot) as servo:
         for n in range(5):
             servo.send(turned(0.001 * n))
@@ -274,7 +274,7 @@ def test_a_loop_begins_anew_after_a_pause(robot: Rehearsal) -> None:
             robot.time += 0.002
 
 
-def test_the_scaling_is_that_of_the_newest_state(robot: Rehearsal) -> None:
+def test_scaling_is_from_newest_state(robot: Rehearsal) -> None:
     servo = robot.motion.servo()
     for scaling in (0.4, 1.0):
         robot.scaling = scaling
@@ -282,7 +282,7 @@ def test_the_scaling_is_that_of_the_newest_state(robot: Rehearsal) -> None:
         until(lambda scaling=scaling: servo.scaling == scaling)  # type: ignore[misc]
 
 
-def test_the_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
+def test_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
     led.q = turned(2 * np.pi - 0.05)
     led.show()
     with opened(led) as servo:
@@ -301,7 +301,7 @@ def test_the_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> Non
         servo.send(turned(-0.05))
 
 
-def test_the_range_of_an_arm_that_nobody_knows(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_unknown_arm_has_no_joint_range(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(model="UR9000")
     with opened(robot, target_filter="jerk_limited") as servo:
         for target in ([100.0] * 6, [-100.0] * 6):
@@ -310,8 +310,8 @@ def test_the_range_of_an_arm_that_nobody_knows(rehearsal: Callable[..., Rehearsa
             servo.send([float("inf")] * 6)
 
 
-def test_for_how_long_the_program_goes_on_by_itself(robot: Rehearsal) -> None:
-    """A tenth of a second; or three periods of a loop that sends its set-points more seldom than that."""
+def test_coasting_time_depends_on_rate(robot: Rehearsal) -> None:
+    """The program coasts for a tenth of a second, or for three periods of a slower loop."""
     for options, cycles in (
         ({}, 50),
         ({"rate": 4.0}, 375),
@@ -326,7 +326,7 @@ def test_for_how_long_the_program_goes_on_by_itself(robot: Rehearsal) -> None:
     motion.cancel()
 
 
-def test_too_fast_is_refused_and_the_loop_can_go_on(led: Rehearsal) -> None:
+def test_too_fast_set_point_is_rejected_and_loop_continues(led: Rehearsal) -> None:
     with opened(led) as servo:
         for n in range(10):
             servo.send(turned(0.001 * n))
@@ -337,7 +337,7 @@ def test_too_fast_is_refused_and_the_loop_can_go_on(led: Rehearsal) -> None:
         assert servo.stats.count == 11
 
 
-def test_small_steps_without_time_between_them_are_too_fast_as_well(led: Rehearsal) -> None:
+def test_small_steps_without_time_between_are_too_fast(led: Rehearsal) -> None:
     with opened(led) as servo:
         for n in range(3):  # at 3.14 rad/s, for the 2 ms of a cycle and the millisecond that a set-point may be early
             servo.send(turned(0.004 * n))
@@ -355,7 +355,7 @@ def test_small_steps_without_time_between_them_are_too_fast_as_well(led: Rehears
         (turned(0.1), r"0\.1000 rad from where the arm is; at most 0\.0500"),
     ],
 )
-def test_a_first_set_point_that_is_refused(led: Rehearsal, q: list[float], message: str) -> None:
+def test_invalid_first_set_point_is_rejected(led: Rehearsal, q: list[float], message: str) -> None:
     with opened(led) as servo:
         with pytest.raises(BadValue, match=message):
             servo.send(q)
@@ -364,7 +364,7 @@ def test_a_first_set_point_that_is_refused(led: Rehearsal, q: list[float], messa
         assert next_set_point(led) == pytest.approx(HOME, abs=1e-6)
 
 
-def test_a_jump_is_refused(led: Rehearsal) -> None:
+def test_jump_is_rejected(led: Rehearsal) -> None:
     with opened(led) as servo:
         servo.send(HOME)
         with pytest.raises(BadValue, match=r"q\[5\] \(wrist 3\) is 1\.0000 rad, 1\.0000 rad from the last set-point"):
@@ -372,8 +372,8 @@ def test_a_jump_is_refused(led: Rehearsal) -> None:
         assert not servo.done
 
 
-def test_targets_for_a_filter(led: Rehearsal) -> None:
-    """Far away, and at no rate at all: one is sent, and set-points follow from it by themselves."""
+def test_target_filter_generates_set_points(led: Rehearsal) -> None:
+    """A single distant target is sent, at no rate at all, and the set-points to it follow automatically."""
     with opened(led, rate=5.0, target_filter="jerk_limited", speed=2.0, acceleration=10.0, jerk=200.0) as servo:
         with pytest.raises(
             BadValue, match=r"q\[5\] \(wrist 3\) is 7 rad; expected a number from -6\.28319 to 6\.28319 rad"
@@ -393,7 +393,7 @@ def test_targets_for_a_filter(led: Rehearsal) -> None:
     assert servo.phase is Phase.DONE
 
 
-def test_a_filter_that_nobody_knows(led: Rehearsal) -> None:
+def test_unknown_filter_is_rejected(led: Rehearsal) -> None:
     with pytest.raises(BadValue, match="target_filter='smooth'; expected 'jerk_limited'"):
         led.motion.servo(target_filter="smooth")  # type: ignore[arg-type]
     with pytest.raises(BadValue, match="expected positive limits"):
@@ -401,7 +401,7 @@ def test_a_filter_that_nobody_knows(led: Rehearsal) -> None:
     assert led.sent == []
 
 
-def test_a_stop(led: Rehearsal) -> None:
+def test_send_raises_safety_stop(led: Rehearsal) -> None:
     with opened(led) as servo:
         servo.send(HOME)
         led.state(safety=SafetyMode.PROTECTIVE_STOP)
@@ -410,7 +410,7 @@ def test_a_stop(led: Rehearsal) -> None:
             servo.send(HOME)
 
 
-def test_servo_names_its_watchdog_when_it_has_ended_it(robot: Rehearsal) -> None:
+def test_connection_lost_by_watchdog_names_watchdog(robot: Rehearsal) -> None:
     with opened(robot) as servo:
         servo.send(HOME)
         robot.text("urlink: nothing to go to")
@@ -419,7 +419,7 @@ def test_servo_names_its_watchdog_when_it_has_ended_it(robot: Rehearsal) -> None
             servo.send(HOME)
 
 
-def test_servo_names_the_delay_before_a_step_that_is_too_far(led: Rehearsal) -> None:
+def test_servo_names_the_delay_before_a_too_large_step(led: Rehearsal) -> None:
     with opened(led) as servo:
         for n in range(3):
             servo.send(turned(0.001 * n))
@@ -429,7 +429,7 @@ def test_servo_names_the_delay_before_a_step_that_is_too_far(led: Rehearsal) -> 
             servo.send(turned(0.5))
 
 
-def test_the_link_is_cut(robot: Rehearsal) -> None:
+def test_cut_link_raises_connection_lost(robot: Rehearsal) -> None:
     with opened(robot) as servo:
         servo.send(HOME)
         assert robot.link is not None
@@ -440,7 +440,7 @@ def test_the_link_is_cut(robot: Rehearsal) -> None:
             servo.send(HOME)
 
 
-def test_the_link_is_cut_and_only_sending_shows_it(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cut_link_is_noticed_by_send(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.block_motion._REASON", 0.05)
     with opened(robot) as servo:
         assert robot.link is not None
@@ -455,7 +455,7 @@ def test_the_link_is_cut_and_only_sending_shows_it(robot: Rehearsal, monkeypatch
         servo.cancel()
 
 
-def test_stopped_at_the_pendant(led: Rehearsal) -> None:
+def test_stop_at_pendant_raises_program_stopped(led: Rehearsal) -> None:
     with opened(led) as servo:
         led.vanish()
         led.until(lambda: servo.done)
@@ -463,7 +463,7 @@ def test_stopped_at_the_pendant(led: Rehearsal) -> None:
             servo.send(HOME)
 
 
-def test_superseded(led: Rehearsal) -> None:
+def test_preempted_servo_raises_cancelled(led: Rehearsal) -> None:
     with opened(led) as servo:
         servo.send(HOME)
         motion = led.motion.move_joints(HOME)
@@ -474,7 +474,7 @@ def test_superseded(led: Rehearsal) -> None:
         motion.cancel()
 
 
-def test_does_not_connect(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_connection_raises_connect_failed(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.linked_program.CONNECT_TIMEOUT", 0.05)
     over = threading.Event()
 
@@ -486,14 +486,14 @@ def test_does_not_connect(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> 
     thread.start()
     try:
         with pytest.raises(ConnectFailed, match="reverse_host"), robot.motion.servo():
-            raise AssertionError("it did not connect")
+            raise AssertionError("the servo must not connect")
     finally:
         over.set()
         thread.join()
     assert robot.motion.current is None
 
 
-def test_the_registers_cannot_be_written_any_more(
+def test_lost_registers_raise_connection_lost(
     rehearsal: Callable[..., Rehearsal], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = rehearsal(link="rtde")
@@ -502,19 +502,19 @@ def test_the_registers_cannot_be_written_any_more(
         robot.inputs.is_cut = True
         waited: list[float] = []
         with monkeypatch.context() as patch:
-            # Until the end of a second in which the reason may be heard.
+            # Wait until the end of the time during which a reason might arrive.
             patch.setattr(servo, "wait", waited.append)
             with pytest.raises(ConnectionLost, match=r"^cut$"):
                 servo.send(HOME)
         assert waited == [1.5]
-        # The arm brakes by itself, and nobody says why.
+        # The arm brakes on its own, and no reason is reported.
         robot.time += 1.1
         robot.until(lambda: servo.done)
         with pytest.raises(ConnectionLost, match="it brakes on its own: cut"):
             servo.send(HOME)
 
 
-def test_what_is_heard_in_time_is_why_nothing_can_be_sent(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_reported_reason_replaces_connection_loss(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(link="rtde")
 
     def stop(values: Mapping[str, float]) -> None:
@@ -527,7 +527,7 @@ def test_what_is_heard_in_time_is_why_nothing_can_be_sent(rehearsal: Callable[..
             servo.send(HOME)
 
 
-def test_firmware_without_these_registers(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_firmware_without_registers_is_rejected(rehearsal: Callable[..., Rehearsal]) -> None:
     for firmware, arm in (("1.8", "UR5"), ("3.8", "UR5"), ("5.2", "UR5e")):
         robot = rehearsal(firmware, arm)
         with pytest.raises(LocalError, match=r"does not have the registers for link='rtde'; 3\.9, 5\.3 or later"):
@@ -535,7 +535,7 @@ def test_firmware_without_these_registers(rehearsal: Callable[..., Rehearsal]) -
         assert robot.sent == []
 
 
-def test_a_done_callback_of_one_that_cannot_begin_may_command_and_wait(led: Rehearsal) -> None:
+def test_done_callback_of_failed_start_may_command_and_wait(led: Rehearsal) -> None:
     led.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: led.safety.cause is not None)
     seen: list[BaseException] = []

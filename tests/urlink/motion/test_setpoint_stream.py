@@ -1,4 +1,4 @@
-"""What is sent in each cycle of the controller, and what is believed of the robot while nothing is, by each message."""
+"""Messages in each cycle of the controller, and the expected motion of the program without messages."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import STOP, WAIT
 
 UR5E = model("UR5e")
-#: rad/s of each joint of a UR5e.
+#: Speed limit of each joint of a UR5e, in rad/s.
 TOP = float(UR5E.max_speed[5])
-#: A program that is led by these coasts for 50 cycles of 2 ms.
+#: A program with these options coasts for 50 cycles of 2 ms.
 SERVOING = Servoing(Firmware.parse("5.11"), largest_speeds(UR5E), 0.1, 0.03, 300.0)
 CYCLE = 0.002
 REST = [0.0] * 6
 
 
 def at(angle: float) -> list[float]:
-    """Of wrist 3, rad or rad/s."""
+    """Return values for six joints, zero except for wrist 3, in rad or rad/s."""
     return [0.0] * 5 + [angle]
 
 
-def test_a_message_without_a_set_point_has_no_numbers() -> None:
+def test_message_without_set_point_has_no_numbers() -> None:
     assert read_message(STOP_MESSAGE) == (REST, REST, STOP)
     assert read_message(WAIT_MESSAGE) == (REST, REST, WAIT)
 
 
 @pytest.mark.parametrize("last", [0.0, 3e-6, 0.5])
-def test_after_a_pause_a_set_point_says_how_many_there_were(last: float) -> None:
+def test_set_point_contains_number_of_pauses(last: float) -> None:
     message = setpoint(at(0.3), at(last))
     assert dated(message, 7) == message + bytes([0, 0, 0, 7])
     assert dated(message, 7, 2) == message[:-4] + (WAIT + 2).to_bytes(4, "big") + bytes([0, 0, 0, 7])
@@ -59,11 +59,11 @@ def stream() -> SetpointStream:
     return stream
 
 
-def test_a_program_without_set_points_stays_and_then_goes_on_ever_slower(stream: SetpointStream) -> None:
+def test_program_waits_at_first_and_coasts_after_set_point(stream: SetpointStream) -> None:
     assert stream.coasted_to(20) == (at(0.3), REST)
     message = stream.send(at(0.301), at(0.5), 10.0)
     assert read_message(message)[:2] == (at(0.301), at(0.5))
-    # Of 10 cycles the first is run at 98 % of that speed, the last at 80 %.
+    # The first of 10 cycles runs at 98 % of that speed, and the last at 80 %.
     q, qd = stream.coasted_to(10)
     assert q == pytest.approx(at(0.301 + 0.5 * 8.9 * CYCLE))
     assert qd == pytest.approx(at(0.4))
@@ -72,7 +72,7 @@ def test_a_program_without_set_points_stays_and_then_goes_on_ever_slower(stream:
     assert stream.coasted_to(70)[1] == REST
 
 
-def test_the_next_set_point_is_due_half_a_cycle_after_the_last_and_late_after_one_and_a_half(
+def test_next_set_point_is_due_half_a_cycle_after_the_last(
     stream: SetpointStream,
 ) -> None:
     for _ in range(2):
@@ -90,12 +90,12 @@ def test_the_next_set_point_is_due_half_a_cycle_after_the_last_and_late_after_on
         stream.send(at(0.3), REST, 10.0)
 
 
-def test_a_set_point_after_many_that_were_missed_may_be_as_far_as_the_program_coasts(stream: SetpointStream) -> None:
+def test_late_set_point_may_be_as_far_as_program_coasts(stream: SetpointStream) -> None:
     stream.send(at(0.3), REST, 10.0)
     for later, seconds in ((CYCLE, CYCLE + EARLY), (0.05, 0.05 + EARLY), (60.0, 0.1 + CYCLE + EARLY)):
         assert stream.excess(at(0.3 + 0.999 * TOP * seconds), 10.0 + later) is None
         assert "q[5]" in (stream.excess(at(0.3 + 1.001 * TOP * seconds), 10.0 + later) or "")
-    # What is sent uses it up.
+    # A sent set-point uses up the budget.
     stream.send(at(0.3 + TOP * CYCLE), REST, 10.0 + CYCLE)
     assert stream.excess(at(0.3 + TOP * (CYCLE + 2.0 * EARLY)), 10.0 + CYCLE) is not None
 
@@ -104,13 +104,13 @@ def test_a_set_point_after_many_that_were_missed_may_be_as_far_as_the_program_co
 
 
 class Source:
-    """Leads wrist 3 at `speed`; `called` are the calls of it, but for where it is."""
+    """Source that moves wrist 3 at `speed`; `called` lists the calls, except calls of `at`."""
 
     def __init__(self) -> None:
         self.has_targets = True
         self.speed = 0.0
         self.called: list[tuple[object, ...]] = []
-        #: what is said of the time in which set-points were missed
+        #: result of `skip`, for a time with missed set-points
         self.skipped = (REST, REST)
 
     def begin(self, time: float, q: Sequence[float]) -> None:
@@ -131,7 +131,7 @@ class Source:
 
 
 class Fed:
-    """States of an arm that stands at 0, at times since it began; what is answered, or None if nothing is."""
+    """Resampled set-points that receive states of an arm at rest at 0, at times since the start."""
 
     def __init__(self) -> None:
         self.source = Source()
@@ -143,7 +143,7 @@ class Fed:
         return self.resampled.answer(cast(RealtimeState, state), 1000.0 + (passed if now is None else now))
 
     def led(self, passed: float, *, now: float | None = None) -> tuple[float, float]:
-        """Where wrist 3 is led, and how fast the program goes on."""
+        """Return the set-point of wrist 3, and the speed at which the program coasts."""
         q, qd, _ = read_message(self.state(passed, now=now))
         assert q[:5] == qd[:5] == [0.0] * 5
         return q[5], qd[5]
@@ -158,7 +158,7 @@ def fed() -> Fed:
     return fed
 
 
-def test_begins_where_the_arm_rests_once_there_is_a_target() -> None:
+def test_source_begins_at_rest_when_target_exists() -> None:
     fed = Fed()
     assert fed.state(0.0, speed=0.5) == WAIT_MESSAGE
     fed.source.has_targets = False
@@ -173,7 +173,7 @@ def test_begins_where_the_arm_rests_once_there_is_a_target() -> None:
         fed.state(1.6, speed=0.5)
 
 
-def test_answers_each_cycle_once_with_the_set_point_for_its_time(fed: Fed) -> None:
+def test_each_cycle_is_answered_once_with_set_point(fed: Fed) -> None:
     fed.source.speed = 1.0
     assert fed.led(CYCLE) == (0.002, 1.0)
     assert fed.state(CYCLE) == b""
@@ -181,7 +181,7 @@ def test_answers_each_cycle_once_with_the_set_point_for_its_time(fed: Fed) -> No
     assert fed.source.called == [("accept", 50.0 + CYCLE), ("accept", 50.0 + 2 * CYCLE)]
 
 
-def test_what_the_joints_cannot_do_is_not_sent(fed: Fed) -> None:
+def test_impossible_set_point_is_not_sent(fed: Fed) -> None:
     fed.source.speed = 2.0 * TOP
     assert fed.state(CYCLE) == b""
     assert fed.source.called == []
@@ -193,10 +193,8 @@ def test_what_the_joints_cannot_do_is_not_sent(fed: Fed) -> None:
     ("there", "speed", "is_faded"),
     [(-0.005, 0.2, True), (0.005, -0.2, True), (-0.00501, 0.0, False), (0.0, 0.201, False), (0.0, -0.201, False)],
 )
-def test_a_small_gap_to_where_the_program_has_coasted_is_faded_out(
-    fed: Fed, there: float, speed: float, is_faded: bool
-) -> None:
-    """A larger one is none: the source begins anew from there."""
+def test_small_gap_to_coasted_position_is_faded_out(fed: Fed, there: float, speed: float, is_faded: bool) -> None:
+    """If the gap is larger, the source restarts from the coasted position."""
     fed.source.skipped = (at(there), at(speed))
     q, qd = fed.led(6 * CYCLE)
     time, skipped = 50.0 + 6 * CYCLE, ("skip", 50.0 + 6 * CYCLE, 5 * CYCLE * 0.94)
@@ -211,8 +209,8 @@ def test_a_small_gap_to_where_the_program_has_coasted_is_faded_out(
         q, qd = fed.led((6 + cycles) * CYCLE)
 
 
-def test_after_a_pause_the_source_begins_anew_where_the_arm_stands(fed: Fed) -> None:
-    """At rest, without what was left of a gap; the time of the program begins slowly."""
+def test_source_restarts_at_position_of_arm_after_pause(fed: Fed) -> None:
+    """The source starts at rest, without the rest of a gap, and the time of the program starts slowly."""
     fed.source.skipped = (at(-0.004), at(0.0))
     assert fed.led(6 * CYCLE)[0] > 0.0
     fed.source.called.clear()
@@ -222,11 +220,11 @@ def test_after_a_pause_the_source_begins_anew_where_the_arm_stands(fed: Fed) -> 
     fed.source.called.clear()
     fed.source.speed = 0.3 / (7 * CYCLE)
     q, _ = fed.led(7 * CYCLE)
-    assert q == pytest.approx(0.3)  # it is not too far from where the arm stands, nor beside it by a gap
+    assert q == pytest.approx(0.3)  # it is near the arm at rest, and without a gap
     assert fed.resampled._timer.rate == 0.0
 
 
-def test_a_pause_before_it_has_begun_restarts_nothing() -> None:
+def test_pause_before_start_does_not_restart_source() -> None:
     fed = Fed()
     fed.source.has_targets = False
     fed.state(0.0)
@@ -237,7 +235,7 @@ def test_a_pause_before_it_has_begun_restarts_nothing() -> None:
     assert fed.led(2 * CYCLE) == (0.0, 0.0)
 
 
-def test_a_source_begins_anew_with_the_speed_that_is_left(fed: Fed) -> None:
+def test_source_restarts_with_remaining_speed(fed: Fed) -> None:
     fed.source.speed = 1.0
     fed.led(CYCLE)
     fed.source.skipped = (at(0.1), at(1.0))
@@ -247,7 +245,7 @@ def test_a_source_begins_anew_with_the_speed_that_is_left(fed: Fed) -> None:
     there = at(0.002 + 8.9 * CYCLE)
     assert q == pytest.approx(there)
     assert qd == pytest.approx(at(0.8))
-    # Not where it is as fast as the source.
+    # There is no restart if the source has the same position and speed.
     fed = Fed()
     fed.source.speed = 1.0
     fed.led(0.0)
@@ -257,8 +255,8 @@ def test_a_source_begins_anew_with_the_speed_that_is_left(fed: Fed) -> None:
     assert fed.source.called[-2][0] == "skip"
 
 
-def test_cycles_that_cannot_have_passed_here_were_not_missed(fed: Fed) -> None:
-    """A state whose time is wrong by less than what states that come together may be apart."""
+def test_impossible_number_of_missed_cycles_is_ignored(fed: Fed) -> None:
+    """The time of the state is wrong, but by less than the gap that is allowed between states that arrive together."""
     fed.source.speed = 1.0
     fed.led(CYCLE)
     assert fed.state(0.09, now=2 * CYCLE) == b""
@@ -268,8 +266,8 @@ def test_cycles_that_cannot_have_passed_here_were_not_missed(fed: Fed) -> None:
 # -- targets ---------------------------------------------------------------------------------------------
 
 
-def test_targets_are_filtered_from_where_the_arm_is() -> None:
-    """At the pace of the program; after cycles that were missed, and after a pause, from where it has come to."""
+def test_targets_are_filtered_from_position_of_arm() -> None:
+    """The filter runs at the pace of the program. After a delay or a pause, it continues from the new position."""
     limits = joint_limits(UR5E, 2.0, 10.0, 200.0)
     targets, alone = FilteredTargets(limits, CYCLE), TargetFilter(at(0.1), limits)
     found = [targets.has_targets]

@@ -1,4 +1,4 @@
-"""Motions on the simulated controller, in real time: each way of following, each way of ending, each generation."""
+"""Motions on the simulated controller: each kind of `follow`, each kind of end, each generation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.simulated_time
 
 TIMEOUT = 120.0
 
-#: (arm, firmware, options): each generation, and all ways to follow.
+#: (arm, firmware, options): each generation, and all variants of `follow`
 WAYS: list[tuple[str, str, dict[str, Any]]] = [
     ("ur5", "1.8", {}),
     ("ur5", "3.4", {"low_bandwidth": True}),
@@ -34,20 +34,20 @@ WAYS: list[tuple[str, str, dict[str, Any]]] = [
     ("ur5e", "5.11", {"link": "rtde"}),
     ("ur5e", "10.12", {"link": "rtde"}),
 ]
-#: Seconds that set-points may stay away: the machine that runs this may be busy with other things.
+#: Time without set-points in s that the robot accepts: the test machine may be busy.
 WATCHDOG = 2.0
 
-#: rad; elbow up, tool down.
+#: Joint positions in rad: elbow up, tool down.
 READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
 
 
 @pytest.fixture
 def connect() -> Iterator[Callable[[str, str], Robot]]:
-    """Connects to a simulated arm that stands at `READY`."""
+    """Return a function that connects to a simulated arm at rest at `READY`."""
     made: list[Robot] = []
 
     def connect(arm: str, firmware: str) -> Robot:
-        # A machine that is busy with other things holds up the simulator too.
+        # A busy machine also delays the simulator.
         robot = urlink.connect(f"sim://{arm}?firmware={firmware}", stale_after=20.0, silence=30.0)
         made.append(robot)
         robot.motion.move_joints(READY, speed=2.0, acceleration=10.0).wait(TIMEOUT)
@@ -59,7 +59,7 @@ def connect() -> Iterator[Callable[[str, str], Robot]]:
 
 
 def tool_path(robot: Robot, seconds: float = 0.8) -> Trajectory:
-    """From where the arm stands: wrist 3 by 0.3 rad there and back."""
+    """Return a trajectory from the current position: wrist 3 by 0.3 rad forth and back."""
     state = robot.realtime.wait(5)
     q = np.tile(state.q_target, (3, 1))
     q[1, 5] += 0.3
@@ -67,7 +67,7 @@ def tool_path(robot: Robot, seconds: float = 0.8) -> Trajectory:
 
 
 def link_of(motion: Motion) -> ReverseLink | RegisterLink:
-    """The connection of its program, which nobody but a test has anything to do with."""
+    """Return the connection of the motion's program, which only tests use."""
     brake = motion._life.brake
     link = brake.__self__._link  # type: ignore[attr-defined]
     assert isinstance(link, (ReverseLink, RegisterLink))
@@ -84,7 +84,7 @@ def half_way(motion: Motion) -> None:
 
 
 def goes_on(robot: Robot, way: dict[str, Any]) -> None:
-    """A person can go on: the arm follows another trajectory to its end."""
+    """Check that the robot can be used again: the arm follows another trajectory to its end."""
     until(lambda: stands(robot), TIMEOUT)
     path = tool_path(robot, 0.6)
     robot.motion.follow(path, **way, watchdog=WATCHDOG, goal_time=20.0).wait(TIMEOUT)
@@ -93,7 +93,9 @@ def goes_on(robot: Robot, way: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("arm", "firmware", "way"), WAYS)
-def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]) -> None:
+def test_follow_reaches_end_of_trajectory(
+    connect: Callable[[str, str], Robot], arm: str, firmware: str, way: dict[str, Any]
+) -> None:
     robot = connect(arm, firmware)
     path = tool_path(robot)
     told: list[TrajectoryFeedback] = []
@@ -107,8 +109,8 @@ def test_to_the_end(connect: Callable[[str, str], Robot], arm: str, firmware: st
 
 
 @pytest.mark.slow
-def test_the_computer_falls_silent(connect: Callable[[str, str], Robot]) -> None:
-    """The watchdog on the robot: the link stands, but no set-point comes."""
+def test_silent_computer_ends_motion(connect: Callable[[str, str], Robot]) -> None:
+    """The watchdog on the robot expires: the link still exists, but no set-point arrives."""
     robot = connect("ur5e", "5.11")
     motion = robot.motion.follow(tool_path(robot, 4.0), watchdog=1.0)
     until(lambda: motion.done or motion.progress > 0.1, TIMEOUT)
@@ -120,7 +122,7 @@ def test_the_computer_falls_silent(connect: Callable[[str, str], Robot]) -> None
 
 
 @pytest.mark.slow
-def test_a_closed_loop(connect: Callable[[str, str], Robot]) -> None:
+def test_closed_loop_moves_arm(connect: Callable[[str, str], Robot]) -> None:
     robot = connect("ur5e", "5.11")
     start = robot.realtime.wait(5)
     with robot.motion.servo(watchdog=WATCHDOG) as servo:
@@ -136,7 +138,7 @@ def test_a_closed_loop(connect: Callable[[str, str], Robot]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("arm", "firmware"), [("ur5", "1.8"), ("ur5e", "5.11")])
-def test_speeds_take_over_from_each_other(connect: Callable[[str, str], Robot], arm: str, firmware: str) -> None:
+def test_consecutive_speeds_keep_arm_moving(connect: Callable[[str, str], Robot], arm: str, firmware: str) -> None:
     robot = connect(arm, firmware)
     speeds = [0.0]
     with robot.realtime.subscribe(lambda state: speeds.append(float(state.qd_actual[5]))):
@@ -145,14 +147,14 @@ def test_speeds_take_over_from_each_other(connect: Callable[[str, str], Robot], 
             motion = robot.motion.speed_joints([0, 0, 0, 0, 0, 0.3], 2.0, duration=1.0)
             robot.realtime.wait(5)
         reached = next(i for i, speed in enumerate(speeds) if speed > 0.25)
-        # Once it has its speed, it keeps it.
+        # When the arm has reached its speed, it keeps it.
         assert min(speeds[reached:]) > 0.2
         motion.wait(TIMEOUT)
         until(lambda: stands(robot), TIMEOUT)
 
 
 @pytest.mark.slow
-def test_a_trajectory_that_begins_elsewhere(connect: Callable[[str, str], Robot]) -> None:
+def test_trajectory_starting_elsewhere_is_rejected(connect: Callable[[str, str], Robot]) -> None:
     robot = connect("ur5e", "5.11")
     elsewhere = Trajectory.from_arrays([0, 1], [READY + 0.2, READY + 0.2])
     with pytest.raises(BadValue, match="too far from where the arm is"):
@@ -160,8 +162,8 @@ def test_a_trajectory_that_begins_elsewhere(connect: Callable[[str, str], Robot]
 
 
 @pytest.mark.slow
-def test_a_motion_begins_where_the_one_before_has_ended(connect: Callable[[str, str], Robot]) -> None:
-    """Also if the interface with the positions was silent, so that its newest state is from before that motion."""
+def test_motion_starts_at_end_of_previous_motion(connect: Callable[[str, str], Robot]) -> None:
+    """This holds even if the real-time interface was silent, so its newest state is older than that motion."""
     robot = connect("ur5e", "5.11")
     assert robot.controller is not None
     goal = np.array([*READY[:5], 0.2])
@@ -173,15 +175,15 @@ def test_a_motion_begins_where_the_one_before_has_ended(connect: Callable[[str, 
 
 
 @pytest.mark.slow
-def test_of_states_that_come_together_after_the_end_the_newest_counts(
+def test_newest_of_delayed_states_is_used(
     connect: Callable[[str, str], Robot], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They were held up, and the first of them show the arm as it was before."""
+    """The states were delayed, and the first of them show the arm before the motion."""
     robot = connect("ur5e", "5.11")
     before = robot.realtime.wait(TIMEOUT)
     robot.motion.move_joints([*READY[:5], READY[5] + 0.2], speed=2.0, acceleration=10.0).wait(TIMEOUT)
     context = robot.motion._context
-    context.programs.ended = float("inf")  # no state that is there already is newer
+    context.programs.ended = float("inf")  # no existing state is newer
     monkeypatch.setattr(robot.realtime, "wait_until", lambda condition: before)
     state = context.state()
     assert state.time > before.time
@@ -190,7 +192,7 @@ def test_of_states_that_come_together_after_the_end_the_newest_counts(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.1, 1.0])
-def test_a_stop_that_local_control_ignored_is_sent_again(connect: Callable[[str, str], Robot], seconds: float) -> None:
+def test_stop_ignored_in_local_control_is_repeated(connect: Callable[[str, str], Robot], seconds: float) -> None:
     robot = connect("ur5e", "5.11")
     assert robot.controller is not None
     motion = robot.motion.move_joints(READY - [1.5, 0, 0, 0, 0, 0], speed=0.2)
@@ -204,8 +206,8 @@ def test_a_stop_that_local_control_ignored_is_sent_again(connect: Callable[[str,
     assert robot.realtime.wait(TIMEOUT).q_target[0] > READY[0] - 1.4
 
 
-def test_a_loop_held_up_between_a_state_and_its_set_point_does_not_lead_the_arm_away() -> None:
-    """What it sends then is of before, and the next set-point follows at once; after that it sends nothing."""
+def test_delayed_loop_does_not_move_arm_away() -> None:
+    """The loop sends a set-point from before the delay, immediately the next one, and then nothing."""
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
         q = robot.realtime.wait(5.0).q_target.copy()
         start = robot.realtime.wait(5.0).time

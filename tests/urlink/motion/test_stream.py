@@ -1,4 +1,4 @@
-"""Streams without an end: what feeds them, and the program that holds their points, cycle by cycle."""
+"""Endless streams: the feed and the program that buffers its points, cycle by cycle."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from urlink.script.links import STARVED
 
 FIRMWARES = [Firmware.parse(each) for each in ("3.4", "5.11", "10.12")]
 E_SERIES = Firmware(5, 11)
-#: Half a micrometre at the end of a long arm: rounding of messages.
+#: Rounding of messages: half a micrometre at the end of a long arm.
 ROUNDING = 5e-7
 STILL = [0.0] * 6
-#: rad, from the wave to another one.
+#: Offset from the wave to another wave, in rad.
 BESIDE = np.array([0.01, 0, 0, 0, 0, 0.02])
 
 
 def wave(t: float, degree: int = 5, size: float = 0.1, rate: float = 2.0) -> TrajectoryPoint:
-    """A point on a wave of the last joint and the base that begins at rest, without acceleration."""
+    """Return a point on a wave of the last joint and the base that begins at rest, without acceleration."""
     way = np.array([0.3, 0, 0, 0, 0, 1.0]) * size
     c, s = math.cos(rate * t), math.sin(rate * t)
     q = np.array(HOME) + (1.0 - c) ** 2 * way
@@ -39,7 +39,7 @@ def wave(t: float, degree: int = 5, size: float = 0.1, rate: float = 2.0) -> Tra
 
 
 def there(angle: float, t: float, *more: Any) -> TrajectoryPoint:
-    """A point at which wrist 3 is turned."""
+    """Return a point with wrist 3 turned."""
     return TrajectoryPoint(turned(angle), t, *more)
 
 
@@ -49,26 +49,26 @@ def waves(first: float, last: float, spacing: float = 0.05, degree: int = 5) -> 
 
 
 def moving(stream: Streamed, since: int = 0) -> int:
-    """The first set-point that moves."""
+    """Return the index of the set-point where the motion begins."""
     path = np.array(stream.path)
     return int(np.argmax(np.abs(path - path[since]).max(axis=1) > 1e-12)) - 1
 
 
-class TestOnItsWay:
+class TestMoving:
     @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
     @pytest.mark.parametrize(("degree", "error"), [(1, 1e-3), (3, 3e-5), (5, 2e-6)])
-    def test_set_points_are_on_the_curve_of_the_points(self, firmware: Firmware, degree: int, error: float) -> None:
+    def test_set_points_are_on_curve_of_points(self, firmware: Firmware, degree: int, error: float) -> None:
         stream = Streamed(firmware)
         stream.append(waves(0.05, 2.0, degree=degree))
         stream.until(lambda: stream.feed.time > 1.9)
-        # An interpolated point is where the wave is, but for the rest of its series.
+        # An interpolated point is on the wave, apart from the remainder of its series.
         begin = moving(stream)
         path = np.array(stream.path[begin : begin + round(1.8 / stream.period)])
         wanted = np.array([wave(i * stream.period).q for i in range(len(path))])
         assert np.abs(path - wanted).max() < error
         assert stream.feed.starved == 0
 
-    def test_no_point_is_missed_whatever_carries_it(self) -> None:
+    def test_stream_reaches_every_point_of_mixed_degrees(self) -> None:
         stream = Streamed(E_SERIES)
         for i in range(1, 41):
             stream.append(wave(i * 0.05, (1, 3, 5)[i % 3]))
@@ -80,7 +80,7 @@ class TestOnItsWay:
 
     @pytest.mark.slow
     @pytest.mark.parametrize("buffer", [0.1, 0.5])
-    def test_it_holds_what_it_was_asked_to_hold(self, buffer: float) -> None:
+    def test_buffer_holds_requested_time(self, buffer: float) -> None:
         stream = Streamed(E_SERIES, buffer=buffer)
         handed = stream.append(waves(0.02, 2.0, 0.02))
         stream.until(lambda: stream.feed.time > 0.6)
@@ -90,7 +90,7 @@ class TestOnItsWay:
         assert handed.future.done()
 
     @pytest.mark.slow
-    def test_a_trajectory_begins_where_the_points_end(self) -> None:
+    def test_trajectory_starts_at_end_of_points(self) -> None:
         stream = Streamed(E_SERIES)
         there = Trajectory.from_arrays([0, 0.4, 0.8], [turned(0), turned(0.1), turned(0.2)])
         dense = Trajectory.from_arrays(
@@ -109,7 +109,7 @@ class TestOnItsWay:
         assert np.abs(path - wanted).max() < 2e-5
         assert stream.feed.starved == 0
 
-    def test_points_are_replaced_from_the_end_of_what_was_sent_at_the_latest(self) -> None:
+    def test_replacement_starts_at_end_of_sent_points_at_latest(self) -> None:
         stream = Streamed(E_SERIES, buffer=0.3)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)
@@ -117,19 +117,19 @@ class TestOnItsWay:
         assert stream.feed.reach(0.0) < sent == stream.feed.reach(200.0)
         assert sent - stream.feed.time == pytest.approx(0.3, abs=0.1)
 
-    def test_poses_are_reached_by_the_inverse(self) -> None:
+    def test_poses_are_reached_by_inverse_kinematics(self) -> None:
         stream = Streamed(E_SERIES)
         arm = Arm("UR5e")
         poses = [arm.forward(HOME) + np.array([0, 0, 0.002 * i, 0, 0, 0]) for i in range(1, 21)]
         stream.append([PosePoint(pose, 0.05 * (i + 1)) for i, pose in enumerate(poses)])
         stream.run_dry()
-        # It brakes behind the last one, since it moved there.
+        # The arm brakes beyond the last pose, because it was moving there.
         heights = [arm.forward(q)[2] for q in stream.path[:: round(0.05 / stream.period)]]
         assert max(heights) == pytest.approx(poses[-1][2], abs=0.01)
         there = arm.forward(stream.path[moving(stream) + round(1.0 / stream.period)])
         assert np.abs(there - poses[-1])[:3].max() < 1e-5
 
-    def test_time_on_the_way(self) -> None:
+    def test_time_follows_motion_of_arm(self) -> None:
         stream = Streamed(E_SERIES)
         assert stream.feed.time == 0.0
         stream.append(waves(0.05, 1.0))
@@ -139,14 +139,14 @@ class TestOnItsWay:
         for _ in range(300):
             stream.run()
             seen.append(stream.feed.time - (len(stream.path) - begin) * stream.period)
-        # It is known by reports that are a cycle old or two.
+        # The time is known from reports that are one or two cycles old.
         assert max(map(abs, seen)) < 4 * stream.period
 
 
 class TestDry:
     @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
     @pytest.mark.parametrize("degree", [1, 3, 5])
-    def test_it_brakes_within_the_limits_and_goes_on(self, firmware: Firmware, degree: int) -> None:
+    def test_dry_stream_brakes_within_limits_and_resumes(self, firmware: Firmware, degree: int) -> None:
         stream = Streamed(firmware)
         stream.append(waves(0.05, 0.6, degree=degree))
         stream.until(lambda: stream.feed.time > 0.59)
@@ -163,13 +163,13 @@ class TestDry:
         resting = len(stream.path)
         stream.append(waves(0.65, 1.6, degree=degree))
         stream.until(lambda: stream.feed.time > 1.55)
-        # From rest onto the points.
+        # The arm moves from rest onto the points.
         path = np.array(stream.path[resting:])
         missed = [np.abs(path - wave(0.65 + 0.05 * i).q).max(axis=1).min() for i in range(18)]
         assert max(missed) < 0.01
         assert not stream.bench.execution.is_over
 
-    def test_no_stop_is_counted_where_the_points_end_at_rest(self) -> None:
+    def test_points_ending_at_rest_count_no_stop(self) -> None:
         stream = Streamed(E_SERIES)
         stream.append(Trajectory.from_arrays([0, 0.5], [turned(0), turned(0.1)]))
         stream.run_dry()
@@ -182,7 +182,7 @@ class TestDry:
     @pytest.mark.slow
     @pytest.mark.matrix(4)
     @pytest.mark.parametrize("late", range(1, 200, 7))
-    def test_points_that_come_while_it_brakes(self, late: int) -> None:
+    def test_points_arriving_while_braking_are_reached(self, late: int) -> None:
         stream = Streamed(E_SERIES, way=late % 5)
         stream.append(waves(0.05, 0.6))
         stream.until(lambda: stream.feed.time > 0.5)
@@ -196,7 +196,7 @@ class TestDry:
         assert max(np.abs(path - wave(1.0 + 0.05 * i).q).max(axis=1).min() for i in range(10)) < 2e-3
 
     @pytest.mark.slow
-    def test_a_computer_that_is_frozen_does_not_stop_it(self) -> None:
+    def test_frozen_computer_does_not_stop_stream(self) -> None:
         stream = Streamed(E_SERIES, buffer=0.3)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)
@@ -208,11 +208,11 @@ class TestDry:
         wanted = np.array([wave(i * stream.period).q for i in range(len(path))])
         assert np.abs(path - wanted).max() < 2e-6
 
-    def test_a_report_of_before_it_was_frozen_is_not_one_of_now(self) -> None:
+    def test_report_from_before_freeze_is_recognised_as_old(self) -> None:
         stream = Streamed(E_SERIES, buffer=0.5)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)
-        for _ in range(11):  # one more than the messages from one report to the next
+        for _ in range(11):  # one more than the number of messages between two reports
             before, cycles = stream.feed.time, stream.bench.cycle
             stream.run(50, is_frozen=True)
             stream.run()
@@ -226,12 +226,12 @@ class TestReplaced:
     @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
     @pytest.mark.parametrize("way", [0.0, 0.005, 0.04])
     @pytest.mark.parametrize("degree", [3, 5])
-    def test_another_tail_goes_on_from_the_same_moment(self, firmware: Firmware, way: float, degree: int) -> None:
+    def test_replaced_tail_continues_from_same_moment(self, firmware: Firmware, way: float, degree: int) -> None:
         stream = Streamed(firmware, way=round(way * firmware.rate))
         stream.append(waves(0.05, 3.0, degree=5))
         stream.until(lambda: stream.feed.time > 0.6)
         now = stream.feed.time
-        # A chunk that began in the past, by something else than the points.
+        # A chunk that began in the past, at an offset from the points.
         chunk = [
             TrajectoryPoint(point.q + BESIDE, point.time, point.qd, point.qdd)
             for point in waves(0.4, 1.85, degree=degree)
@@ -252,7 +252,7 @@ class TestReplaced:
 
     @pytest.mark.slow
     @pytest.mark.parametrize("since", [0.5, 0.633, 1.2, 1.211, 5.0])
-    def test_from_a_time_on(self, since: float) -> None:
+    def test_replacement_starts_at_given_time(self, since: float) -> None:
         stream = Streamed(E_SERIES)
         stream.append(waves(0.05, 2.0))
         stream.until(lambda: stream.feed.time > 0.4)
@@ -270,7 +270,7 @@ class TestReplaced:
         assert stream.path[-1] == pytest.approx(still, abs=ROUNDING)
 
     @pytest.mark.slow
-    def test_what_cannot_be_reached_leaves_the_points(self) -> None:
+    def test_unreachable_replacement_keeps_points(self) -> None:
         stream = Streamed(E_SERIES)
         stream.append(waves(0.05, 2.0))
         stream.until(lambda: stream.feed.time > 0.4)
@@ -283,7 +283,7 @@ class TestReplaced:
         path = np.array(stream.path[begin : begin + round(1.8 / stream.period)])
         assert np.abs(path - [wave(i * stream.period).q for i in range(len(path))]).max() < 2e-6
 
-    def test_what_is_refused_at_rest_leaves_the_points(self) -> None:
+    def test_rejected_replacement_at_rest_keeps_points(self) -> None:
         stream = Streamed(E_SERIES)
         handed = stream.append(waves(0.05, 1.0))
         stream.run_dry()
@@ -294,8 +294,8 @@ class TestReplaced:
         assert handed.future.exception() is None
         assert stream.path[-1] == pytest.approx(turned(0.1), abs=ROUNDING)
 
-    def test_one_that_came_too_late_is_cleared(self) -> None:
-        """Asked for while the other is on its way, and again after it was refused."""
+    def test_clear_works_after_late_replacement(self) -> None:
+        """Clear while the replacement is on its way, and again after it was rejected as too late."""
         stream = Streamed(E_SERIES, buffer=1.0, way=25)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.6)
@@ -310,7 +310,7 @@ class TestReplaced:
         stream.run_dry()
         assert stream.feed.time == pytest.approx(second.result())
 
-    def test_at_rest(self) -> None:
+    def test_replacement_at_rest_starts_motion(self) -> None:
         stream = Streamed(E_SERIES)
         stream.replace(0.0, [TrajectoryPoint(turned(0.01 * i), 0.05 * i, [0, 0, 0, 0, 0, 0.2]) for i in range(20)])
         stream.run_dry()
@@ -320,7 +320,7 @@ class TestReplaced:
         assert np.abs(qdd).max() < ACCELERATION
 
     @pytest.mark.parametrize("at", [0.3, 0.55, 0.59, 0.7, 1.5])
-    def test_cleared(self, at: float) -> None:
+    def test_cleared_stream_stops_and_can_continue(self, at: float) -> None:
         stream = Streamed(E_SERIES)
         handed = stream.append(waves(0.05, 0.6))
         stream.run(round(at / stream.period))
@@ -344,7 +344,7 @@ class TestReplaced:
         assert np.abs(qddd).max() < JERK * 1.05 + 1e-8 / stream.period**3
 
 
-class TestRefused:
+class TestRejected:
     @pytest.mark.parametrize(
         ("points", "message"),
         [
@@ -372,28 +372,28 @@ class TestRefused:
             ),
         ],
     )
-    def test_points_that_the_arm_could_not_follow(self, points: Callable[[], Any], message: str) -> None:
+    def test_impossible_points_are_rejected(self, points: Callable[[], Any], message: str) -> None:
         stream = Streamed(E_SERIES)
         with pytest.raises(BadValue, match=message):
             stream.append(points())
         stream.run(5)
         assert stream.feed.is_dry
 
-    def test_a_pose_beyond_a_singularity(self) -> None:
-        """It is reached by another branch, or by turns of a joint that a step of a stream is not for."""
+    def test_pose_beyond_singularity_is_rejected(self) -> None:
+        """Reaching it needs another branch, or joint turns that are too large for a step of a stream."""
         arm, stream = Arm("UR5e"), Streamed(E_SERIES)
         far = arm.forward([HOME[0] + 2.5, *HOME[1:]])
         with pytest.raises(BadValue, match=r"point 0 \(t = 9 s\): base \(joint 0\) would jump from "):
             stream.append(PosePoint(far, 9.0))
 
-    def test_poses_out_of_reach(self) -> None:
+    def test_pose_out_of_reach_is_rejected(self) -> None:
         stream = Streamed(E_SERIES)
         with pytest.raises(Unreachable):
             stream.append(PosePoint([3, 0, 0, 0, 0, 0], 1.0))
 
 
-class TestItsEnd:
-    def test_without_a_message_it_brakes_and_ends(self) -> None:
+class TestEnd:
+    def test_stream_without_messages_brakes_and_ends(self) -> None:
         stream = Streamed(E_SERIES, buffer=0.3, watchdog=0.1)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)
@@ -405,7 +405,7 @@ class TestItsEnd:
         assert np.abs(qddd).max() < JERK * 1.05 + 1e-8 / stream.period**3
         assert stream.path[-1] == pytest.approx(stream.path[-2], abs=1e-5)
 
-    def test_a_stop_brakes_within_the_limits(self) -> None:
+    def test_stop_brakes_within_limits(self) -> None:
         stream = Streamed(E_SERIES)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)
@@ -421,7 +421,8 @@ class TestItsEnd:
 
 
 def random_points(rng: np.random.Generator, count: int, q: FloatArray) -> list[TrajectoryPoint]:
-    """Points at random distances, by what some carry, at speeds up to 1 rad/s."""
+    """Return points at random intervals, with random derivatives (none, speeds, or speeds and accelerations), at
+    speeds up to 1 rad/s."""
     made, t = [], 0.0
     for _ in range(count):
         h = float(rng.uniform(0.05, 0.4))
@@ -436,8 +437,8 @@ def random_points(rng: np.random.Generator, count: int, q: FloatArray) -> list[T
 @pytest.mark.slow
 @pytest.mark.matrix
 @pytest.mark.parametrize("seed", range(1000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 8))
-def test_starved_at_every_point(seed: int) -> None:
-    """At rest within the limits after each of them, and on with the next over the same link."""
+def test_stream_starves_at_every_point_and_continues(seed: int) -> None:
+    """The arm comes to rest within the limits after each point, and continues with the next one over the same link."""
     rng = np.random.default_rng(seed)
     stream = Streamed(Firmware(3, 4) if seed % 2 else E_SERIES, way=seed % 3)
     for number, point in enumerate(random_points(rng, 6, np.array(HOME)), 1):
@@ -449,10 +450,10 @@ def test_starved_at_every_point(seed: int) -> None:
         begin = len(stream.path)
         stream.run_dry()
         _, qdd, _ = stream.derivatives(begin + 2)
-        # Points may be harder than what the stream adds.
+        # Points may need more acceleration than the stream adds.
         last = stream.feed._last.step.end
         assert np.abs(qdd).max(initial=0.0) < max(ACCELERATION, np.abs(last.qdd).max())
-        # And not far: as far as the slower of both bounds leads.
+        # The arm does not overshoot far: only as far as the slower of both bounds requires.
         fastest = np.abs(last.qd).max()
         braking = max(2.2 * fastest / ACCELERATION, (6.0 * fastest / JERK) ** 0.5, 0.35)
         assert np.abs(np.array(stream.path[-1]) - last.q).max() < 0.5 * fastest * braking + 0.06

@@ -1,4 +1,4 @@
-"""What feeds a stream: how far ahead it plans, what it sends first, and what becomes of points that are given up."""
+"""Feed of a stream: planning ahead, order of messages, and points that are abandoned."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ STILL = [0.0] * 6
 
 
 def moves(stream: Streamed, since: float = 0.5) -> Streamed:
-    """Points are left for two seconds."""
+    """Append points for two more seconds, and run until `since`."""
     stream.append(waves(0.05, since + 2.0))
     stream.until(lambda: stream.feed.time > since)
     return stream
 
 
 def mark(stream: Streamed) -> Mark:
-    """Where the next point begins."""
+    """Return the mark where the next point begins."""
     assert stream.feed.mark is not None
     return stream.feed.mark
 
 
-def test_before_it_begins_and_at_rest() -> None:
+def test_feed_before_start_and_at_rest() -> None:
     stream = Streamed(E_SERIES)
     feed = stream.feed
     assert (feed.time, feed.reach(1.0), feed.ahead, feed.is_dry, feed.is_answered) == (0.0, 0.0, 0.0, True, True)
     assert feed.dry().done()
     assert feed.answered().done()
     feed.skip(2.0)
-    feed.skip(1.0)  # not back
+    feed.skip(1.0)  # does not go back
     assert feed.time == feed.reach(1.0) == mark(stream).time == 2.0
     assert mark(stream).moment.q == pytest.approx(HOME)
     stream.append(TrajectoryPoint(turned(0.1), 3.0, [0] * 6, [0] * 6))
-    feed.skip(5.0)  # not where points are left
+    feed.skip(5.0)  # has no effect while points are left
     assert (feed.time, mark(stream).time) == (2.0, 3.0)
     dry, answered = feed.dry(), feed.answered()
     assert (dry.done(), answered.done(), feed.is_dry) == (False, True, False)
@@ -69,14 +69,14 @@ def test_before_it_begins_and_at_rest() -> None:
     assert feed.time == 5.0
 
 
-def test_before_the_arm_rests_there_is_nothing() -> None:
+def test_feed_is_empty_before_arm_is_at_rest() -> None:
     feed = StreamFeed(lambda link: [], contextlib.nullcontext(), Streamed(E_SERIES).bounds, 0.002, 10, 0.3)
     feed.skip(2.0)
     assert (feed.time, feed.mark, feed.begun.done()) == (0.0, None, False)
 
 
 def messages_of(stream: Streamed) -> list[tuple[int, ...]]:
-    """Those that are sent from now on, as their numbers."""
+    """Return a list that collects the messages sent from now on, as numbers."""
     found: list[tuple[int, ...]] = []
     step = stream.feed.step
 
@@ -89,8 +89,8 @@ def messages_of(stream: Streamed) -> list[tuple[int, ...]]:
     return found
 
 
-def test_points_may_come_before_the_first_report() -> None:
-    """The first epoch is opened at point 0, where the arm stands, by a message whose number is counted from 1."""
+def test_points_may_come_before_first_report() -> None:
+    """A message opens the first epoch at point 0, where the arm rests; message numbers start at 1."""
     stream = Streamed(E_SERIES, way=10)
     messages = messages_of(stream)
     stream.run()
@@ -107,14 +107,14 @@ def test_points_may_come_before_the_first_report() -> None:
     assert stream.path[-1] == pytest.approx(wave(0.5).q, abs=2e-2)
 
 
-def test_it_ends_with_a_message_of_nothing_else() -> None:
-    """Its program does not come to an end of its own."""
+def test_farewell_contains_only_a_stop() -> None:
+    """The program does not end on its own."""
     assert struct.unpack(f">{MESSAGE}i", StreamFeed.farewell) == (STOP, *[0] * (MESSAGE - 1))
     assert not StreamFeed.survives_its_program
 
 
-def test_a_pace_takes_three_cycles_to_get_to_the_program() -> None:
-    """So long as a message that answers a state, and one for the state in which it is seen."""
+def test_pace_reaches_program_after_three_cycles() -> None:
+    """This is the delay of a message that answers a state, and of the state that shows the change."""
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
     paces.change = 0.125
@@ -125,8 +125,8 @@ def test_a_pace_takes_three_cycles_to_get_to_the_program() -> None:
     assert found == [1.0, 1.0, 1.0, 0.875, 0.75, 0.625]
 
 
-def test_a_pace_changes_no_faster_than_the_program_does_it() -> None:
-    """While the arm moves; where it brakes for want of points, it does so at its own pace."""
+def test_pace_changes_at_rate_of_program() -> None:
+    """This holds while the arm moves. If it brakes because points are missing, it brakes at full pace."""
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
     stream.append(waves(0.05, 0.6))
@@ -147,7 +147,7 @@ def test_a_pace_changes_no_faster_than_the_program_does_it() -> None:
     assert stream.feed._program_pace.now == pytest.approx(1.0)
 
 
-def test_without_reports_its_time_ends_with_what_was_sent() -> None:
+def test_stream_time_without_reports_stops_at_last_sent_point() -> None:
     stream = moves(Streamed(E_SERIES))
     stream.way = 10_000
     before = stream.feed.time
@@ -158,7 +158,7 @@ def test_without_reports_its_time_ends_with_what_was_sent() -> None:
 
 
 @pytest.mark.parametrize("is_lossy", [False, True])
-def test_a_cut_is_sent_until_it_is_answered_where_messages_may_be_lost(is_lossy: bool) -> None:
+def test_cut_is_repeated_if_messages_may_be_lost(is_lossy: bool) -> None:
     stream = Streamed(E_SERIES, way=5)
     stream.feed.body(PointRegisters(24, 30, 30, 7) if is_lossy else ReverseSocket("10.0.0.1", 50001, 7))
     messages = messages_of(stream)
@@ -169,8 +169,8 @@ def test_a_cut_is_sent_until_it_is_answered_where_messages_may_be_lost(is_lossy:
 
 
 @pytest.mark.parametrize("cycles", [0, 2, 10])
-def test_how_long_no_state_came(cycles: int) -> None:
-    """From three cycles on, a report may be older than the state that comes with it."""
+def test_time_without_states_is_counted(cycles: int) -> None:
+    """After three or more cycles, a report may be older than the state that comes with it."""
     stream = moves(Streamed(E_SERIES))
     stream.run(cycles, is_frozen=True)
     stream.run()
@@ -178,7 +178,7 @@ def test_how_long_no_state_came(cycles: int) -> None:
     assert stream.feed._unseen == pytest.approx(passed if cycles > 1 else 0.0)
 
 
-def test_what_was_never_appended_leaves_the_end_as_it_is() -> None:
+def test_forgetting_unappended_points_keeps_end() -> None:
     stream = moves(Streamed(E_SERIES))
     stream.feed.replace(0.67, ())
     end = mark(stream)
@@ -186,7 +186,7 @@ def test_what_was_never_appended_leaves_the_end_as_it_is() -> None:
     assert mark(stream) is end
 
 
-def test_it_is_answered_once_no_cut_is_on_its_way() -> None:
+def test_feed_is_answered_when_no_cut_is_pending() -> None:
     stream = moves(Streamed(E_SERIES, way=5))
     feed = stream.feed
     curve = stream.reader.curve(waves(0.4, 2.5), 0.4, mark(stream))
@@ -200,7 +200,7 @@ def test_it_is_answered_once_no_cut_is_on_its_way() -> None:
     assert done[0].result() < done[1].result()
 
 
-def test_what_could_not_be_replaced_is_told_before() -> None:
+def test_check_rejects_impossible_replacement_in_advance() -> None:
     stream = moves(Streamed(E_SERIES))
     curve = stream.reader.curve([TrajectoryPoint(turned(2.0), 0.7, [0] * 6)], 0.4, mark(stream))
     before, sent = mark(stream), stream.feed.reach(100.0)
@@ -213,14 +213,14 @@ def test_what_could_not_be_replaced_is_told_before() -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_a_cut_is_planned_six_cycles_and_ten_milliseconds_ahead(firmware: Firmware) -> None:
+def test_cut_is_planned_six_cycles_and_10_ms_ahead(firmware: Firmware) -> None:
     stream = moves(Streamed(firmware))
     for later in (0.0, 0.1):
         ahead = stream.feed.reach(later) - stream.feed.time
         assert ahead == pytest.approx(6 * stream.period + 0.01 + later, abs=1e-9)
 
 
-def test_no_cut_is_planned_more_than_a_second_ahead() -> None:
+def test_cut_is_planned_at_most_a_second_ahead() -> None:
     stream = moves(Streamed(E_SERIES, buffer=3.0, way=400))
     stream.feed.margin = 0.6  # messages take 0.8 s
     assert stream.replace(0.0, waves(0.05, 6.0)) > 1.0
@@ -228,8 +228,8 @@ def test_no_cut_is_planned_more_than_a_second_ahead() -> None:
 
 
 @pytest.mark.parametrize("way", [0, 60])
-def test_the_program_is_sent_no_more_points_than_it_holds(way: int) -> None:
-    """One place is for the beginning of a step that is cut. Reports are late on a slow way."""
+def test_program_receives_no_more_points_than_capacity(way: int) -> None:
+    """One slot is for the beginning of a step that is cut. On a slow connection, reports are late."""
     stream = Streamed(E_SERIES, buffer=0.1, way=way)
     feed = stream.feed
     feed.add(stream.reader.after(waves(0.004, 1.0, 0.004), mark(stream)), Handed())
@@ -240,7 +240,7 @@ def test_the_program_is_sent_no_more_points_than_it_holds(way: int) -> None:
     assert max(held) == feed._capacity - 1 == 28
 
 
-def test_points_are_handed_over_once_the_last_of_them_was_sent() -> None:
+def test_points_are_handed_over_when_last_one_was_sent() -> None:
     stream = Streamed(E_SERIES, buffer=0.3)
     feed = stream.feed
     one, two = stream.append(waves(0.05, 0.2)), stream.append(waves(0.25, 0.7))
@@ -252,12 +252,12 @@ def test_points_are_handed_over_once_the_last_of_them_was_sent() -> None:
     assert not two.future.done()
     stream.until(two.future.done)
     assert feed.reach(100.0) == pytest.approx(0.7)
-    assert feed.time == pytest.approx(0.65 - 0.3, abs=0.005)  # the last point but one is 0.3 s away
+    assert feed.time == pytest.approx(0.65 - 0.3, abs=0.005)  # the second-to-last point is 0.3 s away
 
 
 @pytest.mark.parametrize("cycles", [0, 1, 2, 3, 30])
-def test_its_time_is_right_after_this_computer_has_stood_still(cycles: int) -> None:
-    """The reports that it finds then are older than the state."""
+def test_time_is_right_after_computer_was_frozen(cycles: int) -> None:
+    """The first reports after that are older than the state."""
     stream = moves(Streamed(E_SERIES, way=3), 0.3)
     for _ in range(20):
         stream.run(7)
@@ -267,35 +267,35 @@ def test_its_time_is_right_after_this_computer_has_stood_still(cycles: int) -> N
         assert stream.feed.time - before == pytest.approx((stream.bench.cycle - begin) * stream.period)
 
 
-def test_its_end_is_told_to_all_that_wait() -> None:
+def test_end_is_reported_to_all_waiting_calls() -> None:
     stream = moves(Streamed(E_SERIES, way=5))
     feed = stream.feed
     replaced, others = [feed.replace(0.0, ()) for _ in range(2)], [feed.answered(), feed.dry()]
     handed = stream.append(TrajectoryPoint(mark(stream).moment.q, 3.0))
-    error = ConnectionLost("it is away")
+    error = ConnectionLost("stream lost")
     feed.end(error)
     assert handed.future.exception(0.0) is error
     assert [each.exception(0.0) for each in replaced] == [error] * 2
     assert [each.exception(0.0) for each in others] == [error] * 2
-    assert feed.begun.result() is None  # it had begun
+    assert feed.begun.result() is None  # it had already begun
     feed.end(LinkTimeout("later"))
     assert replaced[0].exception() is error
 
 
-def test_nothing_begins_after_the_end() -> None:
-    """Another thread has ended it since this one began to look."""
+def test_feed_does_not_start_after_end() -> None:
+    """Another thread has ended the feed since this thread checked it."""
     stream = Streamed(E_SERIES)
     feed = StreamFeed(lambda link: [], contextlib.nullcontext(), stream.bounds, 0.002, 10, 0.3)
-    feed.end(ConnectionLost("it is away"))
+    feed.end(ConnectionLost("stream lost"))
     for cycle in range(3):
         message = feed.step(b"", stream.state(), 1000.0 + 0.002 * cycle)
         assert message[:4] == WAIT.to_bytes(4, "big")
     assert feed.mark is None
 
 
-def test_the_end_before_it_has_begun() -> None:
+def test_end_before_start_is_reported() -> None:
     feed = StreamFeed(lambda link: [], contextlib.nullcontext(), Streamed(E_SERIES).bounds, 0.002, 10, 0.3)
-    error = ConnectionLost("it is away")
+    error = ConnectionLost("stream lost")
     feed.end(error)
     assert feed.begun.exception(0.0) is error
 
@@ -304,12 +304,12 @@ def test_the_end_before_it_has_begun() -> None:
 
 
 def is_consistent(stream: Streamed) -> bool:
-    """What was sent and not passed takes as long as it is to on the clock of the stream: the arm is on its points."""
+    """Whether the sent points that are still ahead match the clock of the stream: the arm is on its points."""
     return bool(stream.feed.ahead == pytest.approx(stream.feed.reach(100.0) - stream.feed.time, abs=1e-9))
 
 
 def is_chained(stream: Streamed) -> bool:
-    """Of the steps that were sent each begins when the one before ends, and has the number after it."""
+    """Whether each sent step begins when the previous step ends, and has the next number."""
     steps = [stream.feed._last, *stream.feed._steps]
     return all(
         sent.number == before.number + 1 and sent.until - before.until == pytest.approx(sent.step.length)
@@ -318,7 +318,7 @@ def is_chained(stream: Streamed) -> bool:
 
 
 @pytest.mark.parametrize("since", [0.0, 0.62, 1.2, 1.22])
-def test_what_was_handed_over_and_not_sent_is_given_up_where_it_is_replaced(since: float) -> None:
+def test_unsent_points_are_cancelled_by_replacement(since: float) -> None:
     stream = Streamed(E_SERIES)
     one, two = stream.append(waves(0.05, 0.6)), stream.append(waves(0.65, 2.0))
     stream.until(lambda: stream.feed.time > 0.4)
@@ -329,7 +329,7 @@ def test_what_was_handed_over_and_not_sent_is_given_up_where_it_is_replaced(sinc
     assert mark(stream).time == chunk[-1].time
     assert mark(stream).moment.q == pytest.approx(chunk[-1].q)
     assert one.future.exception() is None
-    # Points of it that come before the new ones are sent.
+    # Points before the new ones are still sent.
     assert two.future.done() is (since < 0.65)
     if since < 0.65:
         with pytest.raises(Cancelled, match="were replaced or cleared before the robot had room"):
@@ -346,12 +346,12 @@ def test_what_was_handed_over_and_not_sent_is_given_up_where_it_is_replaced(sinc
     assert stream.feed.starved == 0
 
 
-def test_a_tail_is_cut_from_a_time_on_of_what_was_sent() -> None:
+def test_tail_is_cut_at_given_time() -> None:
     stream = moves(Streamed(E_SERIES))
     cleared = stream.feed.replace(0.67, ())
     assert mark(stream).time == 0.67
     assert stream.feed.reach(100.0) == pytest.approx(0.67)
-    # The points before it stay.
+    # The points before that time stay.
     stream.feed.forget(stream.append(TrajectoryPoint(mark(stream).moment.q, 1.5)))
     assert mark(stream).time == pytest.approx(0.67)
     assert mark(stream).moment.q == pytest.approx(wave(0.67).q, abs=2e-6)
@@ -362,8 +362,8 @@ def test_a_tail_is_cut_from_a_time_on_of_what_was_sent() -> None:
 
 
 @pytest.mark.parametrize("cycles", [1, 5, 20, 80])
-def test_points_are_replaced_onto_which_it_has_just_gone_from_braking(cycles: int) -> None:
-    """In what is left of the braking, in the path from there, and later."""
+def test_points_are_replaced_right_after_resuming_from_braking(cycles: int) -> None:
+    """The cut is in the rest of the braking, in the path from there, or later."""
     stream = Streamed(E_SERIES)
     stream.append(waves(0.05, 0.6))
     stream.until(lambda: stream.feed._report.phase == BRAKING)
@@ -385,14 +385,14 @@ def test_points_are_replaced_onto_which_it_has_just_gone_from_braking(cycles: in
     assert np.abs(qddd).max() < JERK * 1.05
 
 
-def test_none_of_the_first_points_is_left_out() -> None:
+def test_first_points_are_all_kept() -> None:
     stream = Streamed(E_SERIES)
     stream.append([TrajectoryPoint(turned(angle), t) for angle, t in ((0.05, 0.05), (0.0, 2.0))])
     stream.run(1)
     assert [aim.time for aim in stream.feed._queue] == [0.05, 2.0]
 
 
-def test_the_end_of_what_was_sent_is_where_it_is_replaced() -> None:
+def test_replacement_may_start_at_end_of_sent_points() -> None:
     stream = moves(Streamed(E_SERIES))
     end = stream.feed.reach(100.0)
     assert end < mark(stream).time
@@ -401,8 +401,8 @@ def test_the_end_of_what_was_sent_is_where_it_is_replaced() -> None:
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
 
 
-def test_it_goes_over_onto_the_same_points_four_cycles_later() -> None:
-    """A step takes two cycles at least, and the first one twice that."""
+def test_same_points_are_reached_again_after_four_cycles() -> None:
+    """A step takes at least two cycles, and the first step takes twice that."""
     stream = moves(Streamed(E_SERIES))
     curve = stream.reader.curve(waves(0.05, 2.5), 0.0, mark(stream))
     begin = stream.feed.reach(0.0)
@@ -410,14 +410,14 @@ def test_it_goes_over_onto_the_same_points_four_cycles_later() -> None:
     assert stream.feed._queue[0].time == pytest.approx(begin + 4 * stream.period)
 
 
-def test_at_rest_a_point_of_now_is_past() -> None:
+def test_point_at_current_time_is_past_at_rest() -> None:
     stream = Streamed(E_SERIES)
     stream.replace(0.0, [TrajectoryPoint(turned(0.1 * t), t, [0] * 6) for t in (0.0, 0.5, 1.0)])
     assert [aim.time for aim in stream.feed._queue] == [0.5, 1.0]
 
 
 @pytest.mark.parametrize(("acceleration", "lands"), [(0.3, 0.3), (1000.0, 0.0)])
-def test_it_lands_with_the_acceleration_of_the_point_where_the_limits_let_it(acceleration: float, lands: float) -> None:
+def test_acceleration_at_landing_respects_limits(acceleration: float, lands: float) -> None:
     stream = Streamed(E_SERIES)
     stream.replace(0.0, [TrajectoryPoint(turned(0.05), 0.5, STILL, [*STILL[:5], acceleration])])
     messages = messages_of(stream)
@@ -427,7 +427,7 @@ def test_it_lands_with_the_acceleration_of_the_point_where_the_limits_let_it(acc
     stream.run_dry()
 
 
-def test_at_rest_it_goes_onto_the_first_points_that_it_can_reach_in_their_time() -> None:
+def test_replacement_at_rest_skips_unreachable_points() -> None:
     stream = Streamed(E_SERIES)
     stream.replace(0.0, [TrajectoryPoint(turned(0.01 * i), 0.05 * i, [0, 0, 0, 0, 0, 0.2]) for i in range(20)])
     stream.run(30)
@@ -435,7 +435,7 @@ def test_at_rest_it_goes_onto_the_first_points_that_it_can_reach_in_their_time()
     stream.run(100)
     assert stream.feed.time - begin == pytest.approx(100 * stream.period)
     assert stream.path[-1] == pytest.approx(turned(0.2 * stream.feed.time), abs=1e-3)
-    # Later points are none of those that may be left out.
+    # Later points must not be left out.
     stream.run_dry()
     end = mark(stream)
     stream.append([TrajectoryPoint(end.moment.q + by, end.time + t) for by, t in ((0.05, 0.05), (0.0, 2.0))])
@@ -447,8 +447,8 @@ def test_at_rest_it_goes_onto_the_first_points_that_it_can_reach_in_their_time()
 
 
 @pytest.mark.parametrize(("buffer", "cycles", "starved"), [(0.1, 20, 0), (0.1, 100, 1), (0.3, 100, 0), (0.3, 200, 1)])
-def test_points_that_came_too_late_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
-    """A network that stands still, both ways, for longer than the program holds points."""
+def test_late_points_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
+    """The network is blocked in both directions, partly for longer than the program holds points."""
     stream = moves(Streamed(E_SERIES, buffer=buffer), 0.5)
     begin = len(stream.path)
     stream.way = cycles
@@ -456,14 +456,14 @@ def test_points_that_came_too_late_are_sent_again(buffer: float, cycles: int, st
     stream.way = 0
     stream.until(lambda: stream.feed.time > 2.4)
     assert stream.feed.starved == starved
-    # Not a point is left out: the arm is where the wave is.
+    # No point is left out: the arm is on the wave.
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
     _, qdd, _ = stream.derivatives(begin)
     assert np.abs(qdd).max() < ACCELERATION
 
 
 def cutting(stream: Streamed) -> tuple[Future[float], int]:
-    """A cut is sent, and not answered; the number of its message."""
+    """Send a cut without an answer; return its future and the number of its message."""
     done = stream.feed.replace(0.65, stream.reader.curve(waves(0.65, 2.5), 0.65, mark(stream)))
     stream.run()
     assert stream.feed._cut is not None
@@ -471,7 +471,7 @@ def cutting(stream: Streamed) -> tuple[Future[float], int]:
     return done, stream.feed._messages
 
 
-def test_a_cut_is_answered_by_the_first_report_that_has_seen_it() -> None:
+def test_cut_is_answered_by_first_report_after_message() -> None:
     stream = moves(Streamed(E_SERIES, way=30))
     done, number = cutting(stream)
     report = dataclasses.replace(stream.feed._report, epoch=stream.feed._epoch)
@@ -481,19 +481,19 @@ def test_a_cut_is_answered_by_the_first_report_that_has_seen_it() -> None:
     assert done.result(0.0) == pytest.approx(0.65)
 
 
-def test_after_a_cut_that_came_too_late_the_next_one_has_twice_the_time() -> None:
+def test_margin_is_doubled_after_late_cut() -> None:
     stream = moves(Streamed(E_SERIES, way=30))
     margin, before = stream.feed.margin, mark(stream)
     done, number = cutting(stream)
     stream.feed._take(dataclasses.replace(stream.feed._report, messages=number))
     assert stream.feed.margin == 2.0 * margin
     assert mark(stream) is before
-    assert not done.done()  # it is asked for again
+    assert not done.done()  # the cut is requested again
     assert not stream.feed.is_answered
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_points_whose_messages_were_too_old_are_refused_and_sent_again(count: int) -> None:
+def test_points_in_late_messages_are_sent_again(count: int) -> None:
     stream = moves(Streamed(E_SERIES))
     feed = stream.feed
     sent = list(feed._steps)[-count:]
@@ -507,7 +507,7 @@ def test_points_whose_messages_were_too_old_are_refused_and_sent_again(count: in
     assert feed._head == feed._steps[-1].number == sent[0].number - 1
 
 
-def test_a_report_corrects_its_time() -> None:
+def test_report_corrects_time() -> None:
     stream = moves(Streamed(E_SERIES))
     before, begin = stream.feed.time, stream.bench.cycle
     stream.feed._passed += 0.01
@@ -516,8 +516,8 @@ def test_a_report_corrects_its_time() -> None:
 
 
 @pytest.mark.parametrize("way", [0, 5, 10, 15, 30])
-def test_points_that_come_while_it_brakes_for_want_of_them(way: int) -> None:
-    """It goes on from the braking where a cut comes in time, and else from rest."""
+def test_points_arriving_while_braking_are_reached(way: int) -> None:
+    """The stream continues from the braking if the cut comes in time, otherwise from rest."""
     stream = Streamed(E_SERIES, way=way)
     stream.append(waves(0.05, 0.6))
     margin = stream.feed.margin
@@ -539,7 +539,7 @@ def test_points_that_come_while_it_brakes_for_want_of_them(way: int) -> None:
 
 
 @pytest.mark.parametrize(("cycles", "goes_on"), [(1.5, True), (0.5, False), (-0.5, False)])
-def test_where_it_rests_before_a_cut_could_reach_it_it_goes_on_from_rest(cycles: float, goes_on: bool) -> None:
+def test_stream_resumes_from_rest_if_cut_would_be_late(cycles: float, goes_on: bool) -> None:
     stream = Streamed(E_SERIES)
     feed = stream.feed
     stream.append(waves(0.05, 0.6))
@@ -551,7 +551,7 @@ def test_where_it_rests_before_a_cut_could_reach_it_it_goes_on_from_rest(cycles:
     assert feed.is_answered is not goes_on
 
 
-def test_an_arm_that_has_no_points_after_it_was_cleared_is_starved_later_only() -> None:
+def test_cleared_stream_starves_only_after_new_points() -> None:
     stream = moves(Streamed(E_SERIES))
     stream.clear()
     stream.run_dry()
@@ -566,8 +566,8 @@ def test_an_arm_that_has_no_points_after_it_was_cleared_is_starved_later_only() 
 
 
 @pytest.mark.parametrize("way", [5, 9, 10, 11, 20])
-def test_however_long_messages_take_it_comes_to_rest_at_most_once(way: int) -> None:
-    """Also where the cut comes in time, and the first point a cycle after it does not."""
+def test_stream_rests_at_most_once_for_any_delay(way: int) -> None:
+    """This holds even if the cut comes in time, but the first point, a cycle later, does not."""
     stream = Streamed(E_SERIES, way=way)
     stream.append(waves(0.05, 0.6))
     slowest: list[float] = []
@@ -582,14 +582,14 @@ def test_however_long_messages_take_it_comes_to_rest_at_most_once(way: int) -> N
     assert stream.feed.starved == 3
 
 
-def test_where_it_is_cleared_as_it_goes_on_from_braking_no_point_came_too_late() -> None:
+def test_clear_while_resuming_counts_no_late_point() -> None:
     stream = Streamed(E_SERIES)
     stream.append(waves(0.05, 0.6))
     stream.until(lambda: stream.feed._report.phase == BRAKING)
     end = mark(stream)
     stream.append(TrajectoryPoint(end.moment.q + 0.1, end.time + 1.0, STILL, STILL))
     stream.until(lambda: stream.feed._report.phase != BRAKING)
-    stream.feed.margin = 0.006  # within what is left of the braking
+    stream.feed.margin = 0.006  # within the rest of the braking
     stream.clear()
     stream.run_dry()
     assert stream.feed._last.number == stream.feed._resumed
@@ -600,20 +600,20 @@ def test_where_it_is_cleared_as_it_goes_on_from_braking_no_point_came_too_late()
 
 
 def paused(stream: Streamed, q: Any = None) -> int:
-    """It goes on after a pause, where the arm is or at `q`; how many messages were sent before."""
+    """Resume after a pause, at the current position or at `q`; return the number of messages sent before."""
     state = stream.state()
     stream.feed.resume(state if q is None else cast(RealtimeState, SimpleNamespace(q_target=np.array(q))))
     return stream.feed._messages
 
 
 def found_at(stream: Streamed, q: Any) -> None:
-    """After a pause the program has found the arm at `q`, dropped its points, and reports that it rests."""
+    """Report, after a pause, that the program found the arm at `q`, dropped its points, and is at rest."""
     before, report = paused(stream, q), stream.feed._report
     stream.feed._take(dataclasses.replace(report, messages=before + 1, head=report.base, phase=RESTING))
 
 
-def test_an_arm_that_was_led_away_in_a_pause_goes_on_from_there() -> None:
-    """At rest too; a report from before the pause says nothing of it."""
+def test_stream_resumes_from_arm_moved_in_pause() -> None:
+    """The same happens at rest. A report from before the pause does not count."""
     stream = Streamed(E_SERIES, way=3)
     stream.append(waves(0.05, 0.3))
     stream.run_dry()
@@ -629,11 +629,11 @@ def test_an_arm_that_was_led_away_in_a_pause_goes_on_from_there() -> None:
     stream.run(5)
     end = mark(stream)
     stream.run(5)
-    assert mark(stream) is end  # once
+    assert mark(stream) is end  # this happens only once
 
 
-def test_where_it_goes_on_with_its_points_the_arm_was_not_led_away() -> None:
-    """That is known after fifty messages, in which the program is slow at first."""
+def test_arm_not_moved_in_pause_continues_with_points() -> None:
+    """The feed knows after fifty messages that the arm was not moved. The program is slow at first."""
     stream = moves(Streamed(E_SERIES))
     before = paused(stream)
     stream.run()
@@ -643,14 +643,14 @@ def test_where_it_goes_on_with_its_points_the_arm_was_not_led_away() -> None:
         last = stream.feed._report.messages
         assert last <= before + 50
         stream.run()
-    assert last >= before + 40  # reports come each 10 ms
+    assert last >= before + 40  # reports come every 10 ms
     assert stream.feed._report.messages > before + 50
     stream.until(lambda: stream.feed.time > 2.4)
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
 
 
-def test_points_that_the_braking_before_a_pause_has_passed_are_left_out() -> None:
-    """Those that can be reached in their time are the first; here the program has been found at rest, further on."""
+def test_points_passed_while_braking_are_skipped_after_pause() -> None:
+    """The first point that can be reached in its time is next. Here, the program is found at rest, further along."""
     stream = moves(Streamed(E_SERIES))
     time = stream.feed.time
     found_at(stream, wave(time + 0.2).q)
@@ -666,36 +666,36 @@ def test_points_that_the_braking_before_a_pause_has_passed_are_left_out() -> Non
     assert stream.feed._queue[0].step is not None
 
 
-def test_a_pause_before_the_first_point_changes_nothing_but_where_it_begins() -> None:
+def test_pause_before_first_point_changes_only_start() -> None:
     stream = Streamed(E_SERIES)
     margin = stream.feed.margin
     rests, before = mark(stream), paused(stream, turned(0.02))
     stream.feed._take(dataclasses.replace(stream.feed._report, messages=before))
-    assert mark(stream) is rests  # it was sent before the pause was over
+    assert mark(stream) is rests  # the report was sent before the pause ended
     stream.until(lambda: stream.feed._report.messages > before)
     assert mark(stream).moment.q == pytest.approx(turned(0.02))
     assert (stream.feed.margin, stream.feed.starved) == (margin, 0)
 
 
-def test_where_no_way_leads_back_it_ends() -> None:
-    """The arm was led beyond the range of a joint."""
+def test_unreachable_points_after_pause_end_stream() -> None:
+    """The arm was moved beyond the range of a joint."""
     stream = moves(Streamed(E_SERIES))
     found_at(stream, turned(6.4))
     with pytest.raises(ToleranceExceeded, match=r"no path within the limits leads from .* to the point at 0\.5 s"):
         stream.feed._resume()
 
 
-# -- points that are given up ------------------------------------------------------------------------------
+# -- abandoned points --------------------------------------------------------------------------------------
 
 
-def test_points_that_are_given_up_before_they_were_sent() -> None:
-    """The next ones begin where those before them end; where nothing is left, at rest."""
+def test_abandoned_unsent_points_are_removed() -> None:
+    """The next points begin where the previous ones end; if no points are left, they begin at rest."""
     stream = Streamed(E_SERIES)
     feed = stream.feed
     rests = mark(stream)
     one, two, three = (stream.append(waves(t + 0.05, t + 0.5)) for t in (0.0, 0.5, 1.0))
-    for given_up in (three, one):
-        feed.forget(given_up)
+    for abandoned in (three, one):
+        feed.forget(abandoned)
         assert mark(stream).time == pytest.approx(1.0)
         assert mark(stream).moment.q == pytest.approx(wave(1.0).q)
     feed.forget(two)
@@ -707,7 +707,7 @@ def test_points_that_are_given_up_before_they_were_sent() -> None:
     assert not np.ptp(stream.path or [list(HOME)], axis=0).any()
 
 
-def test_of_points_that_are_given_up_those_that_were_sent_are_reached() -> None:
+def test_abandoned_sent_points_are_still_reached() -> None:
     stream = Streamed(E_SERIES, buffer=0.3)
     handed = stream.append(waves(0.05, 1.0))
     stream.until(lambda: stream.feed.time > 0.2)
@@ -720,7 +720,7 @@ def test_of_points_that_are_given_up_those_that_were_sent_are_reached() -> None:
     assert stream.feed.starved == 0
 
 
-def test_points_of_a_task_that_has_given_them_up_are_not_sent() -> None:
+def test_points_of_cancelled_task_are_not_sent() -> None:
     stream = Streamed(E_SERIES)
     one, two = stream.append(waves(0.05, 0.2)), stream.append(waves(0.25, 0.5))
     two.call = cast(PendingCall, SimpleNamespace(is_given_up=True))
@@ -731,8 +731,8 @@ def test_points_of_a_task_that_has_given_them_up_are_not_sent() -> None:
         two.future.result(0.0)
 
 
-def test_points_are_given_up_that_came_after_the_tail_was_cleared() -> None:
-    """What is left of the step in which it was cut is gone through."""
+def test_points_abandoned_after_clear_keep_end() -> None:
+    """The rest of the cut step is still executed."""
     stream = moves(Streamed(E_SERIES))
     cleared = stream.feed.replace(0.0, ())
     rests = mark(stream)
@@ -746,7 +746,7 @@ def test_points_are_given_up_that_came_after_the_tail_was_cleared() -> None:
 
 
 def test_stream_is_dry_when_points_are_dropped_after_the_cut() -> None:
-    """The program has opened an epoch for points that are not sent any more."""
+    """The program has opened an epoch for points that will not be sent."""
     stream = Streamed(E_SERIES)
     handed = stream.append(waves(0.05, 0.5))
     stream.run()
@@ -764,7 +764,7 @@ def test_stream_is_dry_when_points_are_dropped_after_the_cut() -> None:
 
 
 class Paces:
-    """In place of what several arms go at: `wanted` is the pace, and `looks` what was said of each cycle."""
+    """Fake of the common pace of several arms: `wanted` is the pace, `looks` the reports of each cycle."""
 
     def __init__(self) -> None:
         self.wanted, self.change = 1.0, 0.0
@@ -777,14 +777,14 @@ class Paces:
 
 
 @pytest.mark.parametrize(("change", "paces"), [(0.0, 0), (0.0004, 2), (0.0015, 3)])
-def test_a_pace_is_sent_before_a_point_where_it_has_changed_by_a_thousandth(change: float, paces: int) -> None:
-    """The program is sent one of them each cycle."""
+def test_pace_changed_by_a_thousandth_is_sent_before_point(change: float, paces: int) -> None:
+    """The program receives one message in each cycle."""
     stream, pace = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, pace)
     stream.run(5)
     messages = messages_of(stream)
     stream.append(waves(0.05, 1.0))
-    stream.run(2)  # the cut by which it begins, and the first point
+    stream.run(2)  # the first cut and the first point
     pace.change = change
     messages.clear()
     stream.run(6)
@@ -792,22 +792,22 @@ def test_a_pace_is_sent_before_a_point_where_it_has_changed_by_a_thousandth(chan
     assert (kinds.count(WAIT), kinds.count(POINT)) == (paces, 6 - paces)
 
 
-def test_what_is_said_of_an_arm_to_the_others() -> None:
+def test_arm_reports_motion_to_common_pace() -> None:
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
     stream.run(5)
     assert (paces.looks[-1].is_led, paces.looks[-1].is_idle) == (False, True)
     moves(stream)
     assert (paces.looks[-1].is_led, paces.looks[-1].is_idle) == (True, False)
-    # Without a report for a tenth of a second it counts as one that goes through no points; the last is some ms old.
+    # Without a report for a tenth of a second, the arm counts as passing no points; the last report is some ms old.
     stream.way = 10_000
     paces.looks.clear()
     stream.run(100)
     assert [look.is_led for look in paces.looks].index(False) == pytest.approx(0.09 / stream.period, abs=6)
 
 
-def test_its_time_is_right_while_its_pace_changes() -> None:
-    """Within the two cycles that a pace takes to get there."""
+def test_time_is_right_while_pace_changes() -> None:
+    """The error stays within the two cycles that a pace needs to arrive."""
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
     stream.append(waves(0.05, 2.0))

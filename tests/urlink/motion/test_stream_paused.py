@@ -1,4 +1,4 @@
-"""Streams whose program is paused, and an arm that is moved meanwhile."""
+"""Streams whose program is paused; the arm might be moved meanwhile."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def cell() -> Iterator[Callable[[str, str], Cell]]:
 
 
 def points() -> list[TrajectoryPoint]:
-    """Wrist 3 from rest to rest, by 2 rad in 4 s."""
+    """Return points that move wrist 3 from rest to rest, by 2 rad in 4 s."""
     made = []
     for t in np.arange(0.1, 4.05, 0.1).tolist():
         u = t / 4.0
@@ -48,7 +48,7 @@ def points() -> list[TrajectoryPoint]:
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize(("arm", "firmware"), FIRMWARES)
 @pytest.mark.parametrize("moved", [0.0, 0.03, -0.03])
-def test_goes_on_smoothly_from_where_it_stands(
+def test_stream_resumes_smoothly_from_current_position(
     cell: Callable[[str, str], Cell], arm: str, firmware: str, moved: float
 ) -> None:
     one = cell(arm, firmware)
@@ -70,7 +70,7 @@ def test_goes_on_smoothly_from_where_it_stands(
         assert stream.starved == 0
         assert stream.time == pytest.approx(4.0)
         went = np.array(one.path[count:])[:, 5]
-        # Onto its path, and never back to where it was paused.
+        # The arm moves onto its path, but never back to the position where it was paused.
         assert went.min() > here[5] - max(moved, 0.0) - 0.005
         rate = one.controller.firmware.rate
         assert np.abs(np.diff(went, 2)).max() * rate**2 < 15.0
@@ -81,7 +81,7 @@ def test_goes_on_smoothly_from_where_it_stands(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("arm", "firmware"), FIRMWARES)
-def test_an_arm_that_was_jogged_away_is_left_there(cell: Callable[[str, str], Cell], arm: str, firmware: str) -> None:
+def test_arm_jogged_away_in_pause_is_not_moved_back(cell: Callable[[str, str], Cell], arm: str, firmware: str) -> None:
     one = cell(arm, firmware)
     with one.robot.motion.stream() as stream:
         stream.append(points(), wait=False)

@@ -1,4 +1,4 @@
-"""The points of a stream as they are given: what becomes of each, and what is refused."""
+"""Points given to a stream: their steps, and the reasons to reject them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def reader(inverse: Callable[[FloatArray, FloatArray], FloatArray] = lambda pose
 
 
 def mark(time: float = 2.0, qd: float = 0.0) -> Mark:
-    """At zero; the last joint moves."""
+    """Return a mark at zero, with the last joint moving."""
     return Mark(time, JointMoment(np.zeros(6), np.array([*STILL[:5], qd]), np.zeros(6)))
 
 
@@ -39,15 +39,15 @@ def at(angle: float) -> list[float]:
 
 
 def point(angle: float, time: float, *more: float) -> TrajectoryPoint:
-    """Of the last joint: with its speed, and with its acceleration."""
+    """Return a point of the last joint, with its speed and its acceleration if they are given."""
     return TrajectoryPoint(at(angle), time, *map(at, more))
 
 
-# -- appended ----------------------------------------------------------------------------------------------
+# -- appended points ---------------------------------------------------------------------------------------
 
 
-def test_each_point_has_the_step_from_the_one_before() -> None:
-    """Of the degree that it gives numbers for."""
+def test_each_point_has_a_step_from_the_previous_point() -> None:
+    """The degree of a step depends on the quantities that the point has."""
     points = [point(0.1, 2.5), point(0.2, 3.0, 0.3), point(0.3, 3.5, 0.1, 0.2), point(0.2, 4.0)]
     aims = reader().after(points, mark(qd=0.01))
     assert [(aim.time, aim.degree) for aim in aims] == [(2.5, 1), (3.0, 3), (3.5, 5), (4.0, 1)]
@@ -64,7 +64,7 @@ def test_each_point_has_the_step_from_the_one_before() -> None:
     assert aims[2].moment.qdd[5] == pytest.approx(0.2)
 
 
-def test_one_point_and_none() -> None:
+def test_reader_accepts_one_point_and_rejects_empty_list() -> None:
     (aim,) = reader().after(point(0.1, 3.0), mark())
     assert aim.time == 3.0
     with pytest.raises(BadValue, match="there are no points"):
@@ -73,7 +73,7 @@ def test_one_point_and_none() -> None:
         reader().curve([], 0.0, mark())
 
 
-def test_a_first_point_where_the_arm_rests_has_no_step() -> None:
+def test_first_point_at_rest_has_no_step() -> None:
     for time in (2.0, 2.0 + 0.99 * SHORTEST, 2.0 - 0.99 * SHORTEST):
         first, second = reader().after([point(0.04, time), point(0.1, 2.5)], mark())
         assert (first.time, first.step, first.degree) == (2.0, None, 5)
@@ -84,20 +84,20 @@ def test_a_first_point_where_the_arm_rests_has_no_step() -> None:
     assert (moves.moment.qd[5], moves.moment.qdd[5]) == (0.2, 0.3)
 
 
-def test_a_first_point_two_cycles_later_has_one() -> None:
+def test_first_point_two_cycles_later_has_a_step() -> None:
     (aim,) = reader().after(point(1e-4, SHORTEST), mark(0.0))
     assert aim.step is not None
     assert aim.step.length == SHORTEST
 
 
-def test_times_of_a_curve_of_its_own_are_as_far_apart() -> None:
+def test_points_of_replacing_curve_need_minimum_interval() -> None:
     points = [point(0.0, 2.5), point(0.0, 2.5 + 0.9 * SHORTEST)]
     with pytest.raises(BadValue, match=r"point 1 .*: its time is .* s after the previous point"):
         reader().curve(points, 0.0, mark())
 
 
 @pytest.mark.parametrize("time", [math.inf, math.nan, -1.0])
-def test_the_time_of_a_pose(time: float) -> None:
+def test_time_of_pose_is_checked(time: float) -> None:
     with pytest.raises(BadValue, match="time"):
         PosePoint([0.1, 0.2, 0.3, 0.0, 0.0, 0.0], time)
 
@@ -105,7 +105,7 @@ def test_the_time_of_a_pose(time: float) -> None:
 @pytest.mark.parametrize(
     ("away", "is_near"), [(0.05, True), (0.0499, True), (-0.0499, True), (0.0501, False), (-0.0501, False)]
 )
-def test_it_is_near_the_arm(away: float, is_near: bool) -> None:
+def test_first_point_must_be_near_arm(away: float, is_near: bool) -> None:
     why = rf"point 0 \(t = 2 s\): wrist 3 \(joint 5\) is at {away:.4f} rad, 0\.0501 rad from .*; .* 0\.05 rad"
     with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match=why):
         reader().after(point(away, 2.0), mark())
@@ -129,15 +129,15 @@ def test_it_is_near_the_arm(away: float, is_near: bool) -> None:
         (1, 1502.0, True),
     ],
 )
-def test_how_far_points_are_apart(number: int, time: float, is_refused: bool) -> None:
-    """Two cycles of the controller at least, from an arm that moves."""
+def test_interval_between_points_is_limited(number: int, time: float, is_refused: bool) -> None:
+    """The minimum is two cycles of the controller, for an arm that moves."""
     points = [point(0.0, 2.5)] * number + [point(0.0, time)]
     why = rf"point {number} \(t = .*: its time is .* s after the previous point, .* expected 0\.004 s .* to 1000 s"
     with pytest.raises(BadValue, match=why) if is_refused else contextlib.nullcontext():
         reader().after(points, mark(qd=1e-5))
 
 
-def test_a_point_that_the_arm_could_not_follow_is_named() -> None:
+def test_impossible_point_is_named_in_error() -> None:
     points = [point(0.02, 2.0), point(0.03, 2.5), point(3.0, 2.6)]
     why = r"^point 2 \(t = 2\.6 s\): speed of wrist 3"
     with pytest.raises(BadValue, match=why):
@@ -146,14 +146,14 @@ def test_a_point_that_the_arm_could_not_follow_is_named() -> None:
         reader().curve(points, 0.0, mark())
 
 
-def test_an_acceleration_needs_a_speed() -> None:
+def test_acceleration_requires_speed() -> None:
     lacking = TrajectoryPoint(at(0.1), 2.5, None, STILL)
     with pytest.raises(BadValue, match="point 1 has accelerations without velocities"):
         reader().after([point(0.1, 2.4), lacking], mark())
 
 
 @pytest.mark.parametrize(("wrong", "why"), [([3], "point 0 is 3; expected"), (3, "points are 3; expected")])
-def test_what_is_no_point(wrong: Any, why: str) -> None:
+def test_other_objects_are_rejected(wrong: Any, why: str) -> None:
     with pytest.raises(BadValue, match=why):
         reader().after(wrong, mark())
 
@@ -162,19 +162,19 @@ def test_what_is_no_point(wrong: Any, why: str) -> None:
 
 
 @pytest.mark.parametrize(("begins", "first"), [(0.0, 2.0), (2.7, 2.7)])
-def test_a_trajectory_begins_at_the_mark_or_later(begins: float, first: float) -> None:
+def test_trajectory_begins_at_mark_or_later(begins: float, first: float) -> None:
     there = Trajectory.from_arrays([0, 0.5, 1], [at(0), at(0.1), at(0.2)])
     aims = reader().after(there, mark(), begins)
     times = [first + t for t in (0.0, 0.5, 1.0)]
-    # Where the points end its first one is the mark.
+    # If it begins where the points end, its first point is the mark.
     assert [aim.time for aim in aims] == pytest.approx(times[1:] if first == 2.0 else times)
     assert [aim.moment.q[5] for aim in aims][-2:] == pytest.approx([0.1, 0.2])
     curve = reader().curve(there, 5.0, mark())
     assert [aim.time for aim in curve] == [5.0, 5.5, 6.0]
 
 
-def test_a_dense_trajectory_is_sampled_at_every_fourth_cycle() -> None:
-    """It stays the same curve."""
+def test_dense_trajectory_is_sampled_every_fourth_cycle() -> None:
+    """The curve must stay the same."""
     dense = np.linspace(0.0, 1.0, 1001)
     cubic = Trajectory.from_arrays(dense, [at(0.2 * u * u * (3 - 2 * u)) for u in dense])
     aims = reader().after(cubic, mark())
@@ -200,7 +200,7 @@ def test_a_dense_trajectory_is_sampled_at_every_fourth_cycle() -> None:
 # -- poses -------------------------------------------------------------------------------------------------
 
 
-def test_a_pose_is_reached_as_near_as_can_be_to_the_point_before() -> None:
+def test_pose_is_reached_close_to_previous_point() -> None:
     asked: list[float] = []
 
     def inverse(pose: FloatArray, near: FloatArray) -> FloatArray:
@@ -215,7 +215,7 @@ def test_a_pose_is_reached_as_near_as_can_be_to_the_point_before() -> None:
 
 
 @pytest.mark.parametrize(("leap", "is_refused"), [(1.49, False), (-1.49, False), (1.51, True), (-1.51, True)])
-def test_a_pose_behind_a_singularity(leap: float, is_refused: bool) -> None:
+def test_pose_behind_singularity_is_rejected(leap: float, is_refused: bool) -> None:
     read = reader(lambda pose, near: np.array(at(leap)))
     why = rf"point 0 \(t = 9 s\): wrist 3 \(joint 5\) would jump from 0\.0000 to {leap:.4f} rad; .* 1\.5 rad"
     with pytest.raises(BadValue, match=why) if is_refused else contextlib.nullcontext():

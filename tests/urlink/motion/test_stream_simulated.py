@@ -1,4 +1,4 @@
-"""Streams on the simulated controller: both faces, each generation, and what slows the robot down."""
+"""Streams on the simulated controller: both interfaces, each generation, and slowed robots."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from urlink.rtde.outputs import OutputStream
 pytestmark = pytest.mark.simulated_time
 
 TIMEOUT = 120.0
-#: rad; elbow up, tool down.
+#: Joint positions in rad: elbow up, tool down.
 READY = np.array([0.0, -1.6, 1.6, -1.6, -1.6, 0.0])
 STILL = [0.0] * 6
 
 
 @pytest.fixture
 def connect() -> Iterator[Callable[..., Robot]]:
-    """Connects to a simulated arm that stands at `READY`."""
+    """Return a function that connects to a simulated arm at rest at `READY`."""
     made: list[Robot] = []
 
     def connect(arm: str = "ur5e", firmware: str = "5.11") -> Robot:
@@ -50,7 +50,7 @@ def turned(angle: float) -> Any:
 
 
 def points(first: int, last: int, spacing: float = 0.05, speed: float = 0.5) -> list[TrajectoryPoint]:
-    """Wrist 3 at a constant speed, from 0.1 s on if it could be."""
+    """Return points of wrist 3 at a constant speed, as if it could move at that speed since 0.1 s."""
     return [
         TrajectoryPoint(turned(speed * (spacing * i - 0.1)), spacing * i, [*STILL[:5], speed], STILL)
         for i in range(first, last + 1)
@@ -75,7 +75,7 @@ def stands(robot: Robot) -> bool:
         *[("ur5", "3.9", "rtde"), ("ur5e", "5.3", "rtde"), ("ur5e", "10.12", "rtde")],
     ],
 )
-def test_from_the_first_point_to_the_last(
+def test_stream_runs_from_first_to_last_point(
     connect: Callable[..., Robot], arm: str, firmware: str, link: LinkName
 ) -> None:
     robot = connect(arm, firmware)
@@ -88,7 +88,7 @@ def test_from_the_first_point_to_the_last(
         assert min(rooms) > -0.1
         assert stream.buffered == pytest.approx(0.3, abs=0.12)
         stream.wait_until_dry(TIMEOUT)
-        # It was at a constant speed, so it had to brake.
+        # The last point has a speed, so the arm had to brake.
         assert stream.starved == 1
         assert stream.time == pytest.approx(1.5)
         until(lambda: stands(robot))
@@ -106,7 +106,7 @@ def test_from_the_first_point_to_the_last(
 
 
 @pytest.mark.parametrize("link", ["reverse", "rtde"])
-def test_its_block_stops_the_arm(connect: Callable[..., Robot], link: LinkName) -> None:
+def test_leaving_block_stops_arm(connect: Callable[..., Robot], link: LinkName) -> None:
     robot = connect()
     with robot.motion.stream(link=link) as stream:
         stream.append(points(4, 60), wait=False)
@@ -122,7 +122,7 @@ def test_its_block_stops_the_arm(connect: Callable[..., Robot], link: LinkName) 
 @pytest.mark.slow
 @pytest.mark.matrix(2)
 @pytest.mark.parametrize(("slider", "link"), [(0.5, "reverse"), (0.2, "reverse"), (0.2, "rtde")])
-def test_the_slider_slows_it_down_on_its_path(connect: Callable[..., Robot], slider: float, link: LinkName) -> None:
+def test_slider_slows_stream_on_path(connect: Callable[..., Robot], slider: float, link: LinkName) -> None:
     robot = connect()
     with robot.motion.stream(link=link) as stream:
         began = robot.realtime.wait(5).time
@@ -145,7 +145,7 @@ def test_the_slider_slows_it_down_on_its_path(connect: Callable[..., Robot], sli
 
 @pytest.mark.slow
 @pytest.mark.parametrize("link", ["reverse", "rtde"])
-def test_replaced_and_cleared(connect: Callable[..., Robot], link: LinkName) -> None:
+def test_points_are_replaced_and_cleared(connect: Callable[..., Robot], link: LinkName) -> None:
     robot = connect()
     with robot.motion.stream(link=link) as stream:
         stream.append(points(4, 60), wait=False)
@@ -162,12 +162,12 @@ def test_replaced_and_cleared(connect: Callable[..., Robot], link: LinkName) -> 
         pose = robot.kinematics.forward(here) + np.array([0, 0, 0.05, 0, 0, 0])
         stream.append(PosePoint(pose, stream.end + 1.0))
         stream.wait_until_dry(TIMEOUT)
-        assert stream.starved == 1  # a pose carries no speed at which it would rest
+        assert stream.starved == 1  # a pose has no speed, so the stream does not end at rest
 
 
 @pytest.mark.slow
-def test_replaced_before_the_arm_moves(connect: Callable[..., Robot]) -> None:
-    """While its speed rises from 0, a program has its points for several cycles before it leads the arm to them."""
+def test_points_are_replaced_before_arm_moves(connect: Callable[..., Robot]) -> None:
+    """While the speed rises from 0, the program has its points several cycles before it moves the arm to them."""
     robot = connect()
     path = Trajectory.from_arrays([0, 1], [READY, turned(0.1)])
     with robot.motion.stream() as stream:
@@ -177,7 +177,7 @@ def test_replaced_before_the_arm_moves(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_registers_hold_one_stream_after_another_and_other_motions_between(connect: Callable[..., Robot]) -> None:
+def test_registers_serve_consecutive_streams_and_motions(connect: Callable[..., Robot]) -> None:
     robot = connect()
     for angle in (0.1, 0.2):
         with robot.motion.stream(link="rtde") as stream:
@@ -191,7 +191,7 @@ def test_registers_hold_one_stream_after_another_and_other_motions_between(conne
 
 
 @pytest.mark.slow
-def test_a_register_that_another_client_holds(connect: Callable[..., Robot]) -> None:
+def test_register_of_another_client_raises_input_in_use(connect: Callable[..., Robot]) -> None:
     robot = connect()
     with robot.rtde.inputs("input_int_register_43"), pytest.raises(InputInUse, match="input_int_register_43"):
         robot.motion.stream(link="rtde").__enter__()
@@ -200,21 +200,21 @@ def test_a_register_that_another_client_holds(connect: Callable[..., Robot]) -> 
 
 
 @pytest.mark.slow
-def test_outputs_that_do_not_come_any_more_end_it(connect: Callable[..., Robot]) -> None:
-    """What the program says is not known then; it brakes when it gets no messages."""
+def test_missing_outputs_end_stream(connect: Callable[..., Robot]) -> None:
+    """The reports of the program are then unknown; it brakes because it receives no messages."""
     robot = connect()
     with robot.motion.stream(buffer=2.0, link="rtde") as stream:
         stream.append(points(4, 200), wait=False)
         until(lambda: stream.time > 0.3)
         outputs = [each for each in robot.rtde._open if isinstance(each, OutputStream)]
         outputs[0].close()
-        with pytest.raises(ConnectionLost, match="output registers have not come"):
+        with pytest.raises(ConnectionLost, match="no output registers have arrived"):
             stream.wait(TIMEOUT)
         until(lambda: stands(robot))
 
 
 @pytest.mark.slow
-def test_one_producer(connect: Callable[..., Robot]) -> None:
+def test_second_producer_is_rejected(connect: Callable[..., Robot]) -> None:
     robot = connect()
     told: list[Exception] = []
     with robot.motion.stream() as stream:
@@ -241,7 +241,7 @@ def test_one_producer(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_refused(connect: Callable[..., Robot]) -> None:
+def test_invalid_calls_are_rejected(connect: Callable[..., Robot]) -> None:
     robot = connect()
     with robot.motion.stream() as stream:
         with pytest.raises(BadValue, match="expected a TrajectoryPoint"):
@@ -266,7 +266,7 @@ def test_what_is_refused(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_another_motion_ends_it(connect: Callable[..., Robot]) -> None:
+def test_another_motion_ends_stream(connect: Callable[..., Robot]) -> None:
     robot = connect()
     with robot.motion.stream() as stream:
         stream.append(points(4, 60), wait=False)
@@ -280,7 +280,7 @@ def test_another_motion_ends_it(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_awaited() -> None:
+def test_stream_of_async_robot() -> None:
     async def use() -> None:
         async with urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
             await robot.motion.move_joints(READY, 2.0, 10.0, wait=True)
@@ -305,5 +305,5 @@ def test_awaited() -> None:
     asyncio.run(use())
 
 
-def test_its_type() -> None:
+def test_point_stream_is_a_motion() -> None:
     assert issubclass(PointStream, urlink.Motion)

@@ -1,4 +1,4 @@
-"""Steps of a stream: polynomials, how long it takes to brake, and the limits within which a path leads back."""
+"""Steps of a stream: polynomials, braking times, and limits for a path back to the points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LIMITS = (JointLimit(3.0, 2.0, 50.0),) * 6
 
 
 def moment(speed: float, acceleration: float) -> JointMoment:
-    """One joint moves."""
+    """Return a moment with only one joint moving."""
     others = [0.0] * 5
     return JointMoment(np.zeros(6), np.array([speed, *others]), np.array([acceleration, *others]))
 
@@ -28,16 +28,16 @@ def moment(speed: float, acceleration: float) -> JointMoment:
     ("speed", "acceleration", "seconds"),
     [
         (0.0, 0.0, 0.0),
-        (2.0, 0.0, BRAKING_FACTOR * 2.0 / 2.0),  # by the largest acceleration
-        (0.02, 0.0, math.sqrt(6.0 * 0.02 / 50.0)),  # by the largest jerk
-        (0.0, 1.0, 4.0 / 50.0),  # so is an acceleration that dies away
+        (2.0, 0.0, BRAKING_FACTOR * 2.0 / 2.0),  # limited by the largest acceleration
+        (0.02, 0.0, math.sqrt(6.0 * 0.02 / 50.0)),  # limited by the largest jerk
+        (0.0, 1.0, 4.0 / 50.0),  # as is an acceleration that falls to zero
         (0.0, 4.0, 16.0 / 50.0),
-        (0.0, 5.2, math.sqrt(12.0 * STRAY / 5.2)),  # which is to lead no joint further than it may stray
+        (0.0, 5.2, math.sqrt(12.0 * STRAY / 5.2)),  # must not move a joint further than it may stray
         (0.0, 90.0, math.sqrt(12.0 * STRAY / 90.0)),
         (0.9, 90.0, math.sqrt(6.0 * 0.9 / 50.0)),
     ],
 )
-def test_how_long_braking_takes(speed: float, acceleration: float, seconds: float) -> None:
+def test_braking_time(speed: float, acceleration: float, seconds: float) -> None:
     slow = (JointLimit(3.0, 100.0, 50.0),) * 6 if acceleration or speed < 0.1 else LIMITS
     for sign in (1.0, -1.0):
         step = Step.braking(moment(sign * speed, sign * acceleration), slow)
@@ -61,7 +61,7 @@ def same(one: JointMoment, other: JointMoment, *names: str) -> bool:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(("degree", "met"), [(1, ["q"]), (3, ["q", "qd"]), (5, ["q", "qd", "qdd"])])
-def test_a_step_meets_what_its_degree_can(degree: int, met: list[str], seed: int) -> None:
+def test_step_meets_conditions_of_given_degree(degree: int, met: list[str], seed: int) -> None:
     rng = np.random.default_rng(seed)
     begin, end, length = random_moment(rng), random_moment(rng), float(rng.uniform(0.1, 2.0))
     step = Step.to(begin, end, length, degree)
@@ -83,7 +83,7 @@ def test_speeds_and_accelerations_are_derivatives(degree: int) -> None:
         assert here.qdd == pytest.approx((after.qd - before.qd) / 2e-5, rel=1e-6, abs=1e-6)
 
 
-def test_many_steps_are_looked_at_as_each_is_by_itself() -> None:
+def test_sampling_many_steps_equals_single_steps() -> None:
     rng = np.random.default_rng(4)
     steps = [Step(rng.uniform(-1.0, 1.0, (6, 6)), length) for length in (0.5, 1.0, 2.0)]
     sampled = _sampled(np.array([step.rows for step in steps]), np.array([step.length for step in steps]))
@@ -96,7 +96,7 @@ def test_many_steps_are_looked_at_as_each_is_by_itself() -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5])
-def test_a_step_in_two_parts(degree: int) -> None:
+def test_step_can_be_divided(degree: int) -> None:
     rng = np.random.default_rng(degree)
     step = Step.to(random_moment(rng), random_moment(rng), 0.8, degree)
     beginning, rest = step.cut(0.3), step.rest(0.3)
@@ -109,7 +109,7 @@ def test_a_step_in_two_parts(degree: int) -> None:
 
 
 @pytest.mark.parametrize(("degree", "count"), [(1, 1), (3, 2), (4, 2), (5, 3)])
-def test_it_begins_in_a_moment_as_far_as_its_degree_meets_one(degree: int, count: int) -> None:
+def test_begins_in_compares_quantities_of_the_degree(degree: int, count: int) -> None:
     rng = np.random.default_rng(degree)
     step = Step.to(random_moment(rng), random_moment(rng), 0.8, degree)
     for number, name in enumerate(("q", "qd", "qdd")):
@@ -120,21 +120,21 @@ def test_it_begins_in_a_moment_as_far_as_its_degree_meets_one(degree: int, count
                 assert step.begins_in(begin) is (is_same or number >= count)
 
 
-def test_what_rests() -> None:
+def test_moment_rests_below_a_millionth() -> None:
     for speed, acceleration, rests in ((0.9e-6, -0.9e-6, True), (-1.1e-6, 0.0, False), (0.0, 1.1e-6, False)):
         assert moment(speed, acceleration).rests is rests
     assert JointMoment.at_rest([1.0] * 6).rests
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_braking_begins_in_the_moment_and_ends_at_rest(seed: int) -> None:
+def test_braking_begins_in_moment_and_ends_at_rest(seed: int) -> None:
     begin = random_moment(np.random.default_rng(seed), 2.0)
     step = Step.braking(begin, LIMITS)
     assert same(step.begin, begin, "q", "qd", "qdd")
     assert same(step.end, JointMoment.at_rest(step.end.q), "qd", "qdd")
 
 
-# -- what may be asked of an arm ---------------------------------------------------------------------------
+# -- limits of an arm --------------------------------------------------------------------------------------
 
 SPEED, ACCELERATION, JERK = 2.0, 8.0, 60.0
 
@@ -145,7 +145,7 @@ def bounds(arm: str | None = "UR5e") -> Bounds:
 
 
 def only(joint: int, value: float, q: float = 0.0, acceleration: float = 0.0) -> JointMoment:
-    """One joint is at `q` and moves."""
+    """Return a moment with one joint at `q` and moving."""
     here = JointMoment.at_rest([0.0] * 6)
     here.q[joint], here.qd[joint], here.qdd[joint] = q, value, acceleration
     return here
@@ -153,8 +153,8 @@ def only(joint: int, value: float, q: float = 0.0, acceleration: float = 0.0) ->
 
 @pytest.mark.parametrize("joint", [0, 3, 5])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_first_limit_that_is_exceeded_is_told(joint: int, sign: float) -> None:
-    """With the step, the joint, the value and the limit."""
+def test_first_exceeded_limit_is_reported(joint: int, sign: float) -> None:
+    """The error names the step, the joint, the value and the limit."""
     still = Step.to(only(joint, 0.0), only(joint, 0.0), 1.0, 5)
     name = f"joint {joint}"
     cases = [
@@ -180,28 +180,28 @@ def test_the_first_limit_that_is_exceeded_is_told(joint: int, sign: float) -> No
             bounds().check([still, step], ["one", "two"])
 
 
-def test_what_rounding_exceeds_is_within() -> None:
+def test_rounding_does_not_exceed_limits() -> None:
     for excess, is_refused in ((1.0 + 0.9e-6, False), (1.0 + 1.2e-6, True)):
         step = Step.to(only(0, 0.0), only(0, 0.0, excess * SPEED), 1.0, 1)
         with pytest.raises(BadValue) if is_refused else contextlib.nullcontext():
             bounds().check([step], ["one"])
 
 
-def test_a_corner_has_no_acceleration() -> None:
-    """Between straight steps speeds leap; it is the program that brakes there."""
+def test_corner_has_no_acceleration() -> None:
+    """Speeds jump between straight steps; the program on the robot brakes there."""
     there, back = only(0, 0.0, 0.02), only(0, 0.0, 0.0)
     bounds().check([Step.to(back, there, 0.02, 1), Step.to(there, back, 0.02, 1)], ["one", "two"])
     with pytest.raises(BadValue, match="one: acceleration"):
         bounds().check([Step.to(back, there, 0.02, 3), Step.to(there, back, 0.02, 3)], ["one", "two"])
 
 
-def test_what_is_beyond_its_limit_may_be_in_degrees() -> None:
+def test_error_suggests_degrees() -> None:
     with pytest.raises(BadValue, match=r"position of base .* is 45\.0000 rad; .* rad \(in degrees\?\)"):
         bounds().check([Step.to(only(0, 0.0, 45.0), only(0, 0.0, 45.0), 1.0, 5)], ["one"])
 
 
-def test_an_arm_that_is_not_known() -> None:
-    """A message holds three turns; the acceleration is that of no arm."""
+def test_unknown_arm_has_general_limits() -> None:
+    """A message can hold three turns; the acceleration limit is beyond every known arm."""
     turns = 6.0 * math.pi
     unknown = bounds(None)
     for q, acceleration, message in (
@@ -222,8 +222,8 @@ def test_an_arm_that_is_not_known() -> None:
     [only(1, 0.0), only(1, 1.0), only(1, -1.0), only(1, 0.5, 0.0, 4.0), only(1, 0.0, 0.0, 9.0), only(1, -1.9)],
     ids=str,
 )
-def test_the_way_to_a_moment_is_quick_and_within_the_limits(begin: JointMoment) -> None:
-    """It takes at most an eighth longer than it has to."""
+def test_way_to_moment_is_quick_and_within_limits(begin: JointMoment) -> None:
+    """The way takes at most an eighth longer than necessary."""
     end = only(1, 0.3, 0.5)
     way = bounds().way(begin, end, 0.004)
     assert way is not None
@@ -239,7 +239,7 @@ def test_the_way_to_a_moment_is_quick_and_within_the_limits(begin: JointMoment) 
     assert bounds().first_within(quicker) is None
 
 
-def test_a_way_takes_as_long_as_it_is_to_and_twenty_seconds_at_most() -> None:
+def test_way_takes_given_time_or_at_most_20_s() -> None:
     begin, end = only(0, 0.0), only(0, 0.0, 0.01)
     for least in (3.0, 19.0, 25.0):
         way = bounds().way(begin, end, least)
@@ -248,13 +248,13 @@ def test_a_way_takes_as_long_as_it_is_to_and_twenty_seconds_at_most() -> None:
     assert bounds().way(begin, only(0, 0.0, 6.5), 0.004) is None
     assert bounds().way(begin, only(0, 2.1), 30.0) is None
     slow = Bounds(model("UR5e"), (0.1,) * 6, (JointLimit(0.1, ACCELERATION, JERK),) * 6)
-    for q, is_there in ((0.9, True), (1.2, False)):  # 15 s/8 of its mean is the largest speed
+    for q, is_there in ((0.9, True), (1.2, False)):  # the largest speed is 15/8 of the mean speed
         assert (slow.way(begin, only(0, 0.0, q), 0.004) is not None) is is_there
 
 
 @pytest.mark.parametrize("number", [0, 1, 15, 16, 17, 31, 32])
-def test_each_time_that_is_tried_is_an_eighth_longer(number: int) -> None:
-    """The largest speed of such a step is 15/8 of its mean; 1 rad/s is allowed."""
+def test_each_tried_time_is_an_eighth_longer(number: int) -> None:
+    """The largest speed of such a step is 15/8 of its mean. The limit is 1 rad/s."""
     slow = Bounds(None, (1.0,) * 6, (JointLimit(1.0, 1e3, 1e6),) * 6)
     least = 0.1
     far = only(0, 0.0, least * 1.125 ** (number - 0.5) / 1.875)
@@ -264,14 +264,14 @@ def test_each_time_that_is_tried_is_an_eighth_longer(number: int) -> None:
 
 
 @pytest.mark.parametrize(("least", "way"), [(25.0, 14.5), (19.9, 10.8)])
-def test_no_time_above_twenty_seconds_is_tried_but_the_least(least: float, way: float) -> None:
+def test_only_given_time_may_exceed_20_s(least: float, way: float) -> None:
     slow = Bounds(None, (1.0,) * 6, (JointLimit(1.0, 1e3, 1e6),) * 6)
     begin, end = only(0, 0.0), only(0, 0.0, way)
     assert slow.way(begin, end, least) is None
     assert slow.way(begin, end, 1.125 * least) is not None
 
 
-def test_what_rounding_exceeds_of_a_limit_of_the_stream_is_within() -> None:
+def test_rounding_does_not_exceed_limits_of_stream() -> None:
     for size, is_within in ((1.0 + 0.9e-6, True), (1.0 + 1.2e-6, False)):
         even, hard = np.zeros((6, 6)), np.zeros((6, 6))
         even[1, 0], hard[3, 0] = size * SPEED, size * JERK / 6.0
@@ -280,7 +280,7 @@ def test_what_rounding_exceeds_of_a_limit_of_the_stream_is_within() -> None:
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_the_first_that_is_within_each_limit(joint: int) -> None:
+def test_first_step_within_each_limit_is_found(joint: int) -> None:
     begin, far = only(joint, 0.0), only(joint, 0.0, 0.5)
     ways = [Step.to(begin, far, length, 5) for length in (0.2, 0.4, 1.2, 1.5)]
     assert bounds().first_within(ways) == 2
@@ -295,7 +295,7 @@ SHORTEST = 0.004
 
 
 def ramp(first: float, last: float, spacing: float = 0.1, rate: float = 0.2) -> list[Aim]:
-    """The last joint turns steadily, from 0 at 0 s."""
+    """Return a curve that turns the last joint steadily, from 0 at 0 s."""
     aims: list[Aim] = []
     for n in range(round((last - first) / spacing) + 1):
         time = first + n * spacing
@@ -306,7 +306,7 @@ def ramp(first: float, last: float, spacing: float = 0.1, rate: float = 0.2) -> 
 
 
 def check_on(curve: list[Aim], found: list[Aim], here: JointMoment, time: float) -> None:
-    """It goes from `here` onto the curve, and is on it from then on."""
+    """Check that the path goes from `here` onto the curve, and stays on it."""
     assert found[0].step is not None
     assert same(found[0].step.begin, here, "q", "qd", "qdd")
     before = found[0].time - found[0].step.length
@@ -323,8 +323,8 @@ def check_on(curve: list[Aim], found: list[Aim], here: JointMoment, time: float)
 
 
 @pytest.mark.parametrize(("since", "lands"), [(0.5, 1.0 + 2 * SHORTEST), (1.3, 1.3)])
-def test_it_goes_over_as_soon_as_it_can(since: float, lands: float) -> None:
-    """In four cycles at least, and not before the curve begins."""
+def test_path_joins_curve_as_early_as_possible(since: float, lands: float) -> None:
+    """Joining takes at least four cycles, and does not happen before the curve begins."""
     curve, here = ramp(since, 2.0), only(5, 0.2, 0.2)
     found = onto(bounds(), curve, here, 1.0, SHORTEST)
     assert found[0].time == pytest.approx(lands)
@@ -334,8 +334,8 @@ def test_it_goes_over_as_soon_as_it_can(since: float, lands: float) -> None:
 
 
 @pytest.mark.parametrize("beside", [0.001, 0.03, 0.2])
-def test_it_takes_as_long_as_the_limits_want(beside: float) -> None:
-    """A quarter more than what was not enough."""
+def test_path_to_curve_is_as_slow_as_limits_require(beside: float) -> None:
+    """Each attempt takes a quarter longer than the previous one."""
     curve, here = ramp(0.0, 3.0), only(5, 0.2, 0.2 + beside)
     found = onto(bounds(), curve, here, 1.0, SHORTEST)
     check_on(curve, found, here, 1.0)
@@ -347,11 +347,11 @@ def test_it_takes_as_long_as_the_limits_want(beside: float) -> None:
     assert bounds().first_within([Step.to(here, only(5, 0.2, 0.2 * sooner), sooner - 1.0, 5)]) is None
 
 
-def test_it_lands_on_the_last_point_if_on_none_before() -> None:
+def test_path_joins_curve_at_last_point_if_necessary() -> None:
     curve, here = ramp(0.0, 1.6), only(5, 0.2, 0.2 + 0.19)
     (last,) = onto(bounds(), curve, here, 1.0, SHORTEST)
     assert last.time == 1.6
-    # But not on one that it cannot reach in time either.
+    # However, it does not join at a point that it cannot reach in time.
     with pytest.raises(BadValue, match=r"the points up to 1\.2 s cannot be reached from where the stream is at 1 s"):
         onto(bounds(), ramp(0.0, 1.2), here, 1.0, SHORTEST)
 
@@ -359,7 +359,7 @@ def test_it_lands_on_the_last_point_if_on_none_before() -> None:
 @pytest.mark.parametrize(
     ("ends", "is_past"), [(1.0, True), (1.0 + 1.4 * SHORTEST, True), (1.0 + 1.6 * SHORTEST, False)]
 )
-def test_points_that_are_past(ends: float, is_past: bool) -> None:
+def test_past_points_are_rejected(ends: float, is_past: bool) -> None:
     curve, here = ramp(ends - 0.5, ends), only(5, 0.2, 0.2)
     why = rf"all points are in the past: the last is at {ends:g} s, but points are needed from 1 s on"
     with pytest.raises(BadValue, match=why) if is_past else contextlib.nullcontext():
@@ -368,8 +368,8 @@ def test_points_that_are_past(ends: float, is_past: bool) -> None:
 
 
 @pytest.mark.parametrize(("before", "lands"), [(0.9 * SHORTEST, 1.1), (1.1 * SHORTEST, 1.1 - 1.1 * SHORTEST)])
-def test_it_lands_on_a_point_that_is_near(before: float, lands: float) -> None:
-    """What is left of the step to it would be too short."""
+def test_path_joins_curve_at_a_near_point(before: float, lands: float) -> None:
+    """Otherwise, the rest of the step to that point would be too short."""
     time = 1.1 - before - 2 * SHORTEST
     here = only(5, 0.2, 0.2 * time)
     found = onto(bounds(), ramp(0.0, 2.0), here, time, SHORTEST)

@@ -1,4 +1,4 @@
-"""Waypoints that are taught by hand, kept in files, and played."""
+"""Waypoints that are taught by hand, saved in files, and played."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def has(taught: Taught, count: int) -> bool:
 
 
 def pushed(controller: Controller) -> None:
-    """A hand that lifts the tool by two millimetres, and lets go."""
+    """Lift the tool by two millimetres by hand, and release it."""
     at = controller.arm.setpoint.q
     controller.push([0, 0, 20.0, 0, 0, 0])
     until(lambda: np.abs(np.subtract(controller.arm.setpoint.q, at)).max() > 2e-3, TIMEOUT)
@@ -58,10 +58,10 @@ def pushed(controller: Controller) -> None:
 
 
 @pytest.mark.slow
-def test_waypoints_by_calls_and_by_an_input_are_saved_and_played(arm: tuple[Controller, Robot], tmp_path: Path) -> None:
+def test_taught_waypoints_are_saved_and_played(arm: tuple[Controller, Robot], tmp_path: Path) -> None:
     controller, robot = arm
     told: list[TaughtPoint] = []
-    # An input that is on already keeps nothing.
+    # An input that is already on records nothing.
     controller.signals.set_digital_input(2, True)
     with robot.teach(digital_input=2, on_point=told.append, watchdog=2.0) as teaching:
         first = teaching.record()
@@ -87,7 +87,7 @@ def test_waypoints_by_calls_and_by_an_input_are_saved_and_played(arm: tuple[Cont
 
 
 @pytest.mark.slow
-def test_the_button_keeps_one_when_it_is_let_go_and_no_program_runs(arm: tuple[Controller, Robot]) -> None:
+def test_button_records_on_release_without_program(arm: tuple[Controller, Robot]) -> None:
     controller, robot = arm
     with robot.teach(button=True) as teaching:
         assert teaching.freedrive is None
@@ -100,7 +100,7 @@ def test_the_button_keeps_one_when_it_is_let_go_and_no_program_runs(arm: tuple[C
 
 
 class Said:
-    """A stream of states that the test says; `closed` tells what of it was closed."""
+    """Stream of states that the test sends; `closed` lists its closed parts."""
 
     def __init__(self, closed: list[str], name: str) -> None:
         self._closed, self._name = closed, name
@@ -118,7 +118,7 @@ class Said:
         self._closed.append(self._name)
 
     def say(self, x: float = 0.0, time: float = 0.0, inputs: int = 0, status: int = 0) -> None:
-        """The arm is at `x` in all numbers."""
+        """Send a state with the arm at `x` in all numbers."""
         self._newest = SimpleNamespace(
             time=time,
             q_actual=[x] * 6,
@@ -131,7 +131,7 @@ class Said:
 
 
 class Mode:
-    """A freedrive that begins and ends when it is told."""
+    """Fake freedrive that records its start and its end."""
 
     def __init__(self, ended: list[str]) -> None:
         self.error: Exception | None = None
@@ -152,12 +152,12 @@ def teaching_with(
     return Teaching(said, "UR5e", freedrive, input_bit, released, told.append), told
 
 
-def test_an_input_keeps_one_when_it_is_switched_on_and_not_when_it_bounces() -> None:
+def test_input_records_when_switched_on_without_bounce() -> None:
     closed: list[str] = []
     realtime = Said(closed, "realtime")
     teaching, told = teaching_with(realtime, input_bit=3)
     with teaching:
-        # On from the beginning; then other inputs; then this one beside others.
+        # The input is on from the start, then other inputs are on, then this input together with others.
         for x, time, inputs in (
             (1, -0.3, 0b1000),
             (2, -0.2, 0),
@@ -175,7 +175,7 @@ def test_an_input_keeps_one_when_it_is_switched_on_and_not_when_it_bounces() -> 
     assert teaching.taught.model == "UR5e"
 
 
-def test_the_button_keeps_where_the_arm_is_when_it_is_let_go() -> None:
+def test_button_records_position_on_release() -> None:
     closed: list[str] = []
     realtime, buttons = Said(closed, "realtime"), Said(closed, "buttons")
     teaching, told = teaching_with(realtime, buttons=buttons)
@@ -188,7 +188,7 @@ def test_the_button_keeps_where_the_arm_is_when_it_is_let_go() -> None:
     assert closed == ["subscription of buttons", "buttons"]
 
 
-def test_waypoints_are_recorded_within_the_block_and_within_the_mode() -> None:
+def test_recording_requires_open_block_and_mode() -> None:
     ended: list[str] = []
     realtime, mode = Said(ended, "realtime"), Mode(ended)
     teaching, told = teaching_with(realtime, mode)
@@ -211,7 +211,7 @@ def test_waypoints_are_recorded_within_the_block_and_within_the_mode() -> None:
     assert told == [point] == list(teaching.taught)
 
 
-def test_what_cannot_be_listened_to_ends_the_mode() -> None:
+def test_failed_subscription_ends_mode() -> None:
     ended: list[str] = []
     buttons = Said(ended, "buttons")
     buttons.subscribe = None  # type: ignore[assignment,method-assign]
@@ -224,7 +224,7 @@ def test_what_cannot_be_listened_to_ends_the_mode() -> None:
 
 
 @pytest.mark.slow
-def test_a_mode_that_is_over_records_nothing(arm: tuple[Controller, Robot]) -> None:
+def test_cancelled_mode_records_nothing(arm: tuple[Controller, Robot]) -> None:
     _, robot = arm
     with robot.teach(watchdog=2.0) as teaching:
         assert teaching.freedrive is not None
@@ -236,7 +236,7 @@ def test_a_mode_that_is_over_records_nothing(arm: tuple[Controller, Robot]) -> N
 
 @pytest.mark.property
 @given(points=st.lists(st.tuples(SIX, SIX), max_size=5), model=st.none() | st.text(max_size=5))
-def test_what_was_saved_is_loaded(
+def test_saved_file_is_loaded_unchanged(
     tmp_path_factory: pytest.TempPathFactory, points: list[tuple[tuple[float, ...], ...]], model: str | None
 ) -> None:
     file = tmp_path_factory.mktemp("taught") / "a.json"
@@ -271,15 +271,15 @@ JSON = st.recursive(
         JSON,
     )
 )
-def test_what_is_something_else_is_refused(tmp_path_factory: pytest.TempPathFactory, held: Any) -> None:
+def test_other_files_are_rejected(tmp_path_factory: pytest.TempPathFactory, held: Any) -> None:
     file = tmp_path_factory.mktemp("taught") / "a.json"
     file.write_text(json.dumps(held))
     with contextlib.suppress(BadValue):
         assert all(np.isfinite(point.q).all() for point in Taught.load(file))
 
 
-def test_what_is_played() -> None:
-    """One path through all joints, not waited for; slowly, and with a stop at each, unless something else is asked."""
+def test_play_follows_one_path_through_all_joints() -> None:
+    """Its defaults are no wait, a slow motion, and a stop at each waypoint."""
     asked: list[tuple[list[Joint], dict[str, object]]] = []
     handle = object()
 
@@ -300,7 +300,7 @@ def test_what_is_played() -> None:
     assert [each.blend for each in taught.waypoints()] == [0.0] * 3
 
 
-def test_files_of_the_first_release_are_read(tmp_path: Path) -> None:
+def test_files_of_first_release_can_be_read(tmp_path: Path) -> None:
     file = tmp_path / "a.json"
     point = {"q": [1, 2, 3, 4, 5, 6], "pose": [0.1] * 6}
     file.write_text(
@@ -326,7 +326,7 @@ POINT = {"q": [0] * 6, "pose": [0] * 6}
         ({"waypoints": [{**POINT, "pose": "here"}]}, "its pose is 'here'; expected numbers"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, held: object, message: str) -> None:
+def test_error_describes_invalid_file(tmp_path: Path, held: object, message: str) -> None:
     file = tmp_path / "a.json"
     if isinstance(held, dict):
         held = {"format": "urlink taught waypoints", "version": 1, "model": None, "waypoints": [], **held}
@@ -335,7 +335,7 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path: Path, held: object, message
         Taught.load(file)
 
 
-def test_what_cannot_be_played_or_kept_is_refused(tmp_path: Path) -> None:
+def test_impossible_calls_are_rejected(tmp_path: Path) -> None:
     point = TaughtPoint(np.zeros(6), np.zeros(6))
     other = cast("Any", SimpleNamespace(model="UR10e", motion=None))
     with pytest.raises(BadValue, match="nothing to play"):

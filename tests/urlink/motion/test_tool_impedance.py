@@ -1,4 +1,4 @@
-"""The program of an impedance of the tool, as it is uploaded, on a simulated controller that is stepped."""
+"""The uploaded program of a tool impedance, on a simulated controller that the test steps."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ STIFFNESS = (500.0, 500.0, 500.0, 30.0, 30.0, 30.0)
 
 
 class SoftTool(Soft):
-    """An arm whose tool is on springs.
+    """Arm with its tool on springs.
 
     Args:
-        in_tool: the axes are those of the tool.
-        options: of `Springs` and of `ToolSprings`, whose speed is `tool_speed`.
+        in_tool: Whether the axes are the axes of the tool.
+        options: Options of `Springs` and of `ToolSprings`, whose speed is `tool_speed`.
     """
 
     def __init__(self, name: str = "UR5e", *, in_tool: bool = False, **options: Any) -> None:
@@ -55,12 +55,12 @@ class SoftTool(Soft):
 
     @property
     def share(self) -> float:
-        """The part of the springs that acted in the last cycle."""
+        """Share of the springs that acted in the last cycle."""
         return self.controller.registers.outputs.floats[0]
 
     @property
     def saved(self) -> float:
-        """J with which that may grow."""
+        """Saved energy in J, which permits the share of the springs to grow."""
         return self.controller.registers.outputs.floats[1]
 
     @property
@@ -68,17 +68,17 @@ class SoftTool(Soft):
         return self.arm.kinematics.jacobian(self.q, self.arm.tcp)
 
     def bend(self, q: Sequence[float]) -> None:
-        """Another posture."""
+        """Set another posture."""
         self._say(q, [-1.0, 0, 0, 0, 0, 0], 0.002, POSTURE)
 
     def off(self, pose: Sequence[float]) -> FloatArray:
-        """(6,) m and rad from the pose of the tool to another one, in the base frame."""
+        """Return the difference from the tool pose to `pose` in the base frame, shape (6,), in m and rad."""
         here = self.pose
         turn = poses.compose([0.0, 0.0, 0.0, *pose[3:]], poses.invert([0.0, 0.0, 0.0, *here[3:]]))
         return np.array([*np.subtract(pose[:3], here[:3]), *turn[3:]])
 
     def stored(self, aim: Sequence[float], posture: FloatArray) -> float:
-        """J of the springs, if nothing clamps the joints."""
+        """Return the energy of the springs in J, if nothing clamps the joints."""
         away, stiffness = self.off(aim), np.array(self.springs.stiffness)
         if self.tool.in_tool:
             away = np.kron(np.eye(2), poses.rotvec_to_matrix(aim[3:]).T) @ away
@@ -93,7 +93,7 @@ class SoftTool(Soft):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
-def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
+def test_wrench_moves_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
     stiffness = [500.0, 400.0, 700.0, 30.0, 25.0, 40.0]
     soft = SoftTool(in_tool=in_tool, stiffness=stiffness)
     start = soft.pose
@@ -110,25 +110,25 @@ def test_a_wrench_moves_the_tool_by_force_over_stiffness(axis: int, in_tool: boo
 
 
 def place(pose: Sequence[float], *way: float) -> list[float]:
-    """A pose that is moved and turned, in its own axes."""
+    """Return a pose that is moved and turned in its own axes."""
     moved: list[float] = poses.compose(pose, way).tolist()
     return moved
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("in_tool", [False, True])
-def test_it_goes_where_it_is_led_and_rests_after_its_end(in_tool: bool) -> None:
+def test_tool_reaches_target_and_rests_after_end(in_tool: bool) -> None:
     soft = SoftTool(in_tool=in_tool)
     goal = place(soft.pose, 0.1, -0.05, 0.05, 0.0, 0.3, 1.5)
     soft.lead(goal)
-    # As Python says it with each target: the joint positions there.
+    # The library sends the joint positions of each target, too.
     soft.bend(soft.arm.kinematics.inverse(goal, soft.q, soft.arm.tcp).tolist())
     fastest = np.zeros(6)
     for _ in range(1600):
         soft.go()
         fastest = np.maximum(fastest, np.abs(soft.jacobian @ soft.qd))
     assert np.abs(soft.off(goal)).max() < 5e-3
-    # Its slowest axis, which is turned by 1.5 rad, has 0.7 of its speed.
+    # The slowest axis, which turns by 1.5 rad, reaches 0.7 of its speed.
     assert 0.4 < fastest[3:].max() < 0.7
     soft.end(0.5)
     assert not soft.is_running
@@ -139,8 +139,8 @@ def test_it_goes_where_it_is_led_and_rests_after_its_end(in_tool: bool) -> None:
 
 
 @pytest.mark.slow
-def test_orientations_are_approached_the_short_way() -> None:
-    """Also where the rotation vectors of both are far apart, as those of tools that look down are."""
+def test_orientation_takes_the_short_path() -> None:
+    """The rotation vectors of both may be far apart, as for tools that look down."""
     soft = SoftTool(q=(0.0, -1.5, 2.0, -2.07, -1.57, 0.0), posture=(0.0,) * 6)
     start = soft.pose
     assert np.linalg.norm(start[3:]) > 3.0
@@ -158,7 +158,7 @@ def test_orientations_are_approached_the_short_way() -> None:
 
 
 @pytest.mark.slow
-def test_gains_go_over_to_others_without_a_leap() -> None:
+def test_gains_change_without_jump() -> None:
     soft = SoftTool()
     start = soft.pose
     soft.controller.push([0, 10.0, 0, 0, 0, 0])
@@ -176,8 +176,8 @@ def test_gains_go_over_to_others_without_a_leap() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.4])
-def test_the_tool_swings_as_its_damping_ratio_says(ratio: float) -> None:
-    """Let go of sideways, on a soft spring, with all other axes stiff: those, and the joints, damp a little too."""
+def test_swing_of_tool_matches_damping_ratio(ratio: float) -> None:
+    """Release the tool sideways on a soft spring. The other axes are stiff; they and the joints damp a little, too."""
     soft = SoftTool(
         stiffness=[1500.0, 200.0, 1500.0, 100.0, 100.0, 100.0],
         damping=[1.0, ratio, 1.0, 1.0, 1.0, 1.0],
@@ -203,8 +203,8 @@ def test_the_tool_swings_as_its_damping_ratio_says(ratio: float) -> None:
 
 
 @pytest.mark.slow
-def test_the_posture_moves_what_no_spring_of_the_tool_holds() -> None:
-    """An axis without stiffness is turned to the posture, and the tool stays where it is."""
+def test_posture_moves_axes_without_stiffness() -> None:
+    """An axis without stiffness turns to the posture, and the tool stays in place."""
     soft = SoftTool(stiffness=[500.0, 500.0, 500.0, 0.0, 0.0, 0.0], posture=(2.0,) * 6)
     start = soft.pose
     posture = soft.q.copy()
@@ -216,8 +216,8 @@ def test_the_posture_moves_what_no_spring_of_the_tool_holds() -> None:
 
 
 @pytest.mark.slow
-def test_an_arm_that_was_stretched_comes_back_with_its_elbow_on_the_same_side() -> None:
-    """By a target out of reach, which `Impedance.send` refuses: straight, it is a little beyond, and comes back."""
+def test_stretched_arm_keeps_elbow_on_same_side() -> None:
+    """An unreachable target, which `Impedance.send` rejects, stretches the arm a little beyond straight."""
     soft = SoftTool(q=(0.0, -0.3, 0.35, -1.57, -1.57, 0.0), posture=(2.0,) * 6, stiffness=(500.0,) * 3 + (0.0,) * 3)
     start, elbow, fastest = soft.pose, [], 0.0
     outwards = np.array(start[:3]) * (1.0 + 0.3 / np.linalg.norm(start[:3]))
@@ -234,11 +234,11 @@ def test_an_arm_that_was_stretched_comes_back_with_its_elbow_on_the_same_side() 
     assert not soft.is_stopped
 
 
-# -- what bounds it -----------------------------------------------------------------------------------------
+# -- limits -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_the_tool_gets_no_faster_than_it_may_where_a_contact_ends() -> None:
+def test_tool_speed_is_limited_when_contact_ends() -> None:
     soft = SoftTool(damping=[0.0] * 6, tool_speed=(0.15,) * 3 + (0.8,) * 3)
     wall = soft.controller.world.add(Plane(soft.pose[:3], (0.0, -1.0, 0.0)))
     goal = soft.pose
@@ -255,7 +255,7 @@ def test_the_tool_gets_no_faster_than_it_may_where_a_contact_ends() -> None:
 
 
 @pytest.mark.slow
-def test_force_is_bounded_however_far_the_target_is() -> None:
+def test_force_is_limited_for_any_distance_to_target() -> None:
     soft = SoftTool(force=(20.0,) * 3 + (5.0,) * 3, torque=(60.0, 60.0, 60.0, 14.0, 14.0, 14.0))
     x, y, z = soft.pose[:3]
     soft.controller.world.add(Plane((x, y, z)))
@@ -266,7 +266,7 @@ def test_force_is_bounded_however_far_the_target_is() -> None:
 
 
 @pytest.mark.slow
-def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
+def test_joint_is_turned_back_before_end_of_range() -> None:
     high = float(model("UR5e").position_limits[2, 1])
     soft = SoftTool(q=[0.0, -1.5, high - 0.3, -2.0, -1.57, 0.3], stiffness=[0.0] * 6, posture=(0.0,) * 6)
     soft.controller.world.push_joints([0, 0, 12.0, 0, 0, 0])
@@ -279,7 +279,7 @@ def test_a_joint_is_turned_back_before_the_end_of_its_range() -> None:
 
 
 @pytest.mark.slow
-def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> None:
+def test_arm_moved_during_pause_stays_in_place() -> None:
     soft = SoftTool()
     soft.lead(soft.pose, 0.3)
     pendant = soft.controller.pendant
@@ -295,8 +295,8 @@ def test_an_arm_that_was_moved_while_its_program_was_paused_stays_there() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", ["told", "silent"])
-def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
+@pytest.mark.parametrize("end", ["stopped", "silent"])
+def test_end_in_contact_causes_no_jump(end: str) -> None:
     soft = SoftTool(stiffness=(2000.0,) * 3 + (50.0,) * 3)
     x, y, z = soft.pose[:3]
     soft.controller.world.add(Plane((x, y, z)))
@@ -305,7 +305,7 @@ def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
     soft.lead(goal, 2.0)
     force, height = soft.arm.wrench[2], soft.pose[2]
     assert 5.0 < force < 100.0
-    if end == "told":
+    if end == "stopped":
         soft.end(0.002)
     forces, places, fastest = [], [], 0.0
     for _ in range(600):
@@ -321,10 +321,10 @@ def test_its_end_in_a_contact_is_no_leap(end: str) -> None:
 
 
 def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
-    """Led sideways over a table at 0.1 m/s: the largest force of the last half, and its mean.
+    """Slide over a table at 0.1 m/s; return the largest and the mean force of the last half.
 
     Args:
-        intervals: s between two targets, and whether no message comes meanwhile.
+    intervals: Time between two targets in s, and whether no message arrives in that time.
     """
     soft = SoftTool(q=(0.5, *READY[1:]), stiffness=(1500.0,) * 3 + (50.0,) * 3)
     x, y, z = soft.pose[:3]
@@ -348,7 +348,7 @@ def slid(intervals: Sequence[tuple[float, bool]]) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
+def test_irregular_targets_press_as_hard_as_steady_targets() -> None:
     _, steady = slid([(0.004, False)] * 450)
     draw = np.random.default_rng(3)
     rough = [(0.2, True) if draw.random() < 0.2 else (float(draw.uniform(0.08, 0.12)), False) for _ in range(16)]
@@ -360,7 +360,7 @@ def test_targets_at_10_hz_with_gaps_press_no_harder_than_steady_ones() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("in_tool", [False, True])
-def test_a_cycle_has_at_most_twice_the_list_operations_of_the_vendors_example(in_tool: bool) -> None:
+def test_cycle_costs_at_most_twice_the_vendor_example(in_tool: bool) -> None:
     example = Controller("UR5e", "5.25", motion=Still(), files={"circle.urp": circle(HORIZONTAL)})
     example.step(10)
     example.dashboard.reply("load circle.urp")
@@ -372,7 +372,7 @@ def test_a_cycle_has_at_most_twice_the_list_operations_of_the_vendors_example(in
     cost = hardest_cycle(lambda: soft.lead(goal), 20)
     assert cost[1] <= 2 * lists
     assert cost[2] <= dynamics
-    # Its loops over axes and joints are what is more than there.
+    # Only its loops over axes and joints take more calls.
     assert cost[0] <= 4 * steps
 
 
@@ -380,7 +380,7 @@ def test_a_cycle_has_at_most_twice_the_list_operations_of_the_vendors_example(in
 
 
 class ToolWorld(World):
-    """A random arm whose tool is on random springs in random axes, among the things of `World`."""
+    """A random arm with its tool on random springs in random axes, among the objects of `World`."""
 
     def soften(self, draw: np.random.Generator, name: str, scale: float, q: Sequence[float]) -> SoftTool:
         stiffness = np.array(STIFFNESS) * scale * draw.uniform(0.0, 3.0, 6)
@@ -426,7 +426,7 @@ class ToolWorld(World):
 @pytest.mark.property
 @settings(max_examples=max(settings.default.max_examples // 2, 5) if settings.default else 5)
 @given(st.integers(0, 2**31))
-def test_energy_never_grows_by_itself(seed: int) -> None:
+def test_energy_never_grows_without_external_work(seed: int) -> None:
     world = ToolWorld(seed)
     energies, largest = world.run(0.5)
     assert world.soft.is_running

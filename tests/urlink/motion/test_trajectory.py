@@ -1,4 +1,4 @@
-"""Trajectories: what they refuse, and the curve through their points."""
+"""Trajectories: rejected points, and the curve through accepted points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UR5E = model("UR5e")
 
 
 def tool(*angles: float, time: list[float] | None = None) -> Trajectory:
-    """Only wrist 3 turns; a second between points if not said otherwise."""
+    """Return a trajectory that turns only wrist 3; by default, points are one second apart."""
     q = np.zeros((len(angles), 6))
     q[:, 5] = angles
     return Trajectory.from_arrays(range(len(angles)) if time is None else time, q)
@@ -29,7 +29,7 @@ def tool(*angles: float, time: list[float] | None = None) -> Trajectory:
 # -- points and arrays ---------------------------------------------------------------------------------
 
 
-def test_from_points_and_from_arrays_are_the_same() -> None:
+def test_points_and_arrays_give_the_same_trajectory() -> None:
     q, qd, qdd = (np.random.default_rng(i).uniform(-1, 1, (3, 6)) for i in range(3))
     arrays = Trajectory.from_arrays([0, 1, 2.5], q, qd, qdd)
     points = Trajectory([TrajectoryPoint(q[i], t, qd[i], qdd[i]) for i, t in enumerate((0, 1, 2.5))])
@@ -46,7 +46,7 @@ def test_from_points_and_from_arrays_are_the_same() -> None:
     assert repr(arrays) == "<Trajectory of 3 points in 2.5 s>"
 
 
-def test_nothing_can_be_changed() -> None:
+def test_trajectory_is_immutable() -> None:
     source = np.zeros((2, 6))
     trajectory = Trajectory.from_arrays([0, 1], source)
     source[1, 0] = 7
@@ -73,7 +73,7 @@ NAN = float("nan")
         (([0] * 6, 0, [1, 2]), "qd has the shape"),
     ],
 )
-def test_points_that_are_none(arguments: tuple[object, ...], message: str) -> None:
+def test_invalid_point_is_rejected(arguments: tuple[object, ...], message: str) -> None:
     with pytest.raises(BadValue, match=message):
         TrajectoryPoint(*arguments)  # type: ignore[arg-type]
 
@@ -112,17 +112,17 @@ REST = np.zeros((3, 6))
         ),
     ],
 )
-def test_arrays_that_are_no_trajectory(time: object, q: object, qd: object, qdd: object, message: str) -> None:
+def test_invalid_arrays_are_rejected(time: object, q: object, qd: object, qdd: object, message: str) -> None:
     with pytest.raises(BadValue, match=message):
         Trajectory.from_arrays(time, q, qd, qdd)  # type: ignore[arg-type]
 
 
-def test_the_largest_numbers_and_the_shortest_steps() -> None:
+def test_largest_numbers_and_shortest_steps_are_accepted() -> None:
     closest = Trajectory.from_arrays([0, 1e-4, 1e6], REST + 1e6, REST - 1e6, REST + 1e6)
     assert closest.duration == 1e6
 
 
-def test_points_that_do_not_go_together() -> None:
+def test_inconsistent_points_are_rejected() -> None:
     still = TrajectoryPoint([0] * 6, 0)
     with pytest.raises(BadValue, match="point 1: either all points have velocities or none"):
         Trajectory([still, TrajectoryPoint([0] * 6, 1, qd=[0] * 6)])
@@ -133,7 +133,7 @@ def test_points_that_do_not_go_together() -> None:
 # -- the curve -----------------------------------------------------------------------------------------
 
 
-def test_stands_still_before_and_after() -> None:
+def test_curve_is_constant_before_and_after() -> None:
     trajectory = Trajectory.from_arrays([0, 0.5], [[0] * 6, [1] * 6], [[0.5] * 6, [0.5] * 6])
     for t, q in ((-1.0, 0.0), (0.75, 1.0), (float("inf"), 1.0)):
         position, speed, acceleration = trajectory.at(t)
@@ -145,7 +145,7 @@ def test_stands_still_before_and_after() -> None:
         trajectory.at(NAN)
 
 
-def test_without_velocities_it_turns_without_overshoot_and_rests_at_the_ends() -> None:
+def test_chosen_velocities_avoid_overshoot_and_end_at_rest() -> None:
     trajectory = tool(1, 0, 1, 0, time=[0, 1, 4, 8])
     q, qd, _ = trajectory.at(np.linspace(0, 8, 4001))
     assert q[:, 5].min() >= 0.0
@@ -155,7 +155,7 @@ def test_without_velocities_it_turns_without_overshoot_and_rests_at_the_ends() -
 
 
 def test_chosen_velocities_are_weighted_harmonic_means() -> None:
-    """By hand, with weights 2 h + h' of the steps: 9 / (5 / 1 + 4 / 0.5), and 9 / (4 / 0.5 + 5 / 2)."""
+    """Compute by hand, with weights 2 h + h' of the steps: 9 / (5 / 1 + 4 / 0.5) and 9 / (4 / 0.5 + 5 / 2)."""
     trajectory = tool(0, 1, 2, 4, time=[0, 1, 3, 4])
     assert trajectory.qd[:, 5] == pytest.approx([0.0, 9.0 / 13.0, 9.0 / 10.5, 0.0])
 
@@ -165,7 +165,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def some(time: FloatArray, seed: int, quantities: int) -> Trajectory:
-    """A trajectory of arbitrary points; seeds shrink better than 90 floats and are as arbitrary."""
+    """Return a trajectory of arbitrary points; seeds shrink better than 90 floats and are as arbitrary."""
     generator = np.random.default_rng(seed)
     arrays = [generator.normal(0, 2, (time.size, 6)) * generator.integers(0, 2, (time.size, 1)) for _ in range(3)]
     return Trajectory.from_arrays(time, *arrays[:quantities])
@@ -173,7 +173,7 @@ def some(time: FloatArray, seed: int, quantities: int) -> Trajectory:
 
 @pytest.mark.property
 @given(times, seeds, st.integers(1, 3))
-def test_passes_through_every_point_as_it_says(time: FloatArray, seed: int, quantities: int) -> None:
+def test_curve_passes_through_every_point(time: FloatArray, seed: int, quantities: int) -> None:
     trajectory = some(time, seed, quantities)
     q, qd, qdd = trajectory.at(time)
     assert np.allclose(q, trajectory.q, rtol=0, atol=1e-9)
@@ -184,7 +184,7 @@ def test_passes_through_every_point_as_it_says(time: FloatArray, seed: int, quan
 
 @pytest.mark.property
 @given(times, seeds, st.integers(1, 3))
-def test_is_continuous_with_its_velocity_and_what_it_prescribes(time: FloatArray, seed: int, quantities: int) -> None:
+def test_curve_is_continuous_in_given_quantities(time: FloatArray, seed: int, quantities: int) -> None:
     trajectory = some(time, seed, quantities)
     inner = time[1:-1]
     before = trajectory.at(np.nextafter(inner, 0.0))
@@ -197,7 +197,9 @@ def test_is_continuous_with_its_velocity_and_what_it_prescribes(time: FloatArray
 
 @pytest.mark.property
 @given(times, seeds, st.integers(1, 3), st.lists(st.floats(-1, 30), min_size=1, max_size=10))
-def test_one_time_is_as_many_times(time: FloatArray, seed: int, quantities: int, at: list[float]) -> None:
+def test_evaluation_at_one_time_equals_row_for_several_times(
+    time: FloatArray, seed: int, quantities: int, at: list[float]
+) -> None:
     trajectory = some(time, seed, quantities)
     many = trajectory.at([*at, *time])
     for row, t in enumerate([*at, *time]):
@@ -207,7 +209,7 @@ def test_one_time_is_as_many_times(time: FloatArray, seed: int, quantities: int,
 
 @pytest.mark.property
 @given(times, seeds)
-def test_chosen_velocities_keep_between_neighbours(time: FloatArray, seed: int) -> None:
+def test_chosen_velocities_keep_curve_between_neighbours(time: FloatArray, seed: int) -> None:
     trajectory = some(time, seed, 1)
     for i in range(len(trajectory) - 1):
         q = trajectory.at(np.linspace(time[i], time[i + 1], 50))[0]
@@ -218,7 +220,7 @@ def test_chosen_velocities_keep_between_neighbours(time: FloatArray, seed: int) 
 
 @pytest.mark.property
 @given(times, seeds, st.integers(1, 3))
-def test_velocity_is_the_derivative(time: FloatArray, seed: int, quantities: int) -> None:
+def test_velocity_is_the_derivative_of_position(time: FloatArray, seed: int, quantities: int) -> None:
     trajectory = some(time, seed, quantities)
     middle = 0.5 * (time[:-1] + time[1:])
     h = 1e-4 * np.diff(time)[:, None]
@@ -232,25 +234,25 @@ def test_velocity_is_the_derivative(time: FloatArray, seed: int, quantities: int
 # -- limits --------------------------------------------------------------------------------------------
 
 
-def test_within_limits() -> None:
+def test_trajectory_within_limits_is_accepted() -> None:
     tool(1, 0, 1, 0, time=[0, 1, 4, 8]).check(UR5E, near=[0, 0, 0, 0, 0, 1])
 
 
-def test_position_beyond_the_limit() -> None:
+def test_position_beyond_limit_is_rejected() -> None:
     with pytest.raises(
         BadValue, match=r"between points 0 and 1 .*position of wrist 3 \(joint 5\) is 6\.\d+ rad; .*UR5e is 6\.2832"
     ):
         tool(0, 7, 0, time=[0, 20, 40]).check(UR5E)
 
 
-def test_velocity_between_points() -> None:
-    # 4 rad in 1.5 s with rest at both ends: at the middle 1.5 times the mean speed.
+def test_velocity_between_points_is_checked() -> None:
+    # 4 rad in 1.5 s with rest at both ends: in the middle, the speed is 1.5 times the mean speed.
     with pytest.raises(BadValue, match=r"between points 0 and 1 .*velocity of wrist 3 .* rad/s; the limit .* 3\.1416"):
         tool(0, 4, time=[0, 1.5]).check(UR5E)
     tool(0, 4, time=[0, 1.95]).check(UR5E)
 
 
-def test_what_is_just_within_its_limits() -> None:
+def test_trajectory_just_within_limits_is_accepted() -> None:
     tool(0, UR5E.position_limits[5, 1], 0, UR5E.position_limits[5, 0], 0, time=[0, 20, 40, 60, 80]).check(UR5E)
     fastest = np.array([UR5E.max_speed] * 2)
     way = np.array([[0.0] * 6, 0.3 * UR5E.max_speed])
@@ -259,13 +261,13 @@ def test_what_is_just_within_its_limits() -> None:
         Trajectory.from_arrays([0, 0.3], 1.00001 * way, 1.00001 * fastest).check(UR5E)
 
 
-def test_acceleration_at_a_point() -> None:
+def test_acceleration_at_point_is_checked() -> None:
     with pytest.raises(BadValue, match=r"point 0 \(t = 0\.0000 s\): acceleration of wrist 3 .* is 600\.0000 rad/s²"):
         tool(0, 1, time=[0, 0.1]).check(UR5E.__class__(**{**vars(UR5E), "max_speed": [99] * 6}))
 
 
 @pytest.mark.slow
-def test_a_long_trajectory_is_looked_at_to_its_end() -> None:
+def test_long_trajectory_is_checked_completely() -> None:
     time = np.arange(10_000) * 0.01
     q = np.zeros((10_000, 6))
     q[9_990:, 1] = 9.0
@@ -273,19 +275,19 @@ def test_a_long_trajectory_is_looked_at_to_its_end() -> None:
         Trajectory.from_arrays(time, q).check(UR5E)
 
 
-def test_the_first_segment_of_a_second_block_is_looked_at() -> None:
+def test_first_segment_of_second_block_is_checked() -> None:
     q = np.zeros((4098, 6))
     q[-1, 1] = 9.0
     with pytest.raises(BadValue, match="between points 4096 and 4097"):
         Trajectory.from_arrays(4.0 * np.arange(4098.0), q).check(UR5E)
 
 
-def test_what_is_beyond_its_limit_may_be_in_degrees() -> None:
+def test_error_suggests_degrees() -> None:
     with pytest.raises(BadValue, match=r"position of wrist 3 .* is 45\.0000 rad; .* rad \(in degrees\?\)"):
         Trajectory.from_arrays([0.0, 90.0], [[0.0] * 5 + [45.0]] * 2).check(UR5E)
 
 
-def test_first_point_is_near() -> None:
+def test_first_point_must_be_near_arm() -> None:
     with pytest.raises(
         BadValue, match=r"shoulder \(joint 1\) is at 0\.2000 rad, but begins at 0\.0000 rad; at most 0\.05"
     ):
@@ -294,7 +296,7 @@ def test_first_point_is_near() -> None:
     tool(0, 1).check(near=[0, 0.05, -0.05, 0, 0, 0])
 
 
-def test_begins_and_ends_at_rest() -> None:
+def test_trajectory_must_begin_and_end_at_rest() -> None:
     moving = np.zeros((2, 6))
     moving[1, 2] = 0.4
     trajectory = Trajectory.from_arrays([0, 1], np.zeros((2, 6)), moving)
@@ -306,8 +308,8 @@ def test_begins_and_ends_at_rest() -> None:
         Trajectory.from_arrays([0, 1], np.zeros((2, 6)), moving[::-1] * -0.126).check(near=[0] * 6)
 
 
-def test_how_closely_the_curve_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In each point, and at 15 places between two."""
+def test_curve_is_checked_at_points_and_between(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check each point, and 15 positions between two points."""
     looked: list[float] = []
     curve = Trajectory._curve
 
@@ -320,8 +322,8 @@ def test_how_closely_the_curve_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> 
     assert sorted(set(looked)) == pytest.approx([*np.arange(0, 1.65, 0.1), *np.arange(1.8, 4.85, 0.2)])
 
 
-def test_a_limit_that_is_broken_at_a_point_names_it() -> None:
-    """Also where the time of the last place of a step would be rounded to something else than that of the point."""
+def test_error_names_point_with_exceeded_limit() -> None:
+    """This holds even if rounding gives the end of a step another time than the time of the point."""
     assert 0.2 + (0.9 - 0.2) != 0.9
     speeds = np.zeros((3, 6))
     speeds[2, 0] = 3.2
@@ -329,8 +331,8 @@ def test_a_limit_that_is_broken_at_a_point_names_it() -> None:
         Trajectory.from_arrays([0, 0.2, 0.9], np.zeros((3, 6)), speeds).check(UR5E)
 
 
-def test_retimed_is_told_places_beside_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some hundred at least, and not many more in each step of a long trajectory; closer beside its points."""
+def test_retiming_adds_positions_between_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There are a few hundred at least, but only a few per step of a long trajectory. They are closer near points."""
     asked: list[FloatArray] = []
 
     def told(q: FloatArray, qd: FloatArray, speed: FloatArray, acceleration: FloatArray, closest: float) -> object:
@@ -359,7 +361,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.property
 @given(times, seeds, st.integers(1, 3))
-def test_a_file_keeps_every_digit(file: Path, time: FloatArray, seed: int, quantities: int) -> None:
+def test_file_keeps_every_digit(file: Path, time: FloatArray, seed: int, quantities: int) -> None:
     written = some(time, seed, quantities)
     written.to_csv(file)
     read = Trajectory.from_csv(file)
@@ -384,7 +386,7 @@ tables = st.builds(
 
 @pytest.mark.property
 @given(st.one_of(st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")), st.binary(max_size=100)))
-def test_any_file_is_a_trajectory_or_an_error(file: Path, content: bytes) -> None:
+def test_random_file_is_rejected(file: Path, content: bytes) -> None:
     file.write_bytes(content)
     with pytest.raises(BadValue, match=r"path\.csv"):
         Trajectory.from_csv(file)
@@ -392,13 +394,13 @@ def test_any_file_is_a_trajectory_or_an_error(file: Path, content: bytes) -> Non
 
 @pytest.mark.property
 @given(tables)
-def test_any_table_is_a_trajectory_or_an_error(file: Path, content: str) -> None:
+def test_random_table_is_trajectory_or_rejected(file: Path, content: str) -> None:
     file.write_bytes(content.encode())
     with contextlib.suppress(BadValue):
         assert len(Trajectory.from_csv(file)) >= 2
 
 
-def test_columns_in_any_order_and_blank_lines(file: Path) -> None:
+def test_columns_may_have_any_order_and_blank_lines(file: Path) -> None:
     file.write_text("q5, q4, q3, q2, q1, q0, time\n\n5,4,3,2,1,0,0\n\n5,4,3,2,1,0,2\n")
     trajectory = Trajectory.from_csv(file)
     assert trajectory.q.tolist() == [[0, 1, 2, 3, 4, 5]] * 2
@@ -420,13 +422,13 @@ def test_columns_in_any_order_and_blank_lines(file: Path) -> None:
         (HEADER + "0,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", r"point 0 is line 2\): point 1: time 0 s follows 0 s"),
     ],
 )
-def test_files_that_are_no_trajectory(file: Path, content: str, message: str) -> None:
+def test_invalid_file_is_rejected(file: Path, content: str, message: str) -> None:
     file.write_text(content)
     with pytest.raises(BadValue, match=message):
         Trajectory.from_csv(file)
 
 
-def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
+def test_file_without_folder_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(BadValue, match="No such file"):
         Trajectory.from_csv(tmp_path / "none.csv")
     with pytest.raises(BadValue, match="No such file"):
@@ -434,8 +436,8 @@ def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of positions, speeds and accelerations, with the limits of the arm."""
+def test_plot_draws_curves_and_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The figure shows positions, speeds and accelerations, with the limits of the arm."""
     pytest.importorskip("matplotlib")
     path = Trajectory.from_arrays([0, 1, 3], [[0.0] * 6, [0.3] * 6, [0.0] * 6])
     figure = path.plot(UR5E)
@@ -450,7 +452,7 @@ def test_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (times[0], times[-1]) == (0.0, 3.0)
         assert np.diff(times).max() < 3.01e-3
         assert np.interp(path.time, times, drawn) == pytest.approx(values[:, 2], abs=1e-3)
-    # At a point the acceleration jumps: both of its values are drawn.
+    # At a point, the acceleration jumps, so both of its values are drawn.
     _, _, (before, after) = path.at([1.0 - 1e-9, 1.0])
     at_it = np.abs(times - 1.0) < 1e-5
     assert times[at_it] == pytest.approx([1.0 - 3e-6, 1.0, 1.0 + 3e-6], abs=1e-9)

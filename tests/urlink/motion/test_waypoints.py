@@ -1,4 +1,4 @@
-"""A trajectory that is handed over point by point: what the robot asks, what it is told, and how its arm is watched."""
+"""Trajectory that the robot requests point by point: requests, answers, and checks of its arm."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from urlink.motion.servo.waypoints import WaypointServer
 from urlink.protocol.firmware import Firmware
 from urlink.script.links import ReverseSocket
 
-#: Times differ, so that each point says how long after the last one it is.
+#: The intervals differ, so that each point shows its time after the previous one.
 PATH = Trajectory.from_arrays([0.0, 0.5, 2.0], [HOME, turned(0.3), turned(0.5)])
 TOLERANCES = Tolerances(path=0.1, goal=0.01, goal_time=1.0, start=0.05)
 
 
 class Served:
-    """A program that asks, and its arm, on a clock that the test holds: each `step` is a state."""
+    """A program that requests points, and its arm, on a clock that the test controls: each `step` is a state."""
 
     BEGIN = 50.0
 
@@ -36,7 +36,7 @@ class Served:
         self.angle, self.speed = 0.0, 0.0
 
     def step(self, said: bytes = b"", seconds: float = 0.0) -> list[list[float]]:
-        """So many seconds later something is said; the answers."""
+        """Pass a request after some seconds, and return the answers."""
         self.seconds += seconds
         speeds = np.array([0.0] * 5 + [self.speed])
         state: Any = SimpleNamespace(
@@ -51,19 +51,19 @@ class Served:
         return [[float(each) for each in answer.strip("()").split(",")] for answer in answers]
 
     def set_out(self) -> None:
-        """It has the first point to go to, and moves."""
+        """Request points until the arm has its first target and moves."""
         for said in (b"0\n", b"1\n", b"2\n"):
             self.step(said)
 
     def resume(self, q: ArrayLike | None = None) -> None:
-        """It goes on after a pause, from joint positions; from where the arm is, if none are given."""
+        """Resume after a pause, at joint positions `q`; at the current position, if none are given."""
         there = np.array(turned(self.angle) if q is None else q)
         state: Any = SimpleNamespace(time=self.BEGIN + self.seconds, q_target=there, **PLAYING)
         self.server.resume(state)
 
 
-def test_points_are_handed_over_as_they_are_asked_for() -> None:
-    """In whatever pieces the questions come; the first point is where the arm stands."""
+def test_points_are_sent_on_request() -> None:
+    """Requests may come in any pieces. The first point is the position of the arm."""
     served = Served()
     served.angle = 0.02
     assert served.step(b"-1\n0") == [[1.0]]
@@ -80,7 +80,7 @@ def test_points_are_handed_over_as_they_are_asked_for() -> None:
     assert served.server.survives_its_program
 
 
-def test_accelerations_are_handed_over_where_there_are_some() -> None:
+def test_accelerations_are_sent_if_given() -> None:
     quintic = Trajectory.from_arrays(PATH.time, PATH.q, PATH.qd, np.arange(18).reshape(3, 6) / 100)
     served = Served(quintic)
     assert [answer[13:19] for answer in served.step(b"0\n1\n2\n")] == [
@@ -90,8 +90,8 @@ def test_accelerations_are_handed_over_where_there_are_some() -> None:
 
 
 @pytest.mark.parametrize("firmware", ["3.4", "5.11"])
-def test_the_program_that_asks_leads_the_arm_along(firmware: str) -> None:
-    """Both ends, on a clock of their own. The controller is told how closely ``servoj`` follows."""
+def test_requesting_program_moves_arm_along_trajectory(firmware: str) -> None:
+    """Run both ends on the clock of the bench. ``servoj`` receives the look-ahead time and the gain."""
     path = Trajectory.from_arrays([0.0, 0.1, 0.25], [HOME, turned(0.05), turned(0.08)])
     server = WaypointServer(path, TOLERANCES, Firmware.parse(firmware), 0.05, 700.0)
     bench = Bench(server.body(ReverseSocket("10.0.0.1", 50001, 7)), Firmware.parse(firmware))
@@ -122,7 +122,7 @@ def test_the_program_that_asks_leads_the_arm_along(firmware: str) -> None:
     assert told == {(bench.period, 0.05, 700.0)}
 
 
-def test_it_begins_when_the_arm_stands() -> None:
+def test_server_answers_when_arm_is_at_rest() -> None:
     served = Served()
     served.speed = 0.5
     assert served.step(b"0\n-1\n") == []
@@ -142,8 +142,8 @@ def test_it_begins_when_the_arm_stands() -> None:
         elsewhere.step(b"0\n")
 
 
-def test_the_arm_is_watched_from_when_it_sets_out() -> None:
-    """That is when the point after the first is asked for. Asking again changes nothing."""
+def test_arm_is_checked_since_start_of_motion() -> None:
+    """The motion starts when the point after the first target is requested. Repeated requests change nothing."""
     served = Served()
     served.step(b"0\n1\n")
     served.step(seconds=0.5)
@@ -153,10 +153,10 @@ def test_the_arm_is_watched_from_when_it_sets_out() -> None:
     served.angle = 0.3
     served.step(b"2\n", 0.5)
     assert (served.server.progress, served.server.times(51.25)) == (0.25, (0.5, 0.5))
-    # It has not come to the first point, or it would have asked for the one after the next.
+    # The arm has not reached the first point, because the program would have requested another one.
     served.step(b"-1\n", 1.5)
     assert (served.server.progress, served.server.times(52.75)) == (0.25, (2.0, 0.5))
-    # Where the trajectory is over, the program may be behind it, so the arm is not missed yet.
+    # At the end of the trajectory, the program may be behind, so the arm is not checked yet.
     served.step(b"3\n", 0.5)
     served.angle = 0.5
     served.step(b"-1\n", 1.5)
@@ -172,7 +172,7 @@ def test_the_arm_is_watched_from_when_it_sets_out() -> None:
     assert served.server.is_over
 
 
-def test_a_state_from_the_past_counts_as_one_cycle() -> None:
+def test_state_from_the_past_counts_as_one_cycle() -> None:
     served = Served()
     served.step(b"0\n1\n2\n")
     served.BEGIN = 20.0
@@ -180,7 +180,7 @@ def test_a_state_from_the_past_counts_as_one_cycle() -> None:
     assert served.server.progress == pytest.approx(0.002 / 2.0)
 
 
-def test_an_arm_that_is_not_where_it_should_be() -> None:
+def test_arm_off_path_raises_tolerance_exceeded() -> None:
     served = Served()
     served.step(b"0\n1\n2\n")
     with pytest.raises(ToleranceExceeded, match=r"0\.500 s into its path; the tolerance is 0\.1 rad"):
@@ -194,7 +194,7 @@ def test_an_arm_that_is_not_where_it_should_be() -> None:
         late.step(seconds=0.6)
 
 
-def test_a_program_that_has_come_to_its_end_before_it_was_watched() -> None:
+def test_program_ending_before_checks_ends_motion() -> None:
     served = Served()
     served.step(b"0\n1\n")
     assert not served.server.is_over
@@ -204,7 +204,7 @@ def test_a_program_that_has_come_to_its_end_before_it_was_watched() -> None:
 
 
 @pytest.mark.parametrize("said", [b"", b"-1\n"])
-def test_a_program_that_falls_silent(said: bytes) -> None:
+def test_silent_program_raises_connection_lost(said: bytes) -> None:
     served = Served()
     served.step(seconds=5.0)
     served.step(said, 3.0)
@@ -215,7 +215,7 @@ def test_a_program_that_falls_silent(said: bytes) -> None:
     served.step(seconds=30.0)
 
 
-def test_a_program_that_speaks_no_numbers() -> None:
+def test_invalid_requests_raise_program_stopped() -> None:
     served = Served()
     assert served.step(b"0" * 32) == []
     with pytest.raises(ProgramStopped, match="sent b'0"):
@@ -230,8 +230,8 @@ def test_a_program_that_speaks_no_numbers() -> None:
 
 
 @pytest.mark.parametrize(("braked", "skipped"), [(0.1, 0.1), (0.0, 0.0), (-0.1, 0.0)])
-def test_after_a_pause_the_program_asks_how_far_on_the_arm_is(braked: float, skipped: float) -> None:
-    """Along its path; never back."""
+def test_program_asks_for_progress_of_arm_after_pause(braked: float, skipped: float) -> None:
+    """The progress is along the path, and never back."""
     served = Served()
     served.set_out()
     for n in range(1, 6):
@@ -247,7 +247,7 @@ def test_after_a_pause_the_program_asks_how_far_on_the_arm_is(braked: float, ski
     assert served.step(b"-1\n") == [[1.0]]
 
 
-def test_what_the_arm_is_beside_its_path_is_faded_out_in_its_path() -> None:
+def test_offset_from_path_is_faded_out_after_pause() -> None:
     served = Served()
     served.set_out()
     for n in range(1, 5):
@@ -266,7 +266,7 @@ def test_what_the_arm_is_beside_its_path_is_faded_out_in_its_path() -> None:
         assert off == pytest.approx(left * aside, abs=5e-4)
 
 
-def test_a_pause_before_it_has_begun_skips_nothing() -> None:
+def test_pause_before_start_skips_nothing() -> None:
     served = Served()
     served.step(b"0\n")
     served.resume(turned(0.1))
@@ -274,7 +274,7 @@ def test_a_pause_before_it_has_begun_skips_nothing() -> None:
     assert served.server.desired(0.0)[0] == pytest.approx(PATH.sample(0.0)[0])
 
 
-def test_a_pause_may_be_long_and_the_time_after_it_begins_slowly() -> None:
+def test_time_starts_slowly_after_a_long_pause() -> None:
     served = Served()
     served.set_out()
     served.step(seconds=0.1)
@@ -287,8 +287,8 @@ def test_a_pause_may_be_long_and_the_time_after_it_begins_slowly() -> None:
     assert served.server.progress == pytest.approx(before + 0.5 * 0.5 * 0.08 / 2.0, abs=2e-3)
 
 
-def test_which_points_it_has_passed_is_known_by_what_it_asks_for() -> None:
-    """It moves to the last but one of the points that it has asked for, whatever the time is here."""
+def test_passed_points_are_known_from_requests() -> None:
+    """The program moves to the last but one of its requested points, regardless of the time on this computer."""
     served = Served(Trajectory.from_arrays([0.0, 0.5, 1.0, 1.5, 2.0], [turned(0.05 * n) for n in range(5)]))
     served.set_out()
     served.angle = 0.05
@@ -296,10 +296,10 @@ def test_which_points_it_has_passed_is_known_by_what_it_asks_for() -> None:
     served.step()
     assert served.server.progress == pytest.approx(0.25)
     _, t = served.server.times(served.BEGIN + served.seconds + 3.0) or (0.0, 0.0)
-    assert t == 1.0  # it has not asked for the next one, so it has not passed the one that it moves to
+    assert t == 1.0  # it has not requested the next point, so it has not passed its current target
     served.step(b"5\n")
     served.angle = 0.1
     served.step()
     assert served.server.progress == pytest.approx(0.5)
     _, t = served.server.times(served.BEGIN + served.seconds + 3.0) or (0.0, 0.0)
-    assert t == pytest.approx(1.0 + 3.0)  # the last one is asked for by nobody
+    assert t == pytest.approx(1.0 + 3.0)  # no request follows for the last point

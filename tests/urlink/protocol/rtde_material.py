@@ -1,4 +1,4 @@
-"""What tests of RTDE draw from: recipes, packages of both sides, and the recorded connections of real clients."""
+"""Material for RTDE tests: recipes, packages of both sides, and recorded connections of real clients."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ words = st.text(max_size=40)
 
 
 def packages(draws: dict[type[State], dict[str, Any]], version: str) -> st.SearchStrategy[State]:
-    """Packages of these classes under a protocol, with such fields."""
+    """Packages of these classes for a protocol version, with fields drawn from these strategies."""
     return st.one_of(
         [
             st.fixed_dictionaries(fields).map(lambda drawn, kind=kind: kind(version, **drawn))  # type: ignore[misc]
@@ -46,7 +46,7 @@ def packages(draws: dict[type[State], dict[str, Any]], version: str) -> st.Searc
 
 
 def requests(protocol: int) -> st.SearchStrategy[State]:
-    """What a client can send while `protocol` holds."""
+    """Packages that a client can send with protocol version `protocol`."""
     both = packages(
         {
             RtdeMessage: {"message": words, "source": words, "level": numbers},
@@ -69,7 +69,7 @@ def requests(protocol: int) -> st.SearchStrategy[State]:
 
 
 def replies(protocol: int) -> st.SearchStrategy[State]:
-    """What a controller can send while `protocol` holds."""
+    """Packages that a controller can send with protocol version `protocol`."""
     number: dict[str, Any] = {"recipe": numbers} if protocol == 2 else {}
     source = {"source": words} if protocol == 2 else {}
     versions = dict.fromkeys(("major", "minor", "bugfix", "build"), st.integers(0, 2**32 - 1))
@@ -88,7 +88,7 @@ def replies(protocol: int) -> st.SearchStrategy[State]:
     )
 
 
-#: name -> type of some variables, in any order: known ones, now and then with a type that the table does not have
+#: Types of some known variables by name, in any order; about a quarter have a type that differs from the table.
 recipes = st.lists(
     st.tuples(st.sampled_from(sorted(OUTPUTS)), st.sampled_from([None, None, None, *sorted(TYPES)])),
     unique_by=lambda pair: pair[0],
@@ -97,16 +97,16 @@ recipes = st.lists(
 
 
 class Recorded(NamedTuple):
-    """One recorded connection."""
+    """One recorded connection: bytes that the client sent and received, and its row of the manifest."""
 
     name: str
-    sent: bytes  # by the client
-    received: bytes  # by it
-    row: dict[str, str]  # of the manifest
+    sent: bytes
+    received: bytes
+    row: dict[str, str]
 
 
 def recordings(folder: Path) -> Iterator[Recorded]:
-    """Every recorded connection, as the manifest lists them."""
+    """Yield every recorded connection, in the order of the manifest."""
     with (folder / "MANIFEST.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             stem = folder / row["file"]

@@ -1,6 +1,6 @@
-"""Every real packet, decoded to the values that are known of it.
+"""Every captured packet is decoded to its known values.
 
-The values stand here as the manifest of the captures gives them, or as written beside them; none was read off the
+The values are copied from the manifest of the captures, or from the notes next to them. None of them comes from the
 decoder under test.
 """
 
@@ -64,7 +64,7 @@ def message_12(first: int, second: int) -> tuple[type[State], dict[str, Any]]:
 
 SAFETY_TOLERANCES = [0.15, 25, 0, 3, *[0.2] * 6, *[math.radians(3)] * 6, 0, 0, 0, math.radians(1), 0.001, 0.01]
 
-# file -> interface, states with the values that are known of them. "a.b" is field b of sub-package a.
+# For each file: its interface, and its states with their known values. "a.b" is field b of sub-package a.
 COMPLETE: dict[str, tuple[Interface, list[tuple[type[State], dict[str, Any]]]]] = {
     "cb2_rt_812.bin": (
         "realtime",
@@ -284,7 +284,7 @@ COMPLETE: dict[str, tuple[Interface, list[tuple[type[State], dict[str, Any]]]]] 
     ),
 }
 
-# file -> interface, whole packets before the end, the offset and declared size of the one that is cut off
+# For each file: its interface, its complete packets, and the offset and declared size of the truncated packet.
 CUT_OFF: dict[str, tuple[Interface, list[tuple[type[State], dict[str, Any]]], int, int]] = {
     "cb2_rt_stream_1460.bin": (
         "realtime",
@@ -298,13 +298,12 @@ CUT_OFF: dict[str, tuple[Interface, list[tuple[type[State], dict[str, Any]]], in
     "ursim_5.4_state_head_13.bin": ("primary", [], 0, 716),
 }
 
-# Each has a test of its own below: two whose declared size is not that of the array, and one that begins inside a
-# message.
+# Each of these files has a separate test below: two files declare a wrong size, and one starts inside a message.
 ODD = {"urcl_runtime_exception_message.bin", "urcl_error_code_message.bin", "ursim_5.4_text_message_fragment.bin"}
 
 
 def value_of(state: object, name: str) -> Any:
-    """``"joint_data.q_actual[0]"`` of a state."""
+    """Return a value of a state by its path, such as ``"joint_data.q_actual[0]"``."""
     name, _, index = name.partition("[")
     for part in name.split("."):
         state = getattr(state, part)
@@ -317,7 +316,7 @@ def check(states: list[Any], expected: list[tuple[type[State], dict[str, Any]]])
         for name, value in values.items():
             actual = value_of(state, name)
             if isinstance(actual, np.ndarray) or (isinstance(value, float) and actual is not None):
-                # The reference prints five digits; the manifest all that there are.
+                # The reference prints five digits, the manifest prints all digits.
                 assert np.shape(actual) == np.shape(value), name
                 assert np.allclose(actual, value, rtol=5e-5, atol=1e-12), (name, actual, value)
             else:
@@ -338,7 +337,7 @@ def manifest(captures: Path) -> list[dict[str, str]]:
         return [row for row in csv.DictReader(file) if not row["interface"].startswith("30004")]
 
 
-def test_no_capture_is_forgotten(captures: Path) -> None:
+def test_every_capture_is_listed_once(captures: Path) -> None:
     rows = manifest(captures)
     listed = {row["file"] for row in rows}
     assert listed == {*COMPLETE, *CUT_OFF, *ODD}
@@ -349,18 +348,18 @@ def test_no_capture_is_forgotten(captures: Path) -> None:
         assert len((captures / row["file"]).read_bytes()) == int(row["length"])
         ports = {"realtime": "30003", "primary": "30001", "secondary": "30002"}
         interface = (COMPLETE.get(row["file"]) or CUT_OFF.get(row["file"]) or ("primary",))[0]
-        # Two rows were taken from the port that carries less than the primary one.
+        # Two captures come from the secondary port, which sends fewer packets than the primary port.
         assert ports[interface] in row["interface"] or ports["secondary"] in row["interface"]
 
 
 @pytest.mark.parametrize("name", COMPLETE)
-def test_complete_packets_have_the_values_that_are_known(captures: Path, name: str) -> None:
+def test_complete_packets_have_known_values(captures: Path, name: str) -> None:
     interface, expected = COMPLETE[name]
     data = (captures / name).read_bytes()
     states = decode(data, interface)
     check(states, expected)
     assert b"".join(map(bytes, states)) == data
-    # All of it is explained, in sub-packages too.
+    # Every byte belongs to a known field, even in sub-packages.
     for state in states:
         assert state.tail == b""
         for part in state.packages if isinstance(state, RobotState) else ():
@@ -374,7 +373,7 @@ def test_complete_packets_have_the_values_that_are_known(captures: Path, name: s
 
 
 @pytest.mark.parametrize("name", CUT_OFF)
-def test_a_packet_cut_off_is_an_error_with_all_facts_and_waits_in_a_stream(captures: Path, name: str) -> None:
+def test_truncated_packet_raises_and_stays_buffered_in_stream(captures: Path, name: str) -> None:
     interface, expected, offset, declared = CUT_OFF[name]
     data = (captures / name).read_bytes()
     with pytest.raises(PacketError, match="cut off") as caught:
@@ -391,17 +390,17 @@ def test_a_packet_cut_off_is_an_error_with_all_facts_and_waits_in_a_stream(captu
     assert (one.framer.skipped, one.framer.rest) == (0, data[offset:])
 
 
-def test_a_cut_off_packet_is_completed_by_what_comes(captures: Path) -> None:
+def test_truncated_packet_is_completed_by_later_bytes(captures: Path) -> None:
     stream = (captures / "cb2_rt_stream_1460.bin").read_bytes()
     one = RealtimeProtocol()
     (frame,) = one.framer.feed(stream)
-    (second,) = one.framer.feed(frame[648:])  # the missing end, borrowed from the packet before
-    # Two consecutive stamps of a 125 Hz controller.
+    (second,) = one.framer.feed(frame[648:])  # the missing end is taken from the previous packet
+    # These are consecutive times of a 125 Hz controller.
     assert one.decode(second).time - one.decode(frame).time == pytest.approx(0.008, abs=1e-9)
     assert frame == (captures / "cb2_rt_812.bin").read_bytes()
 
 
-def test_the_heads_of_states_show_the_first_sub_packages(captures: Path) -> None:
+def test_first_sub_packages_of_truncated_states_are_decoded(captures: Path) -> None:
     data = (captures / "cb3_3.3_connect_head_200.bin").read_bytes()
     mode = RobotModeData.LAYOUTS.decode(data[85 : 85 + 46], Firmware(3, 3, 1))
     assert mode.to_dict() == {
@@ -427,10 +426,10 @@ def test_the_heads_of_states_show_the_first_sub_packages(captures: Path) -> None
     assert np.abs(joints.q_actual - joints.q_target).max() < 1e-3
 
 
-def test_a_runtime_exception_that_declares_two_bytes_too_few(captures: Path) -> None:
+def test_runtime_exception_with_size_two_bytes_too_small(captures: Path) -> None:
     data = (captures / "urcl_runtime_exception_message.bin").read_bytes()
     assert (len(data), data[3]) == (59, 57)
-    # The declared size is believed: what is left over is no packet, and is said to be none.
+    # The declared size is used. The remaining two bytes are not a packet, so they are an error.
     with pytest.raises(PacketError, match="cut off") as caught:
         decode(data, "primary")
     assert (caught.value.offset, caught.value.expected, caught.value.actual) == (57, 5, 2)
@@ -441,20 +440,20 @@ def test_a_runtime_exception_that_declares_two_bytes_too_few(captures: Path) -> 
     framer = PrimaryProtocol().framer
     assert framer.feed(data) == [data[:57]]
     assert framer.rest == b"g:"
-    # With the size that its array has, it is what the manifest says.
+    # With its real size, the message has the contents that the manifest lists.
     check(
         decode(b"\x00\x00\x00\x3b" + data[4:], "primary"),
         [(RuntimeExceptionMessage, {"line": 3, "column": 1, "text": "compile_error_name_not_found:txtmsg:"})],
     )
 
 
-def test_an_error_code_template_that_declares_six_bytes_too_few(captures: Path) -> None:
+def test_error_code_template_with_size_six_bytes_too_small(captures: Path) -> None:
     data = (captures / "urcl_error_code_message.bin").read_bytes()
     assert (len(data), data[3]) == (38, 32)
     with pytest.raises(PacketError, match="no packet of the primary interface") as caught:
         decode(data, "primary")
     assert caught.value.offset == 32
-    # 32 bytes are too few for the report level and data that every controller since 3.0 sends.
+    # 32 bytes are too short for the report level and the data that every controller since 3.0 sends.
     with pytest.raises(PacketError, match=r"RobotCommMessage of firmware 5\.8.*expected 35 bytes, got 32"):
         decode(data[:32], "primary", "5.8")
     one = PrimaryProtocol()
@@ -465,19 +464,19 @@ def test_an_error_code_template_that_declares_six_bytes_too_few(captures: Path) 
     assert (state.code, state.argument, state.report_level, state.data_type) == (0, 0, 0, 0)
 
 
-def test_a_fragment_that_begins_inside_a_message(captures: Path) -> None:
+def test_fragment_that_starts_inside_a_message(captures: Path) -> None:
     data = (captures / "ursim_5.4_text_message_fragment.bin").read_bytes()
     with pytest.raises(PacketError, match="no packet of the primary interface starts with 00 00 03 d0") as caught:
         decode(data, "primary")
     assert (caught.value.packet, caught.value.offset) == ("package", 0)
-    # A stream looks for a robot state or message; the 16-byte package behind the fragment is neither, and is given up.
+    # A stream searches for a robot state or message. The 16-byte package after the fragment is neither: it is skipped.
     one = PrimaryProtocol()
     assert one.framer.feed(data) == []
     assert one.framer.skipped + len(one.framer.rest) == 63
     state = (captures / "eseries_secondary_state_716.bin").read_bytes()
     assert one.framer.feed(state) == [state]
     assert one.framer.skipped == 63
-    # The package itself is whole; one byte of the next follows it.
+    # The package itself is complete; one byte of the next package follows it.
     (update,) = decode(data[46:62], "primary")
     assert isinstance(update, ProgramStateMessage)
 
@@ -491,9 +490,7 @@ def test_a_fragment_that_begins_inside_a_message(captures: Path) -> None:
         ("cb2_old_state_465.bin", 6, "1.5", "1.5"),
     ],
 )
-def test_states_give_all_their_sub_packages(
-    captures: Path, name: str, packages: int, inferred: str, version: str
-) -> None:
+def test_states_contain_all_sub_packages(captures: Path, name: str, packages: int, inferred: str, version: str) -> None:
     data = (captures / name).read_bytes()
     (state,) = decode(data, "primary")
     assert isinstance(state, RobotState)
@@ -501,7 +498,7 @@ def test_states_give_all_their_sub_packages(
     assert len({type(part) for part in state.packages}) == packages
     assert 5 + sum(len(bytes(part)) for part in state) == len(data)
     assert b"".join(map(bytes, state)) == data[5:]
-    # The oldest firmware with these sizes; and told the firmware, the same comes out.
+    # The inferred firmware is the oldest one with these sizes. Decoding with the given firmware has the same result.
     assert infer(state.sizes) == Firmware.parse(inferred)
     (told,) = decode(data, "primary", version)
     assert told == state
@@ -509,7 +506,7 @@ def test_states_give_all_their_sub_packages(
 
 
 def test_checksums_of_the_captures_agree(captures: Path) -> None:
-    """What the reference reads off the bytes: the reserved field of the masterboard is the safety checksum."""
+    """According to the reference, the reserved field of the masterboard is the safety checksum."""
     for name in ("eseries_secondary_state_716.bin", "ursim_5.8_primary_state_1386.bin"):
         (state,) = decode((captures / name).read_bytes(), "primary")
         assert isinstance(state, RobotState)
@@ -521,11 +518,11 @@ def test_checksums_of_the_captures_agree(captures: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "shorter"), [("ursim_5.8_primary_state_1386.bin", "RobotModeData"), ("cb2_rt_812.bin", "RealtimeState")]
 )
-def test_shorter_than_the_firmware_that_was_given(captures: Path, name: str, shorter: str) -> None:
+def test_packet_shorter_than_given_firmware_raises(captures: Path, name: str, shorter: str) -> None:
     interface, _ = COMPLETE[name]
     data = (captures / name).read_bytes()
     firmware = "5.10"
-    if interface == "primary":  # make the first sub-package a 46-byte one, as 3.4 sends it
+    if interface == "primary":  # shorten the first sub-package to 46 bytes, as 3.4 sends it
         data = data[:5] + b"\x00\x00\x00\x2e\x00" + data[10:51] + data[52:]
         data = len(data).to_bytes(4, "big") + data[4:]
     with pytest.raises(PacketError) as caught:

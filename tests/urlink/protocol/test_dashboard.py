@@ -1,4 +1,4 @@
-"""The dashboard as its user holds it, against a server over TCP that answers as a controller does, or does not."""
+"""Dashboard client of a user, with a TCP server that answers like a controller or misbehaves."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from urlink.simulator.robot.modes import Power
 
 pytestmark = pytest.mark.simulated_time
 
-#: Short enough for a test that waits for it, and long beside what a reply takes.
+#: Timeout in seconds: short enough for a test to wait for it, and much longer than a reply takes.
 SHORT = 0.3
 
 Opened = Callable[..., tuple[ScriptedDashboard, Dashboard]]
@@ -46,7 +46,7 @@ Opened = Callable[..., tuple[ScriptedDashboard, Dashboard]]
 
 @pytest.fixture
 def opened() -> Iterator[Opened]:
-    """Makes a desk and a dashboard that is to talk to it; both are closed after the test."""
+    """Return a function that creates a scripted server and a dashboard for it; both are closed after the test."""
     made: list[Any] = []
 
     def opened(
@@ -64,7 +64,7 @@ def opened() -> Iterator[Opened]:
 
 
 def answering(host: Controller) -> Callable[[str], bytes]:
-    """A controller's own answers."""
+    """Return a function that gives the replies of a simulated controller."""
 
     def answer(line: str) -> bytes:
         reply = host.dashboard.reply(line)
@@ -78,19 +78,19 @@ def saying(reply: bytes | None) -> Callable[[str], bytes | None]:
 
 
 def nowhere(firmware: str) -> Dashboard:
-    """A dashboard that fails with another error if it tries to connect."""
+    """Return a dashboard that fails with a different error if it tries to connect."""
     return Dashboard("no-such-host.invalid", 29999, lambda: Firmware.parse(firmware))
 
 
 def has_come(dashboard: Dashboard) -> bool:
-    """Wait until there is something to receive, or the connection has ended."""
+    """Wait until data can be received, or the connection has ended."""
     assert dashboard._transport._socket is not None
     return bool(select.select([dashboard._transport._socket], [], [], TIMEOUT)[0])
 
 
 # -- every command ---------------------------------------------------------------------------------------
 
-#: command -> how it is called, and what comes of it on a controller that has just started
+#: For each command: the call, and its result on a controller that has just started.
 CALLS: dict[str, tuple[Callable[[Dashboard], object], object]] = {
     "load": (lambda d: d.load("pick.urp"), None),
     "play": (lambda d: d.play(), None),
@@ -131,13 +131,13 @@ CALLS: dict[str, tuple[Callable[[Dashboard], object], object]] = {
 }
 
 
-def test_every_command_has_its_method() -> None:
+def test_every_command_has_a_method() -> None:
     assert_listed(COMMANDS, CALLS, "CALLS in tests/urlink/protocol/test_dashboard.py")
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_every_command_on_every_firmware(firmware: str, opened: Opened) -> None:
-    """What the firmware has, the controller does; what it has not is refused before anything is sent."""
+def test_each_command_works_or_is_refused_on_each_firmware(firmware: str, opened: Opened) -> None:
+    """A command of the firmware is executed; any other command is refused before anything is sent."""
     host = stepped(firmware)
     desk, dashboard = opened(lambda line: answering(host)(line), firmware)
     for name, (call, value) in CALLS.items():
@@ -165,7 +165,7 @@ def test_every_command_on_every_firmware(firmware: str, opened: Opened) -> None:
         ("5.11", lambda d: d.user_role(), "no e-Series controller has it"),
     ],
 )
-def test_what_a_firmware_lacks_names_the_first_that_has_it(
+def test_missing_command_names_first_firmware_with_it(
     firmware: str, call: Callable[[Dashboard], object], which: str
 ) -> None:
     words = rf"^firmware {firmware} has no dashboard command .*; {which}$"
@@ -180,8 +180,8 @@ def test_polyscope_x_has_no_dashboard() -> None:
                 call()
 
 
-def test_the_firmware_is_asked_anew(opened: Opened) -> None:
-    """A controller can come back from a reboot with another."""
+def test_firmware_is_queried_before_each_command(opened: Opened) -> None:
+    """A controller can have a different firmware after a reboot."""
     versions = ["5.4", "5.11"]
     desk, _ = opened(answering(stepped("5.11")))
     with Dashboard("127.0.0.1", desk.port, lambda: Firmware.parse(versions[0])) as dashboard:
@@ -191,14 +191,14 @@ def test_the_firmware_is_asked_anew(opened: Opened) -> None:
         assert dashboard.is_in_remote_control()
 
 
-def test_cb2_has_robot_modes_of_its_own(opened: Opened) -> None:
+def test_robot_mode_uses_cb2_modes(opened: Opened) -> None:
     host = stepped("1.8")
     _, dashboard = opened(answering(host), "1.8")
     protective_stop(host)
     assert dashboard.robot_mode() is RobotModeCB2.SECURITY_STOPPED
 
 
-def test_no_program_is_loaded(opened: Opened) -> None:
+def test_loaded_program_is_none_without_program(opened: Opened) -> None:
     _, dashboard = opened(answering(stepped("5.11")))
     assert dashboard.loaded_program() is None
     assert dashboard.program_state() == (ProgramState.STOPPED, "<unnamed>")
@@ -215,7 +215,7 @@ def test_no_program_is_loaded(opened: Opened) -> None:
         (lambda d: d.pause(), "pause", "Failed to execute: pause"),
     ],
 )
-def test_refusals_in_the_controllers_own_words(
+def test_refusal_quotes_reply_of_controller(
     call: Callable[[Dashboard], object], command: str, reply: str, opened: Opened
 ) -> None:
     desk, dashboard = opened(answering(stepped("5.11")))
@@ -229,7 +229,7 @@ def test_refusals_in_the_controllers_own_words(
     assert desk.connections == 1
 
 
-def test_a_protective_stop_cannot_be_unlocked_at_once(opened: Opened) -> None:
+def test_protective_stop_cannot_be_unlocked_immediately(opened: Opened) -> None:
     host = stepped("5.11")
     _, dashboard = opened(answering(host))
     protective_stop(host)
@@ -240,8 +240,8 @@ def test_a_protective_stop_cannot_be_unlocked_at_once(opened: Opened) -> None:
     assert dashboard.safety_mode() is SafetyMode.NORMAL
 
 
-def test_after_a_refusal_in_local_mode_it_connects_anew(opened: Opened) -> None:
-    """As the controller asks for in its refusal."""
+def test_dashboard_reconnects_after_refusal_in_local_mode(opened: Opened) -> None:
+    """The controller's refusal asks the client to reconnect."""
     host = stepped("5.11")
     desk, dashboard = opened(answering(host))
     host.remote_control = False
@@ -258,7 +258,7 @@ def test_after_a_refusal_in_local_mode_it_connects_anew(opened: Opened) -> None:
 
 
 @pytest.mark.parametrize("reply", [b"\n", b"Safetymode: NORMAL\n", b"\xff\xfe\n", b"Kraftwerk\n"])
-def test_what_nobody_can_read_as_a_yes_is_a_refusal_and_ends_the_connection(reply: bytes, opened: Opened) -> None:
+def test_unknown_reply_is_a_refusal_and_ends_connection(reply: bytes, opened: Opened) -> None:
     replies = [reply, b"Starting program\n"]
     desk, dashboard = opened(lambda line: replies.pop(0))
     with pytest.raises(DashboardRefused):
@@ -267,12 +267,12 @@ def test_what_nobody_can_read_as_a_yes_is_a_refusal_and_ends_the_connection(repl
     assert desk.connections == 2
 
 
-def test_replies_are_matched_by_their_beginning_in_any_case(opened: Opened) -> None:
+def test_replies_are_matched_by_prefix_in_any_case(opened: Opened) -> None:
     _, dashboard = opened(saying(b"STARTING PROGRAM pick.urp, now.\r\n"))
     dashboard.play()
 
 
-def test_a_mode_that_nobody_knows(opened: Opened) -> None:
+def test_unknown_robot_mode_raises_packet_error(opened: Opened) -> None:
     _, dashboard = opened(saying(b"Robotmode: DANCING\n"))
     with pytest.raises(PacketError, match=r"reply to 'robotmode'.*DANCING"):
         dashboard.robot_mode()
@@ -301,19 +301,19 @@ def test_a_mode_that_nobody_knows(opened: Opened) -> None:
         lambda d: d.start(timeout=float("nan")),
     ],
 )
-def test_bad_arguments_are_refused_before_anything_is_sent(call: Callable[[Any], object]) -> None:
+def test_bad_arguments_are_rejected_before_sending(call: Callable[[Any], object]) -> None:
     for firmware in ("3.14", "5.11"):
         with nowhere(firmware) as dashboard, pytest.raises(LocalError):
             call(dashboard)
 
 
 @pytest.mark.parametrize("timeout", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_timeout_is_positive(timeout: float) -> None:
+def test_timeout_must_be_positive(timeout: float) -> None:
     with pytest.raises(BadValue, match="positive number of seconds"):
         Dashboard("127.0.0.1", 29999, lambda: Firmware(5, 11), timeout=timeout)
 
 
-def test_send_returns_whatever_is_said(opened: Opened) -> None:
+def test_send_returns_any_reply(opened: Opened) -> None:
     desk, dashboard = opened(answering(stepped("5.11")))
     assert dashboard.send("robotmode") == "Robotmode: RUNNING"
     assert dashboard.send("dance", timeout=5) == "could not understand: 'dance'"
@@ -322,7 +322,7 @@ def test_send_returns_whatever_is_said(opened: Opened) -> None:
 
 @pytest.mark.property
 @given(st.text(max_size=50))
-def test_no_text_becomes_a_second_command(text: str) -> None:
+def test_popup_text_cannot_inject_a_second_command(text: str) -> None:
     desk = ScriptedDashboard(saying(b"showing popup\n"))
     try:
         with Dashboard("127.0.0.1", desk.port, lambda: Firmware(5, 11), timeout=TIMEOUT) as dashboard:
@@ -355,13 +355,13 @@ def test_start_powers_on_and_releases_the_brakes(opened: Opened) -> None:
     assert [line for line in desk.lines if line != "robotmode"] == ["power on", "brake release"]
 
 
-def test_start_of_an_arm_that_runs_sends_nothing(opened: Opened) -> None:
+def test_start_sends_nothing_to_running_arm(opened: Opened) -> None:
     desk, dashboard = opened(answering(stepped("3.0")), "3.0")
     dashboard.start()
     assert desk.lines == ["robotmode"]
 
 
-def test_start_says_how_far_it_got(opened: Opened) -> None:
+def test_start_timeout_names_modes(opened: Opened) -> None:
     host = stepped("5.11")
     host.modes.emergency_stop()
     wait(host, 0.1)
@@ -374,7 +374,7 @@ def test_start_says_how_far_it_got(opened: Opened) -> None:
     assert desk.lines.count("power on") == 1
 
 
-def test_start_does_not_argue_with_who_switches_it_off(opened: Opened) -> None:
+def test_start_does_not_power_on_twice_after_switch_off(opened: Opened) -> None:
     modes = iter(["POWER_OFF", "IDLE", "POWER_OFF"])
 
     def answer(line: str) -> bytes:
@@ -402,15 +402,15 @@ def test_start_in_local_mode_is_refused(opened: Opened) -> None:
     assert host.modes.power is Power.OFF
 
 
-def test_cb2_is_started_by_hand() -> None:
+def test_start_raises_on_cb2() -> None:
     with nowhere("1.8") as dashboard, pytest.raises(LocalError, match=r"CB2 .* start the arm at the pendant"):
         dashboard.start()
 
 
-# -- connections that fail -----------------------------------------------------------------------------------
+# -- failing connections -------------------------------------------------------------------------------------
 
 
-def test_it_connects_at_first_use(opened: Opened) -> None:
+def test_dashboard_connects_at_first_use(opened: Opened) -> None:
     desk, dashboard = opened(answering(stepped("5.11")))
     assert desk.connections == 0
     dashboard.running()
@@ -418,7 +418,7 @@ def test_it_connects_at_first_use(opened: Opened) -> None:
     assert desk.connections == 1
 
 
-def test_nobody_is_there() -> None:
+def test_refused_connection_raises_connect_failed() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with Dashboard("127.0.0.1", port, lambda: Firmware(5, 11)) as dashboard, pytest.raises(ConnectFailed):
@@ -428,14 +428,14 @@ def test_nobody_is_there() -> None:
 @pytest.mark.parametrize(
     "greeting", [b"HTTP/1.1 400 Bad Request\r\n", b"\x00\x00\x04\xc4\x40", b"Connected: " + b"x" * 9]
 )
-def test_somebody_else_is_there(greeting: bytes, opened: Opened) -> None:
+def test_wrong_greeting_raises_wrong_peer(greeting: bytes, opened: Opened) -> None:
     desk, dashboard = opened(saying(b""), greeting=greeting)
     with pytest.raises(WrongPeer, match="expected the greeting of a dashboard server"):
         dashboard.play()
     assert desk.lines == []
 
 
-def test_no_greeting_comes(opened: Opened) -> None:
+def test_incomplete_greeting_times_out(opened: Opened) -> None:
     desk, dashboard = opened(saying(b""), timeout=SHORT, greeting=b"Connected: Univ")
     with pytest.raises(LinkTimeout, match=r"127\.0\.0\.1:\d+: no greeting was received"):
         dashboard.generate_support_file("programs")
@@ -443,13 +443,13 @@ def test_no_greeting_comes(opened: Opened) -> None:
 
 
 @pytest.mark.parametrize("chunk", [1, 7])
-def test_replies_in_pieces(chunk: int, opened: Opened) -> None:
+def test_replies_do_not_depend_on_chunking(chunk: int, opened: Opened) -> None:
     _, dashboard = opened(answering(stepped("5.11")), chunk=chunk)
     assert dashboard.robot_mode() is RobotMode.RUNNING
     assert dashboard.robot_model() == "UR5"
 
 
-def test_lost_between_two_commands(opened: Opened) -> None:
+def test_command_after_lost_connection_reconnects(opened: Opened) -> None:
     desk, dashboard = opened(answering(stepped("5.11")))
     dashboard.running()
     desk.hang_up()
@@ -460,7 +460,7 @@ def test_lost_between_two_commands(opened: Opened) -> None:
 
 
 @pytest.mark.parametrize("last_words", [None, b"showing pop"])
-def test_lost_in_the_middle_of_a_command_which_is_not_sent_again(last_words: bytes | None, opened: Opened) -> None:
+def test_command_is_not_repeated_after_connection_loss(last_words: bytes | None, opened: Opened) -> None:
     desks: list[ScriptedDashboard] = []
 
     def answer(line: str) -> bytes | None:
@@ -480,7 +480,7 @@ def test_lost_in_the_middle_of_a_command_which_is_not_sent_again(last_words: byt
 
 
 @pytest.mark.parametrize("name", ["play", " PLAY "])
-def test_a_play_that_was_given_up_is_taken_back_before_anything_else_is_sent(name: str, opened: Opened) -> None:
+def test_abandoned_play_is_undone_before_next_command(name: str, opened: Opened) -> None:
     def answer(line: str) -> bytes | None:
         if line.strip().casefold() == "play":
             return None
@@ -493,7 +493,7 @@ def test_a_play_that_was_given_up_is_taken_back_before_anything_else_is_sent(nam
     assert [line.strip().casefold() for line in desk.lines] == ["play", "robotmode", "stop", "power on"]
 
 
-def test_what_is_answered_or_only_asks_is_not_taken_back(opened: Opened) -> None:
+def test_answered_commands_and_queries_are_not_undone(opened: Opened) -> None:
     desk, dashboard = opened(lambda line: b"Starting program\n" if line == "play" else None)
     dashboard.play()
     with pytest.raises(ConnectionLost) as lost:
@@ -505,7 +505,7 @@ def test_what_is_answered_or_only_asks_is_not_taken_back(opened: Opened) -> None
     assert desk.lines == ["play", "running", "brake release"]
 
 
-def test_a_command_is_not_sent_before_a_play_could_be_taken_back(opened: Opened) -> None:
+def test_command_is_not_sent_while_play_cannot_be_undone(opened: Opened) -> None:
     desk, dashboard = opened(saying(b""), timeout=SHORT)
     with pytest.raises(LinkTimeout, match="no reply to 'play'"):
         dashboard.send("play")
@@ -514,7 +514,7 @@ def test_a_command_is_not_sent_before_a_play_could_be_taken_back(opened: Opened)
     assert set(desk.lines) == {"play", "robotmode"}
 
 
-def test_a_late_reply_is_not_that_of_the_next_command(opened: Opened) -> None:
+def test_late_reply_is_not_used_for_next_command(opened: Opened) -> None:
     may_answer = threading.Event()
 
     def answer(line: str) -> bytes:
@@ -531,8 +531,8 @@ def test_a_late_reply_is_not_that_of_the_next_command(opened: Opened) -> None:
     assert desk.connections == 2
 
 
-def test_what_came_unasked_is_not_the_reply_to_the_next_command(opened: Opened) -> None:
-    """Neither after the last reply, nor together with it."""
+def test_unrequested_line_is_not_used_as_next_reply(opened: Opened) -> None:
+    """The line can arrive together with the last reply, or after it."""
     extra = [b"true\n", b""]
 
     def answer(line: str) -> bytes:
@@ -548,14 +548,14 @@ def test_what_came_unasked_is_not_the_reply_to_the_next_command(opened: Opened) 
     assert desk.connections == 3
 
 
-def test_an_endless_line(opened: Opened) -> None:
+def test_too_long_reply_raises_wrong_peer(opened: Opened) -> None:
     desk, dashboard = opened(saying(b"x" * 10000))
     with pytest.raises(WrongPeer, match="too long for a reply"):
         dashboard.play()
     assert desk.lines == ["play"]
 
 
-def test_a_reply_that_trickles_does_not_outlast_the_deadline(opened: Opened) -> None:
+def test_slow_incomplete_reply_times_out(opened: Opened) -> None:
     end = threading.Event()
     desks: list[ScriptedDashboard] = []
 
@@ -573,7 +573,7 @@ def test_a_reply_that_trickles_does_not_outlast_the_deadline(opened: Opened) -> 
         end.set()
 
 
-def test_slow_commands_have_longer(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_commands_have_longer_timeouts(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
     _, dashboard = opened(answering(stepped("5.11")), timeout=SHORT)
     waited: list[float] = []
     ask = dashboard._dialogue.ask
@@ -589,10 +589,10 @@ def test_slow_commands_have_longer(opened: Opened, monkeypatch: pytest.MonkeyPat
     assert waited == [180, 600, SHORT]
 
 
-# -- leaving -----------------------------------------------------------------------------------------------
+# -- closing -----------------------------------------------------------------------------------------------
 
 
-def test_quit_takes_leave_and_the_next_command_connects(opened: Opened) -> None:
+def test_quit_disconnects_and_next_command_reconnects(opened: Opened) -> None:
     desk, dashboard = opened(answering(stepped("5.11")))
     dashboard.quit()
     dashboard.running()
@@ -600,7 +600,7 @@ def test_quit_takes_leave_and_the_next_command_connects(opened: Opened) -> None:
     assert desk.connections == 2
 
 
-def test_closed_is_closed(opened: Opened) -> None:
+def test_command_after_close_raises_closed(opened: Opened) -> None:
     desk, dashboard = opened(answering(stepped("5.11")))
     with dashboard:
         dashboard.running()
@@ -612,7 +612,7 @@ def test_closed_is_closed(opened: Opened) -> None:
         pass
 
 
-def test_closing_wakes_who_waits(opened: Opened) -> None:
+def test_close_wakes_waiting_thread(opened: Opened) -> None:
     asked, errors = threading.Event(), []
 
     def answer(line: str) -> bytes:
@@ -657,7 +657,7 @@ def test_threads_take_turns(opened: Opened) -> None:
     assert (desk.connections, len(desk.lines)) == (1, 120)
 
 
-def test_waiting_for_another_thread_has_a_deadline(opened: Opened) -> None:
+def test_waiting_for_another_threads_reply_times_out(opened: Opened) -> None:
     asked, may_answer = threading.Event(), threading.Event()
 
     def answer(line: str) -> bytes:
@@ -676,15 +676,15 @@ def test_waiting_for_another_thread_has_a_deadline(opened: Opened) -> None:
     assert desk.lines == ["saveLog"]
 
 
-# -- anything ----------------------------------------------------------------------------------------------
+# -- arbitrary bytes ---------------------------------------------------------------------------------------
 
 _QUESTIONS = [call for name, (call, _) in CALLS.items() if COMMANDS[name].is_on((5, 11))]
 
 
 @pytest.mark.property
 @given(st.binary(max_size=60) | st.sampled_from([b"true", b"STOPPED", b"Robotmode: "]).map(lambda b: b + b"\xff \n"))
-def test_any_bytes_are_a_value_or_a_documented_error(data: bytes) -> None:
-    # A byte that ends the line, so that no example waits for a deadline.
+def test_any_reply_gives_value_or_remote_error(data: bytes) -> None:
+    # The line end is appended, so that no example waits for a timeout.
     desk = ScriptedDashboard(saying(data + b"\n"))
     try:
         with Dashboard("127.0.0.1", desk.port, lambda: Firmware(5, 11), timeout=TIMEOUT) as dashboard:
@@ -696,7 +696,7 @@ def test_any_bytes_are_a_value_or_a_documented_error(data: bytes) -> None:
 
 
 def test_stop_does_not_wait_for_another_reply() -> None:
-    """A report takes minutes, and another thread waits for it."""
+    """Another thread waits for a report, which can take minutes."""
     asked = threading.Event()
 
     def talk(connection: socket.socket) -> None:

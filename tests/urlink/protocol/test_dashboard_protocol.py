@@ -1,4 +1,4 @@
-"""The dashboard's lines, without a network: greeting, question and answer, and what answers say."""
+"""Dashboard protocol without a network: greeting, commands, replies, and parsed replies."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def greeted() -> DashboardProtocol:
 # -- lines ---------------------------------------------------------------------------------------------
 
 
-def test_the_greeting_is_that_of_a_real_controller() -> None:
+def test_greeting_equals_that_of_a_real_controller() -> None:
     assert GREETING == "Connected: Universal Robots Dashboard Server"
     assert GREETING.encode().startswith(DASHBOARD_GREETING)
 
 
-def test_question_and_answer() -> None:
+def test_command_and_reply() -> None:
     protocol = greeted()
     assert protocol.ask("robotmode") == b"robotmode\n"
     assert protocol.feed(b"Robotmode: IDLE\r\n") == "Robotmode: IDLE"
@@ -61,7 +61,7 @@ def test_question_and_answer() -> None:
     assert protocol.feed(b"true\n") == "Program running: true"
 
 
-def test_byte_by_byte() -> None:
+def test_bytewise_input_gives_same_reply() -> None:
     protocol = DashboardProtocol()
     for byte in HELLO[:-1]:
         protocol.feed(bytes([byte]))
@@ -73,14 +73,14 @@ def test_byte_by_byte() -> None:
 
 
 @pytest.mark.parametrize("begin", [b"HTTP/1.1 400", b"\x00\x00\x05\x61\x14", b"connected", b"Connected\n", b"\n"])
-def test_another_greeting_is_another_peer(begin: bytes) -> None:
+def test_wrong_greeting_raises_wrong_peer(begin: bytes) -> None:
     with pytest.raises(WrongPeer, match="expected the greeting of a dashboard server"):
         DashboardProtocol().feed(begin)
 
 
 @pytest.mark.parametrize("size", [LONGEST_REPLY, LONGEST_REPLY + 1])
-def test_lines_are_bounded(size: int) -> None:
-    """In the greeting, in a reply, and in what comes unasked."""
+def test_too_long_line_raises_wrong_peer(size: int) -> None:
+    """The limit applies to the greeting, to a reply, and to unrequested data."""
     hello = HELLO[:-1].ljust(size, b"!")
     asked = greeted()
     asked.ask("popup x")
@@ -94,13 +94,13 @@ def test_lines_are_bounded(size: int) -> None:
             assert protocol.feed(data) is None
 
 
-def test_what_is_no_text_is_shown() -> None:
+def test_invalid_utf8_is_shown_as_escape() -> None:
     protocol = greeted()
     protocol.ask("get serial number")
     assert protocol.feed(b"20\xff21\n") == "20\\xff21"
 
 
-def test_nothing_is_asked_before_the_greeting_or_the_last_answer() -> None:
+def test_command_before_greeting_or_reply_is_out_of_step() -> None:
     protocol = DashboardProtocol()
     with pytest.raises(LocalError, match="out of step"):
         protocol.ask("running")
@@ -111,7 +111,7 @@ def test_nothing_is_asked_before_the_greeting_or_the_last_answer() -> None:
 
 
 @pytest.mark.parametrize("unasked", [b"Safetymode: NORMAL\n", b"S"])
-def test_what_comes_unasked_puts_it_out_of_step(unasked: bytes) -> None:
+def test_unrequested_data_puts_protocol_out_of_step(unasked: bytes) -> None:
     protocol = greeted()
     protocol.ask("running")
     assert protocol.feed(b"Program running: true\n" + unasked) == "Program running: true"
@@ -125,7 +125,7 @@ def test_what_comes_unasked_puts_it_out_of_step(unasked: bytes) -> None:
 @pytest.mark.parametrize(
     "text", ["", "  ", "a\nb", "a\n", "a\rb", "a\x00", "a\x85b", "a\u2028b", "a\u2029b", "\ud800", "x" * 1025]
 )
-def test_what_is_not_one_line_is_not_sent(text: str) -> None:
+def test_text_that_is_not_one_line_is_rejected(text: str) -> None:
     with pytest.raises(BadValue):
         encode_line(text)
     with pytest.raises(BadValue):
@@ -136,13 +136,13 @@ def test_what_is_not_one_line_is_not_sent(text: str) -> None:
     assert protocol.is_in_step
 
 
-def test_the_longest_line() -> None:
+def test_longest_line_is_accepted() -> None:
     assert encode_line("x" * LONGEST_COMMAND) == b"x" * LONGEST_COMMAND + b"\n"
     with pytest.raises(BadValue, match="1025 bytes"):
         encode_line("x" * 1023 + "ü")
 
 
-def test_arguments() -> None:
+def test_arguments_of_commands_are_checked() -> None:
     assert command_line(COMMANDS["play"]) == "play"
     assert command_line(COMMANDS["setUserRole"], "operator") == "setUserRole operator"
     with pytest.raises(BadValue, match="has no argument"):
@@ -189,7 +189,7 @@ REPLIES: list[tuple[Callable[[], object], object]] = [
 
 
 @pytest.mark.parametrize(("parse", "value"), REPLIES)
-def test_what_replies_say(parse: Callable[[], object], value: object) -> None:
+def test_replies_are_parsed(parse: Callable[[], object], value: object) -> None:
     assert parse() == value
 
 
@@ -219,14 +219,14 @@ PARSERS: list[Callable[[str], object]] = [
 
 @pytest.mark.parametrize("parse", PARSERS)
 @pytest.mark.parametrize("reply", ["", "could not understand: 'x'", "Robotmode: DANCING_BEAR", "Safetymode: FINE"])
-def test_what_says_something_else_is_a_packet_error(parse: Callable[[str], object], reply: str) -> None:
+def test_unexpected_reply_raises_packet_error(parse: Callable[[str], object], reply: str) -> None:
     with pytest.raises(PacketError, match="is not a known reply"):
         parse(reply)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_yes_is_no_refusal(name: str) -> None:
-    """Else a reply could be read both ways."""
+def test_refusals_do_not_match_success_replies(name: str) -> None:
+    """Otherwise a reply would be ambiguous."""
     command = COMMANDS[name]
     for refusal in (*command.refusals, "could not understand: 'x'", "Failed to execute: x"):
         assert command.match(refusal) is None
@@ -236,8 +236,8 @@ def test_a_yes_is_no_refusal(name: str) -> None:
 
 @pytest.mark.property
 @given(st.lists(st.binary(max_size=30)), st.booleans())
-def test_bytes_in_any_pieces(pieces: list[bytes], is_greeted: bool) -> None:
-    """They make a line, or a documented error, and how they are cut makes no difference."""
+def test_outcome_does_not_depend_on_chunking(pieces: list[bytes], is_greeted: bool) -> None:
+    """Any bytes give a line or a documented error."""
 
     def outcome(chunks: list[bytes]) -> tuple[str | None, type[LinkError] | None]:
         protocol, reply = DashboardProtocol(), None
@@ -259,7 +259,7 @@ def test_bytes_in_any_pieces(pieces: list[bytes], is_greeted: bool) -> None:
 
 @pytest.mark.property
 @given(st.text(max_size=60), st.sampled_from([name for name in COMMANDS if COMMANDS[name].argument]))
-def test_no_text_makes_two_lines(text: str, name: str) -> None:
+def test_any_text_gives_one_line_or_bad_value(text: str, name: str) -> None:
     try:
         line = encode_line(command_line(COMMANDS[name], text))
     except BadValue:
@@ -275,6 +275,6 @@ def test_no_text_makes_two_lines(text: str, name: str) -> None:
     | st.builds("{}{}".format, st.sampled_from(["Robotmode: ", "Safetymode: ", "STOPPED ", "true"]), st.text()),
     st.sampled_from(PARSERS),
 )
-def test_any_reply_is_a_value_or_a_packet_error(reply: str, parse: Callable[[str], object]) -> None:
+def test_any_reply_gives_value_or_packet_error(reply: str, parse: Callable[[str], object]) -> None:
     with contextlib.suppress(PacketError):
         parse(reply)

@@ -1,6 +1,6 @@
-"""Every layout of every packet class, against construct alone and on bytes that nobody chose.
+"""Every layout of every packet class, compared with construct, and tested with random bytes.
 
-The cases come from the classes themselves: a layout that is declared tomorrow is tested tomorrow.
+The cases are generated from the classes, so a new layout is tested automatically.
 """
 
 from __future__ import annotations
@@ -52,20 +52,20 @@ def name_of(layout: StateLayout) -> str:
     return f"{layout.packet.__name__}-{'.'.join(map(str, layout.first))}{block}"
 
 
-# For what looks at fifteen packets at once, or draws a value for each of fifty fields.
+# For tests that decode fifteen packets at once, or draw a value for each of fifty fields.
 FEWER = settings(max_examples=max(settings().max_examples // 3, 1))
 
 every_layout = pytest.mark.parametrize("layout", LAYOUTS, ids=name_of)
 every_release = pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
 
 
-def test_the_cases_are_all_there() -> None:
+def test_cases_include_all_classes() -> None:
     assert {RealtimeState, RobotMessage} < {*CLASSES}
     assert len(LAYOUTS) == len({name_of(layout) for layout in LAYOUTS}) > len(CLASSES) > 30
 
 
 def same(one: Any, other: Any) -> bool:
-    """Equal to the last bit, NaN included."""
+    """Whether two values are equal in every bit, even for NaN."""
     if isinstance(one, np.ndarray):
         one = one.tolist()
     if isinstance(one, (tuple, list)):
@@ -76,19 +76,19 @@ def same(one: Any, other: Any) -> bool:
 
 
 def packets(layout: StateLayout, extra: int = 0) -> st.SearchStrategy[bytes]:
-    """Any bytes that are long enough for the layout."""
+    """Random bytes that are long enough for the layout."""
     longest = layout.size + (60 if layout.has_text else extra)
     return st.binary(min_size=layout.size, max_size=longest)
 
 
 def doubles(size: int) -> st.SearchStrategy[bytes]:
-    """Bytes that read as codes, masks and quantities, which random bytes seldom do."""
+    """Bytes that contain valid codes, masks and quantities, which random bytes rarely do."""
     cell = st.one_of(
         st.floats().map(lambda number: struct.pack(">d", number)),
         st.integers(-3, 300).map(lambda number: struct.pack(">d", number)),
         st.integers(0, 2**20).map(lambda number: struct.pack(">Q", number)),
     )
-    # A few, over and over: drawing each of 150 cells takes longer than it finds more.
+    # Repeat a few cells: drawing each of 150 cells takes longer and finds hardly more.
     return st.lists(cell, min_size=1, max_size=7).map(lambda cells: (bytes(4) + b"".join(cells) * size)[:size])
 
 
@@ -97,13 +97,13 @@ def doubles(size: int) -> st.SearchStrategy[bytes]:
 
 @every_layout
 @given(data=st.data())
-def test_fast_decoder_is_construct(layout: StateLayout, data: st.DataObject) -> None:
+def test_fast_decoder_equals_construct(layout: StateLayout, data: st.DataObject) -> None:
     strategy = packets(layout, extra=9)
     packet = data.draw(st.one_of(strategy, doubles(layout.size)) if layout.of_cells else strategy)
     try:
         state = layout.decode(packet)
     except PacketError:
-        # Text alone can run past the end: construct finds no end to it either, or leaves less than is enough.
+        # Only text can run past the end. Construct then fails too, because the packet is too short for it.
         assert layout.has_text
         with pytest.raises(ConstructError):
             parse(layout, packet)
@@ -114,7 +114,7 @@ def test_fast_decoder_is_construct(layout: StateLayout, data: st.DataObject) -> 
         fast = getattr(state, name)
         assert same(fast, value), (name, fast, value)
         if isinstance(fast, np.ndarray):
-            # By bytes too: what the array holds is what the wire holds, in native order.
+            # The bytes of the array must also equal the bytes on the wire, in native order.
             wide = np.array(value, fast.dtype)
             assert fast.tobytes() == wide.tobytes()
             assert fast.shape == (layout.places[name].count,)
@@ -128,8 +128,8 @@ def test_fast_decoder_is_construct(layout: StateLayout, data: st.DataObject) -> 
 @every_release
 @FEWER
 @given(data=st.data())
-def test_every_packet_of_a_release_decodes_as_construct_does(release: Release, data: st.DataObject) -> None:
-    """The choice of the layout as well: by version and length, and by length alone."""
+def test_packets_of_release_decode_like_construct(release: Release, data: st.DataObject) -> None:
+    """This includes the choice of the layout by version and length, and by length alone."""
     raw = bytearray(
         data.draw(st.one_of(st.binary(min_size=release.realtime, max_size=release.realtime), doubles(release.realtime)))
     )
@@ -139,14 +139,14 @@ def test_every_packet_of_a_release_decodes_as_construct_does(release: Release, d
         (state,) = decode(bytes(raw), "realtime", version)
         assert all(same(getattr(state, name), value) for name, value in slowly.items())
 
-    # One draw for all: many small ones take most of the time.
+    # Draw all bytes at once, because many small draws would take most of the time.
     rest = data.draw(st.binary(min_size=release.first_state_size, max_size=release.first_state_size))
     body = []
     for kind, size in release.state.items():
         sub, rest = bytearray(rest[:size]), rest[size:]
         sub[:5] = struct.pack(">iB", size, kind)
         if kind == 3 and size > 61:
-            # The flag says whether there is a Euromap block, and these sizes are those without.
+            # The flag shows whether the Euromap block is present. These sizes do not include the block.
             sub[63 if size == 64 else 67] = 0
         body.append(bytes(sub))
     package = struct.pack(">iB", release.first_state_size, 16) + b"".join(body)
@@ -168,13 +168,13 @@ def element_of(shape: Shape) -> Shape:
 
 
 def element(place: Place) -> st.SearchStrategy[Any]:
-    """Values of one element that its shape can hold."""
+    """Values that the shape of one element can hold."""
     shape = element_of(place.shape)
     if isinstance(shape, Raw):
         longest = 40 if shape.prefix is None else 20
         if type(shape) is Raw:
             return st.binary(max_size=longest)
-        # Printable, as long as asked for: what cannot be encoded is written as its escape, which reads otherwise.
+        # Only characters that can be encoded: others would be written as escapes, which are read differently.
         return st.text(st.characters(codec="utf-8"), min_size=shape.least, max_size=longest)
     assert place.number is not None
     code = place.number.code
@@ -195,7 +195,7 @@ def repeated(one: st.SearchStrategy[Any], count: int) -> st.SearchStrategy[list[
 
 
 def numbers(place: Place) -> st.SearchStrategy[list[Any]]:
-    """Any numbers of the field's kind, from one draw of their bytes."""
+    """Numbers of the field's type, from one draw of all their bytes."""
     assert place.number is not None
     code = f">{place.count}{place.number.code}"
     return st.binary(min_size=place.size, max_size=place.size).map(lambda raw: list(struct.unpack(code, raw)))
@@ -219,14 +219,14 @@ def values(layout: StateLayout) -> st.SearchStrategy[dict[str, Any]]:
 @every_layout
 @FEWER
 @given(data=st.data())
-def test_what_is_encoded_is_decoded(layout: StateLayout, data: st.DataObject) -> None:
+def test_encoded_values_are_decoded_again(layout: StateLayout, data: st.DataObject) -> None:
     given_values = data.draw(values(layout))
     packet = layout.encode(given_values)
     assert int.from_bytes(packet[:4], "big") == len(packet)
     state = layout.decode(packet)
     for name, value in given_values.items():
         assert same_number(getattr(state, name), value), name
-    # The way users and simulators go: by version, and all fields that there are.
+    # Users and simulators do the same: they choose the layout by version, and give all fields.
     built = layout.packet(layout.first, **given_values)
     assert built == state
     assert built.to_dict().keys() >= given_values.keys()
@@ -238,7 +238,7 @@ def test_what_is_encoded_is_decoded(layout: StateLayout, data: st.DataObject) ->
 
 
 def same_number(one: Any, other: Any) -> bool:
-    """Equal in value: 5 may come back as JointMode(5), 1 as 1.0; a NaN stays one."""
+    """Whether two values are equal; 5 may become JointMode(5), 1 may become 1.0, and NaN equals NaN."""
     if isinstance(other, list):
         return len(one) == len(other) and all(map(same_number, list(one), other))
     if isinstance(other, float) and math.isnan(other):
@@ -248,7 +248,7 @@ def same_number(one: Any, other: Any) -> bool:
 
 @every_layout
 @given(data=st.data())
-def test_dtype_agrees_with_the_decoder(layout: StateLayout, data: st.DataObject) -> None:
+def test_dtype_equals_decoder(layout: StateLayout, data: st.DataObject) -> None:
     if layout.has_text:
         return
     one, two = (data.draw(st.binary(min_size=layout.size, max_size=layout.size)) for _ in range(2))
@@ -267,13 +267,13 @@ def test_dtype_agrees_with_the_decoder(layout: StateLayout, data: st.DataObject)
                 with np.errstate(invalid="ignore"):  # a signalling NaN in four bytes
                     wide = np.asarray(column).astype(np.asarray(value).dtype)
                 assert np.array_equal(wide, np.asarray(value), equal_nan=place.number.kind[0] == "f")
-            else:  # masks and codes stay numbers: what the field's own conversion makes of them is the value
+            else:  # masks and codes stay numbers; the field's conversion must give the decoded value
                 numbers = np.asarray(column).ravel().tolist()
                 converted = tuple(map(read, numbers))
                 assert same(value if place.count else (value,), converted)
 
 
-# -- what every state can do, whatever is in it
+# -- methods of every state, with any contents
 
 
 def views_hold(state: State) -> None:
@@ -286,7 +286,7 @@ def views_hold(state: State) -> None:
     page = state._repr_html_()
     assert page.count("<table>") == page.count("</table>")
     assert "\x1b" not in page
-    # No text from the wire opens a tag: the only tags are those of a table.
+    # Text from the wire cannot open a tag: the page has only the tags of tables.
     bare = page
     for tag in ("table", "caption", "tr", "th", "td"):
         bare = bare.replace(f"<{tag}>", "").replace(f"</{tag}>", "")
@@ -305,7 +305,7 @@ def views_hold(state: State) -> None:
 
 
 def plain(value: Any) -> bool:
-    """Nothing but Python's own types, so that JSON and the like take it."""
+    """Whether a value consists only of built-in types, as JSON and similar formats require."""
     if isinstance(value, dict):
         return all(type(key) is str and plain(item) for key, item in value.items())
     if isinstance(value, list):
@@ -315,7 +315,7 @@ def plain(value: Any) -> bool:
 
 @every_layout
 @given(data=st.data())
-def test_any_state_can_be_shown_kept_and_compared(layout: StateLayout, data: st.DataObject) -> None:
+def test_any_state_can_be_shown_pickled_and_compared(layout: StateLayout, data: st.DataObject) -> None:
     packet = data.draw(packets(layout, extra=3))
     try:
         state = layout.decode(packet)
@@ -351,7 +351,7 @@ def test_html_of_text_from_the_wire_is_escaped(raw: bytes, text: str) -> None:
 
 @st.composite
 def nearly_packages(draw: st.DrawFn) -> bytes:
-    """Packages of the right kinds and sizes with anything in them: deeper in than random bytes get."""
+    """Packages of valid types and sizes with random contents, which reach deeper code than random bytes do."""
     kind = draw(st.sampled_from([5, 16, 16, 16, 20, 20, 20, 24, 25, 22, 99, 255]))
     if kind == 16:
         body = b""
@@ -400,9 +400,7 @@ def facts_hold(error: PacketError, data: bytes, firmware: Firmware | None) -> No
 
 @pytest.mark.parametrize("interface", ["realtime", "primary", "secondary"])
 @given(data=anything, firmware=st.sampled_from(list(firmwares())))
-def test_any_bytes_give_states_or_a_documented_error(
-    interface: Interface, data: bytes, firmware: Firmware | None
-) -> None:
+def test_any_bytes_give_states_or_packet_error(interface: Interface, data: bytes, firmware: Firmware | None) -> None:
     try:
         states = decode(data, interface, firmware)
     except PacketError as error:
@@ -414,8 +412,8 @@ def test_any_bytes_give_states_or_a_documented_error(
 
 
 @given(data=nearly_packages())
-def test_a_package_alone(data: bytes) -> None:
-    """Without the checks of a frame boundary: what a protocol hands to its decoder."""
+def test_single_package_is_decoded_or_rejected(data: bytes) -> None:
+    """The decoder of a protocol gets packages without the checks of a frame boundary."""
     for version in (None, Firmware(1, 8), Firmware(5, 4)):
         try:
             state = PackageDecoder(version).decode(data)
@@ -430,8 +428,8 @@ def test_a_package_alone(data: bytes) -> None:
             assert state.IS_EVENT
 
 
-def test_codes_are_open_in_every_class() -> None:
-    """No field is a closed enum: each takes a number that the next release may send."""
+def test_every_code_field_accepts_unknown_numbers() -> None:
+    """Enums are open, because the next release might send a new number."""
     coded = 0
     for layout in LAYOUTS:
         for place in layout.places.values():

@@ -1,4 +1,4 @@
-"""`robot.gripper`: its protocol on any bytes, the simulated gripper, and replies that a test makes up."""
+"""`robot.gripper`: its protocol with random bytes, the simulated gripper, and scripted replies."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.simulated_time
 
 @pytest.mark.property
 @given(st.sampled_from(READABLE), st.integers(0, 255), st.sampled_from(["\n", "\r\n", ""]), st.integers(0, 9))
-def test_a_value_is_read_however_it_is_cut_and_ended(name: str, value: int, end: str, at: int) -> None:
+def test_value_does_not_depend_on_chunking_and_line_end(name: str, value: int, end: str, at: int) -> None:
     protocol = GripperProtocol()
     assert protocol.is_in_step
     assert protocol.ask(get_line(name)) == f"GET {name}\n".encode()
@@ -38,10 +38,10 @@ def test_a_value_is_read_however_it_is_cut_and_ended(name: str, value: int, end:
     found = found or (protocol.feed(data[at:]) if data[at:] else None)
     if found is None:
         assert protocol.settling is not None
-        found = protocol.feed(b"")  # nothing more has come
+        found = protocol.feed(b"")  # no more bytes have arrived
     assert value_of(name, found or "") == value
     assert protocol.is_in_step
-    # What acknowledges a command has no end, or one that comes later.
+    # The acknowledgement of a command has no line end, or its line end arrives later.
     assert protocol.ask(set_line({"POS": value, "GTO": 1})) == f"SET POS {value} GTO 1\n".encode()
     assert [protocol.feed(piece) for piece in (b"a", b"ck")] == [None, "ack"]
     assert protocol.feed(end.encode()) is None
@@ -50,7 +50,7 @@ def test_a_value_is_read_however_it_is_cut_and_ended(name: str, value: int, end:
 
 @pytest.mark.property
 @given(st.booleans(), st.lists(st.binary(max_size=300), max_size=5))
-def test_any_bytes_are_a_reply_or_no_gripper(is_set: bool, pieces: list[bytes]) -> None:
+def test_any_bytes_give_reply_or_wrong_peer(is_set: bool, pieces: list[bytes]) -> None:
     protocol = GripperProtocol()
     protocol.ask(set_line({"ACT": 1}) if is_set else get_line("POS"))
     for piece in [*pieces, b""]:
@@ -64,7 +64,7 @@ def test_any_bytes_are_a_reply_or_no_gripper(is_set: bool, pieces: list[bytes]) 
             return
 
 
-def test_what_cannot_be_said() -> None:
+def test_invalid_requests_are_rejected() -> None:
     for values, error in (
         ({}, "no variable to set"),
         ({"PRE": 1}, "'PRE' cannot be set"),
@@ -87,7 +87,7 @@ def test_what_cannot_be_said() -> None:
 
 
 class GripperMachine(RuleBasedStateMachine):
-    """Whatever is done to it: its registers stay in their ranges, and its fingers never go through an object."""
+    """Random operations: registers stay in their ranges, and fingers never pass through an object."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -120,7 +120,7 @@ class GripperMachine(RuleBasedStateMachine):
         self.object = None
 
     @invariant()
-    def is_as_it_can_be(self) -> None:
+    def registers_and_fingers_stay_in_range(self) -> None:
         values = {name: value_of(name, self.gripper.reply(f"GET {name}") or "") for name in READABLE}
         self.last = self.gripper.position
         assert values["OBJ"] in (0, 1, 2, 3)
@@ -135,7 +135,7 @@ GripperMachine.TestCase.settings = settings(stateful_step_count=20)
 test_gripper_machine = pytest.mark.property(GripperMachine.TestCase)
 
 
-def test_the_fingers_take_the_time_of_the_data_sheet() -> None:
+def test_fingers_move_at_speeds_of_data_sheet() -> None:
     clock = Clock()
     gripper = SimulatedGripper(clock)
     gripper.reply("SET POS 255 GTO 1")
@@ -156,17 +156,17 @@ def test_the_fingers_take_the_time_of_the_data_sheet() -> None:
         assert gripper.reply("GET OBJ") == "OBJ 3"
 
 
-# -- the gripper as its user holds it --------------------------------------------------------------------
+# -- the gripper of a user -------------------------------------------------------------------------------
 
 
-def test_a_gripper_is_used() -> None:
+def test_gripper_activates_moves_and_reports_faults() -> None:
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
         gripper = robot.gripper
         assert not gripper.status().is_active
         with pytest.raises(GripperFault, match=r"not activated.*call activate\(\) first"):
             gripper.move(100)
         assert gripper.activate().is_active
-        assert gripper.activate().position == 0  # an active one is left alone
+        assert gripper.activate().position == 0  # activating an active gripper does nothing
         controller.gripper.place(width=0.05)
         held = gripper.close(speed=255, force=50)
         assert held.object_detected
@@ -200,7 +200,7 @@ def test_a_gripper_is_used() -> None:
         gripper.position()
 
 
-def test_a_program_uses_it_as_its_urcap_does() -> None:
+def test_program_uses_gripper_like_its_urcap() -> None:
     with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
         program = robot.script.run(
             """def grip():
@@ -217,7 +217,7 @@ end"""
         assert controller.gripper.registers["ACT"] == 1
 
 
-def test_where_there_is_no_gripper() -> None:
+def test_missing_gripper_raises() -> None:
     with Controller("UR5e", "5.11", gripper=False) as controller, urlink.connect(controller.address) as robot:
         with pytest.raises(ConnectFailed, match="needs its URCap"):
             robot.gripper.position()
@@ -227,12 +227,12 @@ def test_where_there_is_no_gripper() -> None:
             _ = reader.gripper
 
 
-# -- replies that are made up ----------------------------------------------------------------------------
+# -- scripted replies ------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def answering() -> Iterator[Callable[[dict[str, bytes]], Gripper]]:
-    """Makes a gripper whose replies are in a table; lines that are not in it are not answered."""
+    """Return a function that makes a gripper whose replies are in a table; other lines are not answered."""
     closing: list[Callable[[], object]] = []
 
     def answering(replies: dict[str, bytes]) -> Gripper:
@@ -267,7 +267,7 @@ def answering() -> Iterator[Callable[[dict[str, bytes]], Gripper]]:
         close()
 
 
-def test_fingers_of_a_command_that_was_given_up_are_stopped(
+def test_abandoned_command_is_undone_by_stopping_fingers(
     answering: Callable[[dict[str, bytes]], Gripper],
 ) -> None:
     replies = {"GET STA": b"STA 3\n"}
@@ -281,11 +281,11 @@ def test_fingers_of_a_command_that_was_given_up_are_stopped(
     gripper.set(SPE=9)
 
 
-def test_replies_without_an_end_and_replies_that_are_wrong(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
+def test_replies_without_line_end_and_wrong_replies(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
     gripper = answering({"GET POS": b"POS 12", "GET STA": b"OBJ 3\n", "SET ACT 1": b"no\n", "GET COU": b"COU 5\nmore"})
     assert gripper.position() == 12
     assert gripper.get("COU") == 5
-    assert gripper.position() == 12  # on a connection that was made anew
+    assert gripper.position() == 12  # over a new connection
     with pytest.raises(PacketError, match="'OBJ 3' is not a value of STA"):
         gripper.get("STA")
     with pytest.raises(GripperFault, match="the gripper answered 'no'"):
@@ -296,7 +296,7 @@ def test_replies_without_an_end_and_replies_that_are_wrong(answering: Callable[[
 
 
 class FingersThatMove(dict[str, bytes]):
-    """Replies of fingers that rest at 0, take over a request for 75, and rest there, each after so many requests."""
+    """Replies of fingers that rest at 0, accept position 75 after `told` requests, and reach it after `arrived`."""
 
     def __init__(self, told: int, arrived: int) -> None:
         self._told = told
@@ -314,7 +314,7 @@ class FingersThatMove(dict[str, bytes]):
 
 
 @pytest.mark.parametrize(("told", "arrived"), [(told, told + way) for told in range(6) for way in (1, 2, 4, 5, 20)])
-def test_a_status_at_rest_has_the_position_of_rest(
+def test_status_at_rest_has_final_position(
     answering: Callable[[dict[str, bytes]], Gripper], told: int, arrived: int
 ) -> None:
     gripper = answering(FingersThatMove(told, arrived))

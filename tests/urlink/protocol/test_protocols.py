@@ -1,4 +1,4 @@
-"""Packet protocols: streams cut anywhere, frame boundaries lost and found, peers that are somebody else."""
+"""Packet protocols: streams split at any position, lost and found frame boundaries, and wrong peers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Session = type[RealtimeProtocol] | type[PrimaryProtocol]
 
 
 def fed(kind: Session, *chunks: bytes) -> tuple[list[bytes], Framer]:
-    """The frames of a stream that comes in these chunks; the books are kept after each."""
+    """Return the frames of a stream that arrives in these chunks, and check the byte counts after each chunk."""
     framer = kind().framer
     boundary: type[RealtimeBoundary | PackageBoundary] = (
         RealtimeBoundary if kind is RealtimeProtocol else PackageBoundary
@@ -72,12 +72,12 @@ def cut(stream: bytes, at: Sequence[int]) -> list[bytes]:
 
 
 def realtime(number: int, version: str = "5.10", **fields: Any) -> bytes:
-    """Packet `number` of a connection: only the time goes on."""
+    """Packet `number` of a connection; only the time differs from the others."""
     return bytes(RealtimeState(version, time=12.0 + number * 0.008, q_actual=[0.5, -1.5, 1.0, 0, 0.1, 3], **fields))
 
 
 def robot_state(version: str = "5.8", first: bool = False, number: int = 0) -> bytes:
-    """A state as that firmware sends it."""
+    """A state as this firmware sends it."""
     release = release_of(Firmware.parse(version))
     parts = []
     for kind, size in release.state.items():
@@ -100,15 +100,15 @@ UNKNOWN = struct.pack(">iB", 25, 77) + b"nobody knows it here"
 LEAK_560, LEAK_9 = robot_state("1.8"), MODBUS
 
 
-def test_the_leaks_are_what_the_simulator_of_1_8_sends() -> None:
+def test_leaked_packages_have_sizes_of_firmware_1_8() -> None:
     assert (len(LEAK_560), len(LEAK_9)) == (560, 9)
 
 
-# -- whole streams, cut anywhere
+# -- complete streams, split at any position
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_whole_streams(release: Release) -> None:
+def test_complete_streams_do_not_depend_on_chunking(release: Release) -> None:
     version = str(release.since)
     packets = [realtime(n, version) for n in range(4)]
     packages = [VERSION, MESSAGE_12, robot_state(version, first=True), KEY, robot_state(version), MODBUS, VARIABLES]
@@ -122,7 +122,7 @@ def test_whole_streams(release: Release) -> None:
 
 @pytest.mark.parametrize("part", [0, 1, 3, 4, 12, 700])
 @pytest.mark.parametrize("begun", [0, 5])
-def test_realtime_packets_that_arrive_at_once_are_cut_when_the_last_is_not_whole(part: int, begun: int) -> None:
+def test_realtime_packets_before_incomplete_packet_are_framed(part: int, begun: int) -> None:
     packets = [realtime(n) for n in range(6)]
     size = len(packets[0])
     chunks = cut(b"".join(packets), sorted({size, size + begun, 4 * size + part}))
@@ -132,7 +132,7 @@ def test_realtime_packets_that_arrive_at_once_are_cut_when_the_last_is_not_whole
     assert (framer.skipped, framer.resyncs, framer.rest) == (0, 0, b"")
 
 
-#: So many that the largest size which a forged header can declare ends among them.
+#: Enough packets that the largest size which a forged header can declare ends among them.
 MANY_PACKETS = [realtime(n) for n in (1, 2, 3)]
 MANY_STATES = [robot_state(number=n) for n in range(120)]
 GOOD_PACKAGES = [VERSION, MESSAGE_12, KEY, MODBUS, VARIABLES, UNKNOWN, robot_state(), robot_state(first=True), LEAK_560]
@@ -153,7 +153,7 @@ damage: st.SearchStrategy[Callable[[bytes], bytes]] = st.one_of(
 
 @st.composite
 def damaged_streams(draw: st.DrawFn, kind: Session) -> bytes:
-    """Good packets, packets with something wrong in them, garbage and leaks, in any order behind one good packet."""
+    """Good packets, damaged packets, garbage and leaked packages, in any order after one good packet."""
     parts = [realtime(0) if kind is RealtimeProtocol else VERSION]
     for number in range(1, draw(st.integers(1, 7))):
         if kind is RealtimeProtocol:
@@ -170,23 +170,23 @@ def damaged_streams(draw: st.DrawFn, kind: Session) -> bytes:
 @pytest.mark.property
 @pytest.mark.parametrize("kind", [RealtimeProtocol, PrimaryProtocol])
 @given(data=st.data())
-def test_it_does_not_matter_how_a_stream_is_cut(kind: Session, data: st.DataObject) -> None:
+def test_damaged_stream_does_not_depend_on_chunking(kind: Session, data: st.DataObject) -> None:
     stream = data.draw(damaged_streams(kind))
     whole, framer = fed(kind, stream)
-    # Out of step a packet may be held back until `pace` more bytes have come.
+    # When the boundary is lost, a packet may be held back until `pace` more bytes have arrived.
     more = b"\xff" * RealtimeBoundary.pace
     in_the_end, _ = fed(kind, stream + more)
     for chunks in (bytewise(stream), cut(stream, data.draw(st.lists(st.integers(0, 2**16), max_size=6)))):
         frames, other = fed(kind, *chunks)
         assert frames == whole[: len(frames)]
         if frames == whole:
-            # What no packet can begin in any more may be skipped now or with the next bytes.
+            # Bytes that cannot begin a packet may be skipped now or together with the next bytes.
             assert other.skipped + len(other.rest) == framer.skipped + len(framer.rest)
             assert other.resyncs == framer.resyncs
         frames, _ = fed(kind, *chunks, *bytewise(more))
         assert frames[: len(whole)] == whole
         assert frames == in_the_end[: len(frames)]
-    # And what is framed decodes, or says what is wrong; a session survives both.
+    # A frame is decoded or raises an error; the session continues in both cases.
     session = kind()
     for frame in session.framer.feed(stream):
         try:
@@ -204,12 +204,12 @@ def test_it_does_not_matter_how_a_stream_is_cut(kind: Session, data: st.DataObje
         st.one_of(st.binary(max_size=200), st.just(bytes(500)), st.just(b"\x00\x00\x10\x14" * 90)), max_size=8
     )
 )
-def test_arbitrary_bytes_keep_the_books_and_the_bound(kind: Session, chunks: list[bytes]) -> None:
+def test_arbitrary_bytes_keep_counts_and_memory_limit(kind: Session, chunks: list[bytes]) -> None:
     try:
         fed(kind, *chunks)
     except WrongPeer:
         return
-    # After a good packet nobody is somebody else, and the next good packets are found whatever came.
+    # After a good packet, the peer is never rejected, and the next good packets are found after any bytes.
     first = realtime(0) if kind is RealtimeProtocol else VERSION
     later = MANY_PACKETS if kind is RealtimeProtocol else MANY_STATES
     frames, framer = fed(kind, first, *chunks, *later)
@@ -228,7 +228,7 @@ def test_memory_is_bounded(kind: Session, piece: bytes) -> None:
     assert len(framer.rest) < (4096 + 12 if kind is RealtimeProtocol else 65536 + 5) + 256
 
 
-# -- the real-time frame boundary, lost and found
+# -- the real-time frame boundary
 
 
 @pytest.mark.parametrize("version", ["1.8", "3.0", "3.4", "5.10"])
@@ -258,8 +258,8 @@ def test_realtime_packets_around_garbage_are_all_found(version: str, garbage: by
     assert (framer.skipped, framer.resyncs) == (3 * len(garbage), 3)
 
 
-def test_each_packet_is_there_as_soon_as_it_has_come() -> None:
-    """Behind garbage too: nobody waits for the packet after."""
+def test_packet_is_framed_without_waiting_for_the_next() -> None:
+    """This also holds after garbage."""
     for garbage in (b"", LEAK_560, b"\xff" * 99):
         framer = RealtimeProtocol().framer
         framer.feed(realtime(0) + garbage)
@@ -267,7 +267,7 @@ def test_each_packet_is_there_as_soon_as_it_has_come() -> None:
             assert framer.feed(realtime(number)) == [realtime(number)]
 
 
-def test_garbage_before_the_first_packet() -> None:
+def test_garbage_before_first_packet_is_skipped() -> None:
     packets = [realtime(n) for n in range(3)]
     frames, framer = fed(RealtimeProtocol, b"\xff" * 77 + b"".join(packets))
     assert frames == packets
@@ -275,7 +275,7 @@ def test_garbage_before_the_first_packet() -> None:
 
 
 @pytest.mark.parametrize("size", [0, 4, 5, 499, 508, 716, 812, 1212, 1219, 1221, 1228, 4092, 65535, 2**31, 2**32 - 1])
-def test_a_realtime_size_that_lies_costs_that_packet_and_no_other(size: int) -> None:
+def test_wrong_size_loses_only_that_realtime_packet(size: int) -> None:
     packets = [realtime(n) for n in range(5)]
     lying = size.to_bytes(4, "big") + packets[2][4:]
     for join in (bytewise, lambda stream: [stream]):
@@ -285,17 +285,17 @@ def test_a_realtime_size_that_lies_costs_that_packet_and_no_other(size: int) -> 
 
 
 @pytest.mark.parametrize("lost", [1, 8, 700])
-def test_bytes_missing_in_a_realtime_packet_cost_it_and_the_next(lost: int) -> None:
+def test_missing_bytes_lose_realtime_packet_and_the_next(lost: int) -> None:
     packets = [realtime(n) for n in range(5)]
     stream = b"".join([packets[0], packets[1][:-lost], *packets[2:]])
     frames, framer = fed(RealtimeProtocol, stream)
-    # Its size is believed, so it takes from the next what it lacks.
+    # Its size is trusted, so the missing bytes are taken from the next packet.
     assert [frames[0], *frames[2:]] == [packets[0], *packets[3:]]
     assert framer.skipped == 1220 - lost
 
 
 @pytest.mark.parametrize("more", [1, 8, 700])
-def test_bytes_inserted_in_a_realtime_packet_cost_it_alone(more: int) -> None:
+def test_inserted_bytes_lose_only_that_realtime_packet(more: int) -> None:
     packets = [realtime(n) for n in range(5)]
     stream = b"".join([packets[0], packets[1][:500], b"\xee" * more, packets[1][500:], *packets[2:]])
     frames, framer = fed(RealtimeProtocol, stream)
@@ -303,11 +303,11 @@ def test_bytes_inserted_in_a_realtime_packet_cost_it_alone(more: int) -> None:
     assert framer.skipped == more
 
 
-def test_digital_bits_that_spell_the_size_are_no_boundary() -> None:
-    """Inputs 2, 6, 7 and 10 on: as an integer 1220, in each packet at the same place."""
+def test_digital_bits_equal_to_size_are_not_a_boundary() -> None:
+    """Inputs 2, 6, 7 and 10 are on, which is 1220 as an integer, at the same offset of each packet."""
     packets = [realtime(n, digital_input_bits=1220, motor_temperatures=[25.0] * 6) for n in range(6)]
     assert packets[0][688:692] == packets[0][:4]
-    # From the middle of a packet, ahead of the digital bits.
+    # The stream continues in the middle of a packet, before the digital bits.
     for chunks in (lambda stream: [stream], bytewise):
         frames, framer = fed(RealtimeProtocol, *chunks(packets[0] + packets[1][100:] + b"".join(packets[2:])))
         assert frames == [packets[0], *packets[2:]]
@@ -315,7 +315,7 @@ def test_digital_bits_that_spell_the_size_are_no_boundary() -> None:
 
 
 @pytest.mark.parametrize("header", ["000004c4", "0000032c", "000001fc", "00000ffc"])
-def test_doubles_that_look_like_headers_are_no_boundary(header: str) -> None:
+def test_doubles_similar_to_headers_are_not_a_boundary(header: str) -> None:
     (double,) = struct.unpack(">d", bytes.fromhex(header + "3ff00000"))
     (other,) = struct.unpack(">d", bytes.fromhex("3ff00000" + header))
     fields: dict[str, Any] = {
@@ -328,21 +328,21 @@ def test_doubles_that_look_like_headers_are_no_boundary(header: str) -> None:
         assert frames == [packets[0], *packets[2:]]
 
 
-def test_a_connection_with_another_size_is_believed_when_two_packets_agree() -> None:
+def test_new_packet_size_is_accepted_after_two_packets() -> None:
     old, new = [realtime(n, "5.9") for n in range(2)], [realtime(n, "5.10") for n in range(2, 6)]
     frames, framer = fed(RealtimeProtocol, b"".join(old + new))
-    # The first one of the new size is what shows that the boundary is lost.
+    # The first packet of the new size shows that the boundary is lost.
     assert frames == [*old, *new[1:]]
     assert framer.skipped == 1220
     session = RealtimeProtocol()
     frames = session.framer.feed(b"".join(old + new))
-    # Each goes by its own length, although the boundary knows a newer one by now.
+    # Each packet is decoded by its own length, although the boundary uses a newer length by now.
     states = [session.decode(frame) for frame in frames]
     assert [state.payload_mass for state in states] == [None, None, 0.0, 0.0, 0.0]
     assert all(state.tail == b"" for state in states)
 
 
-# -- the package frame boundary, lost and found
+# -- the package frame boundary
 
 
 @pytest.mark.parametrize(
@@ -370,19 +370,19 @@ def test_packages_around_garbage_are_all_found(garbage: bytes, before: bytes) ->
         assert framer.resyncs >= 1
 
 
-def test_a_message_behind_garbage_is_found_when_a_package_follows_it() -> None:
+def test_message_after_garbage_is_found_with_next_package() -> None:
     frames, framer = fed(PrimaryProtocol, VERSION, b"\xee" * 20, KEY)
     assert frames == [VERSION]
     assert framer.feed(robot_state()) == [KEY, robot_state()]
-    # Other packages are no proof of a boundary: they go with the garbage.
+    # Other packages do not prove a boundary, so they are skipped with the garbage.
     frames, framer = fed(PrimaryProtocol, VERSION, b"\xee" * 20, MODBUS, robot_state())
     assert frames == [VERSION, robot_state()]
     assert framer.skipped == 29
 
 
 @pytest.mark.parametrize("length", [0x110, 0x114, 0x210, 0x214, 0x310, 0x514, 0x1010, 0x1410])
-def test_a_size_with_the_look_of_a_type_behind_a_zero(length: int) -> None:
-    """The pattern of a header matches one byte early, and must not hide the header itself."""
+def test_size_that_resembles_a_type_is_found_after_zeros(length: int) -> None:
+    """The pattern of a header matches one byte too early, but this must not hide the header itself."""
     part = UnknownSubPackage(payload=bytes(length - 10))
     state = bytes(RobotState(part))
     assert len(state) == length
@@ -393,7 +393,7 @@ def test_a_size_with_the_look_of_a_type_behind_a_zero(length: int) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 4, 5, 6, 300, 715, 717, 816, 2000, 8191, -1, 2**31 - 1])
-def test_a_state_size_that_lies_costs_that_state_and_no_other(size: int) -> None:
+def test_wrong_size_loses_only_that_state(size: int) -> None:
     states = [robot_state(number=n) for n in range(16)]
     lying = struct.pack(">i", size) + states[1][4:]
     parts = [states[0], lying, *states[2:]]
@@ -401,11 +401,11 @@ def test_a_state_size_that_lies_costs_that_state_and_no_other(size: int) -> None
         frames, _ = fed(PrimaryProtocol, *chunks)
         good = [frame for frame in frames if frame in states]
         assert good == [states[0], *states[2:]]
-        # What else came out is small and is inside the lying one.
+        # Any other frames are small, and come from inside the damaged state.
         assert all(frame[:5] in lying for frame in frames if frame not in states)
 
 
-def test_the_largest_lie_about_a_size_ends_too() -> None:
+def test_boundary_is_found_after_largest_wrong_size() -> None:
     states = [robot_state(number=n) for n in range(120)]
     lying = struct.pack(">i", 65536) + states[0][4:]
     frames, framer = fed(PrimaryProtocol, VERSION, lying, *states[1:])
@@ -413,7 +413,7 @@ def test_the_largest_lie_about_a_size_ends_too() -> None:
     assert framer.skipped == len(lying)
 
 
-def test_a_damaged_inside_between_two_boundaries_is_passed_on_and_fails_alone() -> None:
+def test_damaged_state_between_boundaries_fails_alone() -> None:
     states = [robot_state(number=n) for n in range(3)]
     broken = states[1][:5] + b"\x00\x00\x00\x03" + states[1][9:]
     session = PrimaryProtocol()
@@ -454,7 +454,7 @@ def test_unknown_packages_and_sub_packages_are_passed_on() -> None:
     assert state.joint_data.tail == b"appended"
 
 
-# -- somebody else
+# -- wrong peers
 
 
 @pytest.mark.parametrize("size", [1, 4, 7, 10**6])
@@ -468,7 +468,7 @@ def test_unknown_packages_and_sub_packages_are_passed_on() -> None:
         (PrimaryProtocol, bytes(RealtimeState("5.10")), "the real-time interface .port 30003"),
         (RealtimeProtocol, VERSION, "a primary or secondary interface .port 30001 or 30002"),
         (RealtimeProtocol, robot_state("1.8"), "a primary or secondary interface"),
-        # 716 bytes: a length that a real-time packet could have.
+        # A real-time packet could also have this length, 716 bytes.
         (RealtimeProtocol, robot_state("5.8"), "a primary or secondary interface"),
         (RealtimeProtocol, robot_state("5.8", first=True), "a primary or secondary interface"),
         (PrimaryProtocol, b"Connected: Universal Robots Dashboard Server\n", "the dashboard server .port 29999"),
@@ -476,7 +476,7 @@ def test_unknown_packages_and_sub_packages_are_passed_on() -> None:
     ],
     ids=lambda value: value if isinstance(value, str) else None,
 )
-def test_the_wrong_port_is_named(kind: Session, stream: bytes, text: str, size: int) -> None:
+def test_wrong_port_is_named(kind: Session, stream: bytes, text: str, size: int) -> None:
     chunks = [stream[at : at + size] for at in range(0, len(stream), size)]
     expected = "a primary or secondary interface" if kind is PrimaryProtocol else "the real-time interface"
     with pytest.raises(WrongPeer, match=f"expected {expected} .port 3000.*, but this is {text}.*begins with b'"):
@@ -484,13 +484,13 @@ def test_the_wrong_port_is_named(kind: Session, stream: bytes, text: str, size: 
 
 
 @pytest.mark.parametrize("kind", [RealtimeProtocol, PrimaryProtocol])
-def test_who_says_nothing_sensible_is_given_up(kind: Session) -> None:
+def test_peer_without_valid_packets_raises_wrong_peer(kind: Session) -> None:
     chunks = [b"HTTP/1.1 400 Bad Request\r\n" * 40] * 100
     with pytest.raises(WrongPeer, match="without a valid packet"):
         fed(kind, *chunks)
 
 
-def test_a_connection_that_once_was_right_is_not_doubted() -> None:
+def test_peer_with_valid_packet_is_never_rejected() -> None:
     packets = [realtime(n) for n in range(3)]
     frames, _ = fed(RealtimeProtocol, packets[0], VERSION, robot_state("5.8"), packets[1], packets[2])
     assert frames == packets
@@ -499,12 +499,12 @@ def test_a_connection_that_once_was_right_is_not_doubted() -> None:
     assert frames == states
 
 
-# -- the version that a controller tells
+# -- the version that a controller reports
 
 
 def popup_of_cb2() -> bytes:
     return bytes(
-        PopupMessage("1.8", is_error=True, title="Popup", text="a text that is long enough to be the new form")
+        PopupMessage("1.8", is_error=True, title="Popup", text="a text that is long enough for the new format")
     )
 
 
@@ -515,7 +515,7 @@ def version_message(major: int, minor: int) -> bytes:
     )
 
 
-def test_the_version_message_governs_what_follows() -> None:
+def test_version_message_selects_layout_of_later_packets() -> None:
     assert PrimaryProtocol().firmware is None
     session = PrimaryProtocol()
     version = session.decode(version_message(1, 8))
@@ -524,7 +524,7 @@ def test_the_version_message_governs_what_follows() -> None:
     popup = session.decode(popup_of_cb2())
     assert isinstance(popup, PopupMessage)
     assert (popup.request_id, popup.is_error, popup.title) == (None, True, "Popup")
-    # The same length is something else on another generation: here a tail of the old board, there a longer one.
+    # The meaning of the same length depends on the generation: an old board with a tail, or a newer, longer board.
     board = MasterboardData.LAYOUTS.of("1.8").encode({"robot_voltage_48V": 48.0}, b"12345678")
     state = session.decode(struct.pack(">iB", 5 + len(board), 16) + board)
     assert isinstance(state, RobotState)
@@ -532,21 +532,21 @@ def test_the_version_message_governs_what_follows() -> None:
     assert (state.masterboard_data.robot_voltage_48V, state.masterboard_data.tail) == (48.0, b"12345678")
 
 
-def test_a_packet_shorter_than_the_version_told_is_an_error_and_the_session_goes_on() -> None:
+def test_packet_too_short_for_version_fails_alone() -> None:
     session = PrimaryProtocol()
     short = bytes(RobotState(RobotModeData("3.4"), AdditionalInfo("3.4")))
-    assert isinstance(session.decode(short), RobotState)  # nothing is known yet: the length decides
+    assert isinstance(session.decode(short), RobotState)  # the firmware is unknown, so the length decides
     session.decode(version_message(5, 8))
     with pytest.raises(PacketError, match=r"RobotModeData of firmware 5\.8.*expected 47 bytes, got 46"):
         session.decode(short)
     assert isinstance(session.decode(robot_state("5.8")), RobotState)
-    # A controller that comes back with another firmware says so.
+    # A controller that returns with a different firmware sends a new version message.
     session.decode(version_message(3, 4))
     assert isinstance(session.decode(short), RobotState)
     assert session.firmware == (3, 4, 0, 0)
 
 
-def test_sessions_share_nothing() -> None:
+def test_sessions_are_independent() -> None:
     one, other = PrimaryProtocol(), PrimaryProtocol()
     one.decode(VERSION)
     one.framer.feed(VERSION[:9])
@@ -554,15 +554,15 @@ def test_sessions_share_nothing() -> None:
     assert other.framer.rest == b""
 
 
-def test_text_may_hold_headers() -> None:
-    """In step, a size is believed: what lies inside a package is not looked at."""
+def test_text_can_contain_headers() -> None:
+    """While the boundary is known, a size is trusted, and the inside of a package is not searched."""
     text = bytes(TextMessage(text="\x00\x00\x00\x18\x14\x00\x00\x02\x2c\x10"))
     parts = [VERSION, text, robot_state()]
     assert fed(PrimaryProtocol, *bytewise(b"".join(parts)))[0] == parts
 
 
 @pytest.mark.real_time
-def test_what_shares_its_bytes_with_a_bad_package_is_counted_once() -> None:
+def test_packages_next_to_bad_package_are_counted_once() -> None:
     broken = of_type(16, of_type(0, b"too short for robot mode data"[:20]))
     longer = JointData.LAYOUTS.of("5.8").encode({}, b"appended")
     chunk = UNKNOWN + of_type(16, longer) + broken + UNKNOWN + robot_state()
@@ -581,7 +581,7 @@ def of_type(kind: int, body: bytes) -> bytes:
     return struct.pack(">iB", 5 + len(body), kind) + body
 
 
-def test_each_kind_of_unknown_part_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_each_unknown_type_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     session = PrimaryProtocol()
     unknown = of_type(77, b"x" * 4) + of_type(78, b"y" * 4)
     states = [of_type(16, bytes(RobotModeData("5.4")) + of_type(77 + number % 2, b"?" * 3)) for number in range(6)]
@@ -592,4 +592,4 @@ def test_each_kind_of_unknown_part_is_told_once(caplog: pytest.LogCaptureFixture
     told = [record.message for record in caplog.records]
     assert len(told) == len(set(told)) == 4
     session.decode(of_type(5, bytes(4)))
-    assert session.unknown == len(frames), "MODBUS info is known, if not what is in it"
+    assert session.unknown == len(frames), "MODBUS info is a known type, although its contents are unknown"

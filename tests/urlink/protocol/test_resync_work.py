@@ -1,7 +1,8 @@
-"""Finding a lost frame boundary again is linear in the bytes: counted in lines of code, bytes scanned and bytes copied.
+"""The work to find a lost frame boundary is linear in the number of bytes.
 
-Time would say the same of a quiet machine only. The streams are made by somebody who knows the code: headers that are
-believed for as long as possible, as close to each other as they can be.
+The work is counted as executed lines of code, scanned bytes and copied bytes, because times are reliable only on an
+idle computer. The streams are the worst cases for this code: headers that stay plausible for as long as possible, as
+close to each other as possible.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ FIRST = {
 
 
 class Work:
-    """Lines of code run, bytes scanned by regular expressions, bytes copied."""
+    """Counts of executed lines, bytes scanned by regular expressions, and copied bytes."""
 
     def __init__(self) -> None:
         self.lines = 0
@@ -48,7 +49,7 @@ class Work:
 
 
 class Pattern:
-    """A regular expression that counts the bytes which it goes over."""
+    """Regular expression that counts the scanned bytes."""
 
     def __init__(self, pattern: re.Pattern[bytes], work: Work) -> None:
         self._pattern = pattern
@@ -64,7 +65,7 @@ class Pattern:
 
 
 class Chunk(bytes):
-    """Bytes that count those which are searched."""
+    """Bytes that count how many of them are searched."""
 
     work: Work
 
@@ -75,11 +76,11 @@ class Chunk(bytes):
 
 
 class Kept(bytearray):
-    """A buffer that counts the bytes which are put into it, copied out of it and searched."""
+    """Buffer that counts the bytes that are added to it, copied from it and searched in it."""
 
     work: Work
 
-    def __iadd__(self, data: Any) -> Kept:  # type: ignore[misc]  # it can be added to what cannot be added to it
+    def __iadd__(self, data: Any) -> Kept:  # type: ignore[misc]  # accepts other types than `__add__`
         self.work.copied += len(data)
         self.extend(data)
         return self
@@ -96,7 +97,7 @@ class Kept(bytearray):
 
 
 def cost(kind: Kind, stream: bytes, chunk: int, monkeypatch: pytest.MonkeyPatch) -> Work:
-    """What it costs to feed a stream, behind a good packet, in chunks of one size."""
+    """Measure the work for a stream after a good packet, fed in chunks of one size."""
     work = Work()
     monkeypatch.setattr(primary, "_CANDIDATE", Pattern(CANDIDATE, work))
     monkeypatch.setattr(realtime, "_SIZE", Pattern(SIZE, work))
@@ -104,7 +105,7 @@ def cost(kind: Kind, stream: bytes, chunk: int, monkeypatch: pytest.MonkeyPatch)
     assert framer.feed(FIRST[kind]) == [FIRST[kind]]
     framer._kept = Kept()
     framer._kept.work = work
-    # Behind it come zeros, enough for every header in it to be judged.
+    # Append enough zeros that every header in the stream can be decided.
     chunks = [Chunk(stream[at : at + chunk]) for at in range(0, len(stream), chunk)] + [Chunk(LARGEST)]
     for each in chunks:
         each.work = work
@@ -139,7 +140,7 @@ WORST = [
     (PrimaryProtocol, package(8192, 20)),
     (PrimaryProtocol, b"\0\0\0\x10\x10\x10\x14"),
     (PrimaryProtocol, STATE + b"\xff"),
-    # In step, a state of 64 KiB that is none; its sub-packages are long enough to be shared by all of them.
+    # A false state of 64 KiB at a known boundary; its sub-packages are long enough to be shared by all such states.
     (PrimaryProtocol, STATE + package(65536, 16) + package(2900, 99)),
 ]
 
@@ -148,7 +149,7 @@ WORST = [
 @pytest.mark.matrix(5)
 @pytest.mark.parametrize(("kind", "element"), WORST)
 @pytest.mark.parametrize("chunk", [1, 1 << 20], ids=["bytewise", "at once"])
-def test_twice_the_bytes_are_twice_the_work(
+def test_work_doubles_with_number_of_bytes(
     kind: Kind, element: bytes, chunk: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     size = 1 << 13
@@ -161,7 +162,7 @@ def test_twice_the_bytes_are_twice_the_work(
     assert long.copied <= 5 * (2 * size + LARGEST)
 
 
-#: Bytes that are headers, or become headers where they meet.
+#: Bytes that are headers, or become headers when they are joined.
 PIECES = {
     RealtimeProtocol: [
         *(struct.pack(">i", size) for size in (1220, 500, 1108, 2044, 4092)),
@@ -186,7 +187,7 @@ PIECES = {
 @pytest.mark.parametrize("kind", [RealtimeProtocol, PrimaryProtocol])
 @settings(max_examples=max(settings().max_examples // 5, 1))
 @given(data=st.data())
-def test_the_work_for_each_byte_is_bounded(kind: Kind, data: st.DataObject) -> None:
+def test_work_per_byte_is_bounded(kind: Kind, data: st.DataObject) -> None:
     pieces = st.lists(st.sampled_from(PIECES[kind]), min_size=1, max_size=6).map(b"".join)
     parts = data.draw(st.lists(pieces, min_size=1, max_size=3))
     size = 1 << 13

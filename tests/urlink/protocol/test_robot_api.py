@@ -1,4 +1,4 @@
-"""`robot.dashboard` on PolyScope X: the Robot API of the simulated controller, and answers that a test makes up."""
+"""`robot.dashboard` on PolyScope X: the Robot API of the simulated controller, and scripted replies."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def robot(controller: Controller) -> Iterator[urlink.Robot]:
     controller.faults.clear()
 
 
-def test_a_day_at_the_pendant(controller: Controller, robot: urlink.Robot) -> None:
+def test_robot_api_operates_arm_and_program(controller: Controller, robot: urlink.Robot) -> None:
     assert (robot.firmware, robot.model) == (X12, "UR5e")
     desk = robot.dashboard
     assert (desk.robot_mode(), desk.safety_mode()) == (RobotMode.RUNNING, SafetyMode.NORMAL)
@@ -68,7 +68,7 @@ def test_a_day_at_the_pendant(controller: Controller, robot: urlink.Robot) -> No
     assert desk.program_state() == ProgramStatus(ProgramState.PLAYING, "pick")
     desk.pause()
     assert desk.program_state().state is ProgramState.PAUSED
-    desk.play()  # goes on with it
+    desk.play()  # resumes the program
     assert desk.program_state().state is ProgramState.PLAYING
     desk.stop()
     assert desk.program_state().state is ProgramState.STOPPED
@@ -84,7 +84,7 @@ def test_a_day_at_the_pendant(controller: Controller, robot: urlink.Robot) -> No
 
 
 @pytest.mark.slow
-def test_what_is_refused_says_what_was_asked_and_answered(controller: Controller, robot: urlink.Robot) -> None:
+def test_refusal_names_request_and_reply(controller: Controller, robot: urlink.Robot) -> None:
     with pytest.raises(DashboardRefused) as refused:
         robot.dashboard.load("nothing")
     assert refused.value.command == "PUT /program/v1/loaded nothing"
@@ -99,7 +99,7 @@ def test_what_is_refused_says_what_was_asked_and_answered(controller: Controller
         robot.set_payload(1.0)
 
 
-def test_a_protective_stop_is_unlocked_at_once(controller: Controller, robot: urlink.Robot) -> None:
+def test_protective_stop_is_unlocked_immediately(controller: Controller, robot: urlink.Robot) -> None:
     controller.faults.protective_stop()
     assert robot.dashboard.safety_mode() is SafetyMode.PROTECTIVE_STOP
     robot.dashboard.unlock_protective_stop()
@@ -107,7 +107,7 @@ def test_a_protective_stop_is_unlocked_at_once(controller: Controller, robot: ur
 
 
 @pytest.mark.slow
-def test_power_commands_are_carried_out_in_their_order(robot: urlink.Robot) -> None:
+def test_power_commands_are_executed_in_order(robot: urlink.Robot) -> None:
     desk, modes = robot.dashboard, []
     desk.power_off()
     desk.power_on()
@@ -117,12 +117,14 @@ def test_power_commands_are_carried_out_in_their_order(robot: urlink.Robot) -> N
 
 
 def urpx(name: Any) -> bytes:
-    """A file of a program, as far as it is known what such a file holds."""
+    """Return a program file, as far as the format of such files is known."""
     return json.dumps({"program": {"programInformation": {"name": name}, "children": []}}).encode()
 
 
-def test_programs_are_listed_stored_and_fetched(controller: Controller, robot: urlink.Robot, tmp_path: Path) -> None:
-    time.sleep(0.1)  # what is stored as the controller starts is stored at 0
+def test_programs_are_listed_uploaded_and_downloaded(
+    controller: Controller, robot: urlink.Robot, tmp_path: Path
+) -> None:
+    time.sleep(0.1)  # programs that are stored at the start of the controller have the time 0
     desk, file = robot.dashboard, tmp_path / "any.urpx"
     file.write_bytes(urpx("pl ace"))
     assert desk.upload_program(file) == "pl ace"
@@ -177,7 +179,7 @@ FILE_NAMES = st.text(
 
 @pytest.mark.property
 @given(FILE_NAMES, st.binary(max_size=300), st.binary(max_size=300))
-def test_a_file_in_a_form_comes_out_as_it_went_in(name: str, content: bytes, garbage: bytes) -> None:
+def test_form_round_trip_keeps_name_and_content(name: str, content: bytes, garbage: bytes) -> None:
     content += b"\r\n--urlink"
     kind, body = encode_form(name[:50], content)
     assert parse_form(kind, body) == (name[:50], content)
@@ -185,7 +187,7 @@ def test_a_file_in_a_form_comes_out_as_it_went_in(name: str, content: bytes, gar
         parse_form(kind, garbage)
 
 
-def test_a_list_of_programs_holds_nulls_and_is_looked_at() -> None:
+def test_program_list_allows_null_and_is_checked() -> None:
     entry = {"name": "a", "description": None, "createdDate": 5, "programState": "SAVED"}
     assert parse_programs(json.dumps({"programs": [entry]})) == (StoredProgram("a", created=5, state="SAVED"),)
     for said in (
@@ -200,7 +202,7 @@ def test_a_list_of_programs_holds_nulls_and_is_looked_at() -> None:
             parse_programs(said)
 
 
-#: Commands that the Robot API does not have, and what the error has to name.
+#: Commands that the Robot API does not have, and the text that the error must contain.
 LACKING: list[tuple[Callable[[Dashboard], object], str]] = [
     (lambda desk: desk.popup("x"), "has 'popup' in 10.14 or later; use robot.popup"),
     (lambda desk: desk.close_popup(), "has 'close popup' in 10.14 or later"),
@@ -218,13 +220,13 @@ LACKING: list[tuple[Callable[[Dashboard], object], str]] = [
 
 
 @pytest.mark.parametrize(("call", "error"), LACKING)
-def test_what_the_robot_api_lacks(call: Callable[[Dashboard], object], error: str) -> None:
+def test_missing_command_names_alternative(call: Callable[[Dashboard], object], error: str) -> None:
     nowhere = Dashboard("no-such-host.invalid", None, lambda: X12)
     with pytest.raises(LocalError, match=error):
         call(nowhere)
 
 
-def test_what_a_firmware_has(controller: Controller) -> None:
+def test_missing_request_names_first_firmware_with_it(controller: Controller) -> None:
     now = X7
     desk = Dashboard("no-such-host.invalid", None, lambda: now, api_port=None)
     with pytest.raises(LocalError, match="does not serve the Robot API"):
@@ -246,7 +248,7 @@ def test_what_a_firmware_has(controller: Controller) -> None:
         desk.power_on()
 
 
-def test_10_11_loads_by_another_request_and_10_7_serves_nothing() -> None:
+def test_firmware_10_11_has_robot_api_and_10_7_has_none() -> None:
     with Controller("UR5e", "10.11", motion=Still(), files=FILES) as controller:
         with urlink.connect(controller.address) as robot:
             robot.dashboard.load("pick")
@@ -263,7 +265,7 @@ def test_10_11_loads_by_another_request_and_10_7_serves_nothing() -> None:
             socket.create_connection((controller.host, robot_api), 5)
 
 
-def test_10_14_has_popups_the_log_and_who_it_is() -> None:
+def test_firmware_10_14_has_popups_log_and_identity() -> None:
     with (
         Controller("UR5e", "10.14", serial="20265500001") as controller,
         urlink.connect(controller.address) as robot,
@@ -287,7 +289,7 @@ def test_10_14_has_popups_the_log_and_who_it_is() -> None:
             desk.popup("")
         with pytest.raises(LocalError, match=r"'set operational mode'; the request of 10\.14 is not known"):
             desk.set_operational_mode("manual")
-        # As the vendor's client asks: with a title, and for all that stands there at once.
+        # The vendor's client sends these requests: a popup with a title, and all of the system information.
         body = json.dumps({"title": "Attention", "message": "here"}).encode()
         assert asked(controller, "POST", f"{BASE}/popup/v1", body)[0] == 200
         assert controller.pendant.popup == "here"
@@ -302,7 +304,7 @@ def test_10_14_has_popups_the_log_and_who_it_is() -> None:
         until(lambda: controller.modes.power is Power.OFF)
 
 
-def test_a_refused_connection_says_that_the_service_may_be_off() -> None:
+def test_refused_connection_names_service_setting() -> None:
     with Controller("UR5e", "5.25", ports={"primary": 0}) as controller:
         with socket.create_server(("127.0.0.1", 0)) as gone:
             dead = gone.getsockname()[1]
@@ -320,16 +322,16 @@ def test_a_refused_connection_says_that_the_service_may_be_off() -> None:
             urlink.connect(f"ur://127.0.0.1?primary={dead}&secondary={dead}")
 
 
-def test_standard_ports_are_those_of_the_firmware() -> None:
+def test_standard_ports_depend_on_firmware() -> None:
     assert Controller("UR5e", "10.12", ports="standard")._numbers.keys() == PORTS.keys() - {"dashboard"}
     assert Controller("UR5e", "5.11", ports="standard")._numbers.keys() == PORTS.keys() - {"robot_api"}
 
 
-# -- answers that are made up ----------------------------------------------------------------------------
+# -- scripted replies ------------------------------------------------------------------------------------
 
 
 class Answering(HttpClient):
-    """Gives the same answer to each request, without a network."""
+    """Client that returns the same response to each request, without a network."""
 
     def __init__(self, body: bytes, status: int = 200) -> None:
         super().__init__("robot", 80)
@@ -349,7 +351,7 @@ class Answering(HttpClient):
         ("power on", {"anything": 1}, ""),
     ],
 )
-def test_answers_in_the_words_of_the_dashboard(name: str, body: dict[str, Any], words: str) -> None:
+def test_responses_are_converted_to_dashboard_replies(name: str, body: dict[str, Any], words: str) -> None:
     assert RobotApi(Answering(json.dumps(body).encode()), 1.0).do(name, None, X12) == words
 
 
@@ -357,7 +359,7 @@ def test_answers_in_the_words_of_the_dashboard(name: str, body: dict[str, Any], 
 @given(
     st.sampled_from(sorted(REQUESTS)), st.binary() | st.builds(lambda x: json.dumps({"mode": x}).encode(), st.text())
 )
-def test_any_answer_is_read_or_refused(name: str, body: bytes) -> None:
+def test_any_response_is_converted_or_rejected(name: str, body: bytes) -> None:
     for status in (200, 500):
         try:
             words = RobotApi(Answering(body, status), 1.0).do(name, "pick", X14)
@@ -374,10 +376,10 @@ def asked(controller: Controller, method: str, path: str, body: bytes = b"") -> 
     return answer.status, json.loads(answer.body)
 
 
-def test_what_the_server_answers_to_others(controller: Controller) -> None:
+def test_simulated_server_answers_arbitrary_requests(controller: Controller) -> None:
     assert asked(controller, "GET", f"{BASE}/openapi.json")[1]["info"]["version"] == "3.1.4"
     assert asked(controller, "GET", f"{BASE}/nothing")[0] == 404
-    assert asked(controller, "GET", f"{BASE}/program/v1/load")[0] == 404  # of 10.11
+    assert asked(controller, "GET", f"{BASE}/program/v1/load")[0] == 404  # exists only in 10.11
     assert asked(controller, "DELETE", f"{BASE}/program/v1/state")[0] == 405
     for body in (b"", b"[]", b"[" * 9999, b'{"action": "jump"}', b'{"action": 1}', b'{"name": "pick"}'):
         assert asked(controller, "PUT", f"{BASE}/program/v1/state", body)[0] == 400

@@ -1,4 +1,4 @@
-"""RTDE packages of both sides and both protocols: layouts, frame boundaries, and the recorded connections."""
+"""RTDE packages of both sides and both protocol versions: layouts, frame boundaries, and recorded connections."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ def framer(side: str) -> Framer:
         ("0006 55 07 0102", 1, DataPackage, {"recipe": 7, "payload": b"\1\2"}),
     ],
 )
-def test_requests_by_hand(hexed: str, protocol: int, kind: type[State], values: dict[str, object]) -> None:
+def test_handwritten_requests_are_decoded(
+    hexed: str, protocol: int, kind: type[State], values: dict[str, object]
+) -> None:
     data = bytes.fromhex(hexed)
     state = decode_request(data, protocol)  # type: ignore[arg-type]
     assert type(state) is kind
@@ -89,7 +91,9 @@ def test_requests_by_hand(hexed: str, protocol: int, kind: type[State], values: 
         ("0006 55 07 0102", 2, DataPackage, {"recipe": 7, "payload": b"\1\2"}),
     ],
 )
-def test_replies_by_hand(hexed: str, protocol: int, kind: type[State], values: dict[str, object]) -> None:
+def test_handwritten_replies_are_decoded(
+    hexed: str, protocol: int, kind: type[State], values: dict[str, object]
+) -> None:
     data = bytes.fromhex(hexed)
     state = decode_reply(data, protocol)  # type: ignore[arg-type]
     assert type(state) is kind
@@ -97,20 +101,20 @@ def test_replies_by_hand(hexed: str, protocol: int, kind: type[State], values: d
     assert bytes(kind(f"{protocol}.0", **{name: value for name, value in values.items() if value is not None})) == data
 
 
-def test_lists_of_names() -> None:
+def test_split_names() -> None:
     assert split_names("a, b ,") == ("a", "b")
     assert split_names("") == ()
     assert split_names(",a") == ("", "a")
     assert split_names("a,,") == ("a", "")
 
 
-def test_a_text_too_long_for_its_length_is_refused() -> None:
+def test_text_longer_than_its_length_field_is_rejected() -> None:
     with pytest.raises(BadValue, match="message"):
         RtdeMessage("2.0", message="x" * 256)
     assert len(bytes(RtdeMessage("1.0", message="x" * 256))) == 3 + 1 + 256
 
 
-def test_unknown_and_short_packages_are_errors() -> None:
+def test_unknown_and_short_packages_raise() -> None:
     with pytest.raises(PacketError, match="unknown type 88"):
         decode_reply(b"\0\3X", 2)
     with pytest.raises(PacketError, match="expected 4 bytes, got 3"):
@@ -123,7 +127,7 @@ def test_unknown_and_short_packages_are_errors() -> None:
 @pytest.mark.parametrize("protocol", [1, 2])
 @pytest.mark.parametrize("side", ["request", "reply"])
 @given(data=st.data())
-def test_a_stream_is_cut_where_it_was_joined(side: str, protocol: int, data: st.DataObject) -> None:
+def test_joined_packages_are_framed_again(side: str, protocol: int, data: st.DataObject) -> None:
     drawn = data.draw(st.lists(requests(protocol) if side == "request" else replies(protocol), max_size=8))
     stream = b"".join(map(bytes, drawn))
     whole = framer(side).feed(stream)
@@ -140,7 +144,7 @@ def test_a_stream_is_cut_where_it_was_joined(side: str, protocol: int, data: st.
 @pytest.mark.parametrize("protocol", [1, 2])
 @pytest.mark.parametrize("side", ["request", "reply"])
 @given(kind=st.sampled_from(sorted(REQUESTS)), body=st.binary(max_size=80))
-def test_any_body_is_what_construct_reads_or_an_error(side: str, protocol: int, kind: int, body: bytes) -> None:
+def test_any_body_decodes_like_construct_or_raises(side: str, protocol: int, kind: int, body: bytes) -> None:
     frame = struct.pack(">HB", 3 + len(body), kind) + body
     table, decode = (REQUESTS, decode_request) if side == "request" else (REPLIES, decode_reply)
     version = (2, 0) if side == "request" and kind in b"MU" else (protocol, 0)
@@ -158,8 +162,8 @@ def test_any_body_is_what_construct_reads_or_an_error(side: str, protocol: int, 
 @pytest.mark.property
 @pytest.mark.parametrize("side", ["request", "reply"])
 @given(junk=st.binary(max_size=300), data=st.data())
-def test_any_bytes_are_cut_and_counted(side: str, junk: bytes, data: st.DataObject) -> None:
-    """Nothing is lost: each byte is in a frame, skipped or kept, and how the bytes come makes no difference."""
+def test_any_bytes_are_framed_or_counted(side: str, junk: bytes, data: st.DataObject) -> None:
+    """Each byte is in a frame, skipped or buffered. The result does not depend on chunking."""
     here = [bytes(each) for each in data.draw(st.lists(replies(2) if side == "reply" else requests(2), max_size=4))]
     stream = b"".join(here[:2]) + junk + b"".join(here[2:])
     whole = framer(side)
@@ -172,14 +176,14 @@ def test_any_bytes_are_cut_and_counted(side: str, junk: bytes, data: st.DataObje
     in_pieces_frames = [
         frame for piece in cut(stream, data.draw(st.lists(st.integers(0, 500)))) for frame in in_pieces.feed(piece)
     ]
-    # What is held back may differ, since out of step it is looked at again after some more bytes only.
+    # The buffered part may differ: when the boundary is lost, it is searched again only after some more bytes.
     assert frames[: len(in_pieces_frames)] == in_pieces_frames
     for frame in frames:
         with suppress(PacketError):
             (decode_request if side == "request" else decode_reply)(frame, 2)
 
 
-def test_a_lost_boundary_is_found_again() -> None:
+def test_lost_boundary_is_found_again() -> None:
     data = bytes(DataPackage("2.0", recipe=1, payload=bytes(range(56))))
     stream = framer("reply")
     frames = stream.feed(data + b"\0\1\2" + data * 5)
@@ -187,7 +191,7 @@ def test_a_lost_boundary_is_found_again() -> None:
     assert (stream.skipped, stream.resyncs) == (3, 1)
 
 
-def test_packages_of_an_unknown_type_are_passed_on_by_their_size() -> None:
+def test_unknown_package_is_framed_by_its_size() -> None:
     stream = framer("reply")
     first, other = bytes(ProtocolReply(accepted=True)), b"\0\5Zab"
     assert stream.feed(first + other + first) == [first, other, first]
@@ -200,7 +204,7 @@ def test_packages_of_an_unknown_type_are_passed_on_by_their_size() -> None:
         (bytes(RealtimeState("5.4")), "30003"),
     ],
 )
-def test_somebody_else_is_recognised(first: bytes, who: str) -> None:
+def test_wrong_peer_is_recognised(first: bytes, who: str) -> None:
     with pytest.raises(WrongPeer, match=who):
         framer("reply").feed(first)
     bytewise = framer("reply")
@@ -209,15 +213,15 @@ def test_somebody_else_is_recognised(first: bytes, who: str) -> None:
 
 
 @pytest.mark.captures("rtde")
-def test_every_recorded_connection_is_read() -> None:
-    """All that clients sent and all that they were sent is packages of known types, whatever the pieces."""
+def test_every_recorded_connection_is_framed() -> None:
+    """All data of both directions are packages of known types, and the result does not depend on chunking."""
     count = 0
     for recording in recordings(real_captures.folder("rtde")):
         for side, stream, table in (("request", recording.sent, REQUESTS), ("reply", recording.received, REPLIES)):
             whole, bytewise = framer(side), framer(side)
             frames = whole.feed(stream)
             assert (whole.rest, whole.skipped) == (b"", 0), recording.name
-            step = max(len(stream) // 3000, 1)  # the long ones in small pieces, the others byte by byte
+            step = max(len(stream) // 3000, 1)  # feed long streams in small pieces, short ones byte by byte
             assert [
                 frame for n in range(0, len(stream), step) for frame in bytewise.feed(stream[n : n + step])
             ] == frames, recording.name

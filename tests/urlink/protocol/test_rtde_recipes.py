@@ -1,4 +1,4 @@
-"""RTDE recipes: the table of variables, and layouts that are made at run time of names and types."""
+"""RTDE recipes: the table of variables, and layouts that are made from names and types at run time."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def recipe_of(names: str, number: int | None = 1) -> Recipe:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Equal in every bit, NaN included."""
+    """Whether two values are equal in every bit, even for NaN."""
     if isinstance(one, np.ndarray):
         return np.array(other, one.dtype).tobytes() == one.tobytes()
     if isinstance(one, float):
@@ -50,13 +50,13 @@ def same(one: Any, other: Any) -> bool:
     return list(one) == list(other) if isinstance(one, tuple) else bool(one == other)
 
 
-def test_the_table() -> None:
+def test_table_of_variables_is_complete() -> None:
     assert (len(OUTPUTS), len(INPUTS)) == (406, 175)
     for table in (OUTPUTS, INPUTS):
         assert all(name == variable.name and variable.type in TYPES for name, variable in table.items())
         assert all(variable.doc and variable.evidence for variable in table.values())
         assert all((variable.since is None) == (variable.evidence == "unverified") for variable in table.values())
-    # What both have is read back, so it is the same.
+    # Variables of both tables are inputs that are read back, so their types are equal.
     assert all(OUTPUTS[name].type == INPUTS[name].type for name in OUTPUTS.keys() & INPUTS.keys())
 
 
@@ -71,13 +71,13 @@ def test_the_table() -> None:
         ("control_step", ["3.3", "5.25"], ["1.8"]),
     ],
 )
-def test_which_controller_has_a_variable(name: str, present: list[str], absent: list[str]) -> None:
+def test_variable_exists_in_listed_firmware(name: str, present: list[str], absent: list[str]) -> None:
     assert all(OUTPUTS[name].is_in(Firmware.parse(version)) for version in present)
     assert not any(OUTPUTS[name].is_in(Firmware.parse(version)) for version in absent)
 
 
-def test_a_package_by_hand() -> None:
-    """One that the authors of the UR Client Library test theirs with: 20 bytes."""
+def test_package_of_ur_client_library_is_decoded() -> None:
+    """The tests of the UR Client Library use this package of 20 bytes."""
     data = bytes.fromhex("0014 55 01 40d007 0d2b 020c 4a 3ff0000000000000".replace(" ", ""))
     recipe = recipe_of("timestamp target_speed_fraction")
     assert recipe.size == len(data)
@@ -90,7 +90,7 @@ def test_a_package_by_hand() -> None:
     assert recipe_of("timestamp target_speed_fraction", None).encode(values) == b"\0\x13U" + data[4:]
 
 
-def test_states() -> None:
+def test_state_class_has_types_units_and_values() -> None:
     recipe = recipe_of("timestamp actual_q robot_mode joint_mode output_bit_register_64 actual_digital_input_bits")
     data = recipe.encode(
         {
@@ -126,14 +126,14 @@ class Cell(Outputs):
     timestamp: float
 
 
-def test_states_of_a_class_of_ones_own() -> None:
+def test_state_class_can_be_subclassed() -> None:
     state = recipe_of("timestamp").state_class(Cell)(timestamp=3.0)
     assert isinstance(state, Cell)
     assert state.timestamp == 3.0
     assert pickle.loads(pickle.dumps(state)) == state
 
 
-def test_a_name_twice() -> None:
+def test_duplicate_name_is_decoded_but_has_no_state_class() -> None:
     recipe = recipe_of("timestamp runtime_state timestamp timestamp")
     data = recipe.encode({"timestamp": 5.0, "runtime_state": 2})
     assert data[4:12] == data[16:24] == data[24:32]
@@ -144,7 +144,7 @@ def test_a_name_twice() -> None:
         recipe.encode({"speed": 1})
 
 
-def test_what_makes_no_recipe() -> None:
+def test_invalid_recipe_is_rejected() -> None:
     with pytest.raises(BadValue, match="1 types for 2 names"):
         Recipe(["a", "b"], ["DOUBLE"])
     for bad in (NOT_FOUND, IN_USE, "STRING", "nonsense"):
@@ -156,7 +156,7 @@ def test_what_makes_no_recipe() -> None:
     assert Recipe(["a", "b"], ["DOUBLE", "BOOL"]).decode(b"\0\x0dU\1" + bytes(8) + b"\2") == {"a": 0.0, "b": True}
 
 
-def test_packages_that_do_not_fit() -> None:
+def test_mismatched_packages_and_values_are_rejected() -> None:
     recipe = recipe_of("timestamp", 3)
     data = recipe.encode({"timestamp": 1.0})
     for bad in (data[:-1], data + b"\0"):
@@ -170,9 +170,9 @@ def test_packages_that_do_not_fit() -> None:
         recipe_of("actual_q").encode({"actual_q": [1, 2]})
 
 
-def test_many_vectors_that_lie_at_different_offsets() -> None:
+def test_vectors_at_unaligned_offsets_are_decoded() -> None:
     vectors = [f"v{number}" for number in range(9)]
-    # Between them one byte, four and eight: no two of the first three are aligned as each other.
+    # One, four and eight bytes lie between the vectors, so the first three vectors all have different alignments.
     between = {"a": "UINT8", "b": "INT32", "c": "DOUBLE", "d": "VECTOR6INT32", "e": "BOOL"}
     order = ["v0", "a", "v1", "b", "v2", "c", "v3", "d", "v4", "v5", "e", "v6", "v7", "v8"]
     recipe = Recipe(order, [between.get(name, "VECTOR6D") for name in order])
@@ -190,7 +190,7 @@ def test_many_vectors_that_lie_at_different_offsets() -> None:
 
 @pytest.mark.property
 @given(drawn=recipes, number=st.one_of(st.none(), st.integers(1, 255)), data=st.data())
-def test_a_recipe_is_what_construct_reads(drawn: dict[str, str], number: int | None, data: st.DataObject) -> None:
+def test_recipe_decodes_like_construct(drawn: dict[str, str], number: int | None, data: st.DataObject) -> None:
     recipe = Recipe(list(drawn), list(drawn.values()), number)
     head = recipe.header.pack(**recipe.constants, size=recipe.size)
     body = data.draw(st.binary(min_size=recipe.size - len(head), max_size=recipe.size - len(head)))
@@ -201,17 +201,17 @@ def test_a_recipe_is_what_construct_reads(drawn: dict[str, str], number: int | N
     for name, value in slowly.items():
         assert same(np.array(values[name]), value) or same(values[name], value)
         assert same(getattr(state, name), value)
-    if "BOOL" not in drawn.values():  # True is written as 1, whatever it was read from
+    if "BOOL" not in drawn.values():  # True is always written as 1, although other values are also read as True
         assert recipe.encode(values) == head + body
 
 
 @pytest.mark.captures("rtde")
-def test_every_data_package_of_the_recorded_connections() -> None:
-    """The recipes of real clients fit the data packages of the same connection, on either side."""
+def test_recorded_data_packages_fit_their_recipes() -> None:
+    """The recipes of real clients fit the data packages of the same connection, in both directions."""
     outputs = inputs = misfits = 0
     for recording in recordings(real_captures.folder("rtde")):
         requests = Framer(RequestBoundary()).feed(recording.sent)
-        # Replies come in the order of the requests; what a request means depends on the replies before it.
+        # Replies arrive in the order of the requests; the meaning of a request depends on earlier replies.
         unanswered = [frame for frame in requests if frame[2] not in b"MU"]
         protocol: Protocol = 1
         recipe: Recipe | None = None
@@ -219,7 +219,7 @@ def test_every_data_package_of_the_recorded_connections() -> None:
         for frame in Framer(RtdeBoundary()).feed(recording.received):
             reply: Any = decode_reply(frame, protocol)
             if isinstance(reply, DataPackage):
-                # Some are of the recipe before: those that came before the reply to its successor.
+                # Packages before the reply to the next recipe request still belong to the previous recipe.
                 if recipe is not None and reply.recipe == recipe.number:
                     state = recipe.state_class().LAYOUTS.decode(frame)
                     values = recipe.decode(frame)
@@ -245,7 +245,7 @@ def test_every_data_package_of_the_recorded_connections() -> None:
                     claimed[package.recipe].decode(frame)
                     inputs += 1
                 except PacketError:
-                    misfits += 1  # setExternalForceTorque of ur_rtde sends 52 bytes for 56
+                    misfits += 1  # setExternalForceTorque of ur_rtde sends 52 bytes instead of 56
     assert outputs > 1000
     assert inputs > 1000
     assert 0 < misfits < 20

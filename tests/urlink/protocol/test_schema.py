@@ -1,4 +1,4 @@
-"""The construct schemas that users get: packets of every firmware, there and back, and what does not fit."""
+"""Construct schemas for users: round trips of packets of every firmware, and rejected packets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from urlink.protocol.rtde.packets import REPLIES, REQUESTS
 from urlink.protocol.rtde.recipes import Recipe
 
 FIRMWARES = [str(release.since) for release in RELEASES]
-#: A text that has to be there for a layout to be told from an older one.
+#: Text that is necessary to distinguish a layout from an older one.
 TEXTS: dict[type[State], dict[str, str]] = {urlink.packets.VersionMessage: {"build_date": "Jan 01 2020, 00:00:00"}}
 CLASSES: list[type[State]] = [
     RealtimeState,
@@ -30,7 +30,7 @@ CLASSES: list[type[State]] = [
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_every_packet_of_a_firmware_is_parsed_and_built_again(firmware: str) -> None:
+def test_packets_of_every_firmware_are_parsed_and_rebuilt(firmware: str) -> None:
     for cls in CLASSES:
         try:
             packet = bytes(cls(firmware, **TEXTS.get(cls, {})))
@@ -52,7 +52,7 @@ def test_every_packet_of_a_firmware_is_parsed_and_built_again(firmware: str) -> 
                 made.parse(longer)
 
 
-def test_a_packet_of_another_firmware_or_type_is_refused_by_name() -> None:
+def test_packet_of_other_firmware_or_type_is_rejected() -> None:
     with pytest.raises(construct.ConstError, match=r"size\n.*expected 1220 but parsed 1060"):
         schema(RealtimeState, "5.11").parse(bytes(RealtimeState("3.4")))
     calibration = bytes(urlink.packets.CalibrationData("5.11"))
@@ -62,14 +62,14 @@ def test_a_packet_of_another_firmware_or_type_is_refused_by_name() -> None:
         schema(urlink.packets.RequestValueMessage).parse(bytes(urlink.packets.KeyMessage("5.11")))
 
 
-def test_joints_lie_on_the_wire_one_after_the_other() -> None:
+def test_joint_data_are_parsed_joint_by_joint() -> None:
     packet = bytes(urlink.packets.JointData("5.11", q_actual=[1, 2, 3, 4, 5, 6]))
     parsed = schema(urlink.packets.JointData, "5.11").parse(packet)
     assert [joint.q_actual for joint in parsed.joint] == [1, 2, 3, 4, 5, 6]
 
 
 @pytest.mark.parametrize("has_block", [False, True])
-def test_an_optional_block_is_there_where_its_flag_says_so(has_block: bool) -> None:
+def test_optional_block_depends_on_its_flag(has_block: bool) -> None:
     given: dict[str, Any] = {"is_euromap_installed": has_block}
     if has_block:
         given["euromap_voltage_24V"] = 24.0
@@ -81,7 +81,7 @@ def test_an_optional_block_is_there_where_its_flag_says_so(has_block: bool) -> N
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_a_robot_state_is_a_row_of_sub_packages(firmware: str) -> None:
+def test_robot_state_is_a_sequence_of_sub_packages(firmware: str) -> None:
     parts = []
     for kinds in SUB_PACKAGES.values():
         for cls in kinds:
@@ -97,14 +97,14 @@ def test_a_robot_state_is_a_row_of_sub_packages(firmware: str) -> None:
     unknown = packet[5:] + b"\0\0\0\7\x63ab"
     whole = (5 + len(unknown)).to_bytes(4, "big") + b"\x10" + unknown
     assert made.parse(whole).packages[-1].fields == b"ab"
-    broken = whole[:-7] + b"\0\0\0\7\0ab"  # no robot mode has two bytes
+    broken = whole[:-7] + b"\0\0\0\7\0ab"  # two bytes are too short for robot mode data
     with pytest.raises(construct.TerminatedError):
         made.parse(broken)
 
 
 @pytest.mark.parametrize("version", ["1.0", "2.0"])
 @pytest.mark.parametrize("table", [REQUESTS, REPLIES], ids=["requests", "replies"])
-def test_packets_of_rtde_go_by_the_version_of_the_protocol(table: dict[int, type[State]], version: str) -> None:
+def test_rtde_schemas_depend_on_protocol_version(table: dict[int, type[State]], version: str) -> None:
     for kind, cls in table.items():
         made = schema(cls, version)
         packet = bytes(cls(version))
@@ -112,7 +112,7 @@ def test_packets_of_rtde_go_by_the_version_of_the_protocol(table: dict[int, type
         assert made.build(made.parse(packet)) == packet
 
 
-def test_a_recipe_of_rtde_has_a_schema_of_its_data_packages() -> None:
+def test_rtde_recipe_has_schema_of_its_data_packages() -> None:
     recipe = Recipe(["timestamp", "actual_q", "robot_mode"], ["DOUBLE", "VECTOR6D", "INT32"], 3)
     made = schema(recipe)
     packet = recipe.encode({"timestamp": 1.5, "actual_q": [1, 2, 3, 4, 5, 6], "robot_mode": 7})
@@ -123,7 +123,7 @@ def test_a_recipe_of_rtde_has_a_schema_of_its_data_packages() -> None:
         made.parse(packet[:3] + b"\4" + packet[4:])
 
 
-def test_what_is_no_packet_is_said_to_be_none() -> None:
+def test_schema_rejects_other_classes_and_versions() -> None:
     with pytest.raises(BadValue, match="has no layout; expected a packet class"):
         schema(int)  # type: ignore[arg-type]
     with pytest.raises(BadVersion):
@@ -133,7 +133,7 @@ def test_what_is_no_packet_is_said_to_be_none() -> None:
 
 
 @pytest.mark.captures("ur")
-def test_recorded_packets_are_parsed_and_built_again() -> None:
+def test_recorded_packets_are_parsed_and_rebuilt() -> None:
     for name, cls, firmware in (
         ("cb2_rt_812.bin", RealtimeState, "1.8"),
         ("cb2_primary_state_1254.bin", RobotState, "1.8"),
@@ -159,7 +159,7 @@ def test_printed_schema_shows_fields_offsets_and_types() -> None:
     assert rows["q_actual"] == ["252", "q_actual", "Float64b[6]", "rad"]
 
 
-def test_printed_schema_shows_what_varies() -> None:
+def test_printed_schema_shows_variable_parts() -> None:
     made = str(schema(RobotState, "5.11"))
     assert made.startswith("RobotState, size varies")
     assert "1: JointData" in made

@@ -1,4 +1,4 @@
-"""The declared layouts against the reference: every size, and offsets copied from its tables by hand."""
+"""Declared layouts compared with the reference: every size, and offsets copied by hand from its tables."""
 
 from __future__ import annotations
 
@@ -58,15 +58,16 @@ def class_of(kind: int, size: int) -> type[SubPackage]:
     return cls
 
 
-# -- the one table against the layouts
+# -- the release table compared with the layouts
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_the_release_table_is_what_the_layouts_add_up_to(release: Release) -> None:
+def test_release_table_equals_sizes_of_layouts(release: Release) -> None:
     assert RealtimeState.LAYOUTS.of(release.since).size == release.realtime
     for kind, size in release.state.items():
         assert class_of(kind, size).LAYOUTS.of(release.since).size == size
-    # And nothing is declared for the release that the table does not know. Nobody knows since when type 13 is sent.
+    # No layout is declared for a release that the table does not list. It is unknown which release was the first to
+    # send type 13.
     for kind, classes in SUB_PACKAGES.items():
         for cls in classes:
             try:
@@ -113,36 +114,36 @@ def test_total_sizes_of_the_reference(version: str, realtime: int, first: int | 
 
 
 @pytest.mark.parametrize("version", ["1.4", "0.9", "2.0", "4.1", "6.1", "9.9"])
-def test_firmware_that_nothing_is_known_of(version: str) -> None:
+def test_unknown_firmware_raises_bad_version(version: str) -> None:
     with pytest.raises(BadVersion, match="unknown firmware"):
         release_of(Firmware.parse(version))
     with pytest.raises(BadVersion):
         decode(b"", "realtime", version)
 
 
-def test_release_of_a_later_generation_is_the_newest_row() -> None:
+def test_later_generation_uses_newest_release() -> None:
     assert release_of(Firmware(11, 0)) == RELEASES[-1]
 
 
 @pytest.mark.parametrize("version", [[5, 11], 5, {"5": "11"}, ("5", "11"), ([5], 11)])
-def test_what_is_no_version_is_said_to_be_none(version: Any) -> None:
+def test_decode_rejects_invalid_versions(version: Any) -> None:
     with pytest.raises(BadVersion, match="is not a firmware"):
         decode(b"", "realtime", version)
 
 
 @pytest.mark.parametrize("version", [[5, 11], 5, {5: 11, 3: 2}, (5,)])
-def test_a_version_is_a_text_or_a_tuple(version: Any) -> None:
+def test_firmware_parse_rejects_other_types(version: Any) -> None:
     with pytest.raises(BadVersion, match="is not a firmware"):
         Firmware.parse(version)
 
 
-def test_releases_stand_in_order_and_say_what_backs_them() -> None:
+def test_releases_are_sorted_and_have_evidence() -> None:
     assert [row.since for row in RELEASES] == sorted(row.since for row in RELEASES)
     assert all(row.evidence for row in RELEASES)
     assert max(row.since for row in RELEASES if row.since.major == 5) == NEWEST
 
 
-# Every size of the reference's table, with the firmware it stands for.
+# Every size in the reference's table, with its firmware.
 SIZES: dict[type[State], dict[str, int]] = {
     RealtimeState: {"1.5": 756, "1.6": 764, "1.8": 812, "3.0": 1044, "3.2": 1060, "3.5": 1108, "3.10": 1116}
     | {"3.14": 1140, "5.0": 1108, "5.4": 1116, "5.9": 1140, "5.10": 1220},
@@ -180,7 +181,7 @@ def test_sizes_of_the_reference(cls: type[State]) -> None:
 @pytest.mark.parametrize(
     ("version", "size"), [("1.6", 76), ("1.8", 76), ("3.0", 88), ("3.2", 90), ("3.10", 91), ("5.4", 91)]
 )
-def test_euromap_sits_behind_its_flag(version: str, size: int) -> None:
+def test_euromap_block_follows_its_flag(version: str, size: int) -> None:
     board = MasterboardData(
         version,
         is_euromap_installed=True,
@@ -193,7 +194,7 @@ def test_euromap_sits_behind_its_flag(version: str, size: int) -> None:
     data = bytes(board)
     assert len(data) == size
     if version < "3":
-        # 16-bit inputs and outputs, two ranges, four doubles and domains, four floats, two safety bytes, then the flag.
+        # The flag follows 16-bit inputs and outputs, ranges, doubles and domains, four floats and two safety bytes.
         assert data[63:] == struct.pack(">BiihH", 1, 0x01020304, 5, 24, 2)
     else:
         assert data[67:84] == struct.pack(">BIIff", 1, 0x01020304, 5, 24.0, 2.0)
@@ -239,7 +240,7 @@ LATER |= {"safety_status": 1108, "reserved_e": 1116, "payload_mass": 1140, "payl
 def test_realtime_offsets(version: str, expected: dict[str, int]) -> None:
     layout = RealtimeState.LAYOUTS.of(version)
     assert {name: place.offset for name, place in layout.places.items()} == expected
-    # And in the bytes, not in the declaration: each field in turn is where it should be, and reads back.
+    # Check the bytes as well as the declaration: write each field at its offset and read it back.
     for name, offset in expected.items():
         count = layout.places[name].count
         raw = layout.places[name].shape is Mask64
@@ -338,7 +339,7 @@ def message(kind: int, payload: bytes) -> bytes:
     return struct.pack(">iBQbB", 15 + len(payload), 20, 0, -2, kind) + payload
 
 
-def test_version_message_with_and_without_a_build() -> None:
+def test_version_message_with_and_without_build() -> None:
     old = struct.pack(">B9sBBi", 9, b"URControl", 3, 2, 19293) + b"Oct 01 2015, 10:00:00"
     (state,) = decode(message(3, old), "primary")
     assert isinstance(state, VersionMessage)
@@ -356,18 +357,18 @@ def test_version_message_with_and_without_a_build() -> None:
 
 
 def test_popup_and_report_of_cb2() -> None:
-    popup = message(2, b"\x01\x00\x05titlewhat is to be said")
+    popup = message(2, b"\x01\x00\x05titletext of the popup")
     (state,) = decode(popup, "primary", "1.8")
     assert isinstance(state, PopupMessage)
-    assert (state.is_warning, state.is_error, state.title, state.text) == (True, False, "title", "what is to be said")
+    assert (state.is_warning, state.is_error, state.title, state.text) == (True, False, "title", "text of the popup")
     assert (state.request_id, state.is_blocking) == (None, None)
     (state,) = decode(message(2, struct.pack(">IIBBBB5s", 7, 3, 0, 1, 1, 5, b"title") + b"text"), "primary", "5.4")
     assert isinstance(state, PopupMessage)
     assert (state.request_id, state.requested_type, state.title, state.text) == (7, 3, "title", "text")
     assert (state.is_warning, state.is_error, state.is_blocking) == (False, True, True)
-    (state,) = decode(message(6, struct.pack(">ii", 4, 1) + b"as it was called"), "primary", "1.8")
+    (state,) = decode(message(6, struct.pack(">ii", 4, 1) + b"old text"), "primary", "1.8")
     assert isinstance(state, RobotCommMessage)
-    assert (state.code, state.argument, state.report_level, state.text) == (4, 1, None, "as it was called")
+    assert (state.code, state.argument, state.report_level, state.text) == (4, 1, None, "old text")
     (state,) = decode(message(6, struct.pack(">iiiII", 4, 1, 2, 4, 0xFF) + b"text"), "primary", "5.4")
     assert isinstance(state, RobotCommMessage)
     assert (state.report_level, state.data_type, state.data, state.text) == (2, 4, 255, "text")
@@ -392,7 +393,7 @@ def test_packages_without_a_layout_are_kept_with_their_type(kind: int, name: str
     assert name in str(state)
 
 
-def test_unknown_sub_packages_are_kept_and_told_apart() -> None:
+def test_unknown_sub_packages_are_kept_with_their_type() -> None:
     body = b"".join([struct.pack(">iB", 7, 14) + b"ab", struct.pack(">iB", 6, 99) + b"c", bytes(ToolData())])
     (state,) = decode(struct.pack(">iB", 5 + len(body), 16) + body, "primary", "5.11")
     assert isinstance(state, RobotState)
@@ -409,22 +410,22 @@ def test_unknown_sub_packages_are_kept_and_told_apart() -> None:
     assert state.sizes == {5: 9}
 
 
-def test_a_robot_state_has_no_dtype_and_says_so() -> None:
+def test_robot_state_dtype_raises() -> None:
     with pytest.raises(BadValue, match="RobotState"):
         RobotState.dtype()
 
 
-# -- what came longer, shorter, or without a firmware
+# -- packets with another length, or without a firmware
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_a_longer_packet_keeps_its_tail_and_a_shorter_one_names_all_facts(release: Release) -> None:
+def test_longer_packet_keeps_tail_and_shorter_packet_raises(release: Release) -> None:
     layout = RealtimeState.LAYOUTS.of(release.since)
     firmware = str(release.since)
     (state,) = decode(layout.encode({"time": 3.5}, b"new cell"), "realtime", firmware)
     known = {each.size for each in RealtimeState.LAYOUTS.all}
     assert state.time == 3.5
-    # Eight bytes more may be what a later release is known to append.
+    # A later release might append eight bytes; then the layout of that release decodes them.
     assert state.tail == (b"" if release.realtime + 8 in known else b"new cell")
     data = bytearray(layout.encode({"time": 3.5}))[:-8]
     data[:4] = len(data).to_bytes(4, "big")
@@ -438,7 +439,7 @@ def test_a_longer_packet_keeps_its_tail_and_a_shorter_one_names_all_facts(releas
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_a_firmware_that_is_not_given_is_worked_out(release: Release) -> None:
+def test_firmware_is_inferred_from_sizes(release: Release) -> None:
     state = RealtimeState(release.since, time=1.0, q_actual=range(6), tcp_force=range(6))
     (again,) = decode(bytes(state), "realtime")
     assert again.to_dict() == state.to_dict()
@@ -449,7 +450,7 @@ def test_a_firmware_that_is_not_given_is_worked_out(release: Release) -> None:
     assert isinstance(decoded, RobotState)
     assert decoded.sizes == dict(release.state)
     assert decoded.to_dict() == whole.to_dict()
-    # By name, the oldest release with these sizes.
+    # The inferred firmware is the oldest release with these sizes.
     inferred = infer(decoded.sizes)
     assert inferred is not None
     assert inferred <= release.since
@@ -457,11 +458,11 @@ def test_a_firmware_that_is_not_given_is_worked_out(release: Release) -> None:
     assert same == {kind: size for kind, size in release.state.items() if kind not in (5, 6)}
 
 
-def test_sizes_that_no_release_has_are_no_firmware() -> None:
+def test_infer_returns_none_for_unknown_sizes() -> None:
     assert infer(RobotState(ToolData()).sizes) is None
 
 
-def test_several_packets_in_one_run_of_bytes() -> None:
+def test_decode_returns_several_packets() -> None:
     states = [RealtimeState("3.4", time=1.0), RealtimeState("5.10", time=2.0), RealtimeState("1.8", time=3.0)]
     again = decode(b"".join(map(bytes, states)), "realtime")
     assert again == states
@@ -473,7 +474,7 @@ def test_several_packets_in_one_run_of_bytes() -> None:
         decode(b"", "rtde")  # type: ignore[call-overload]
 
 
-def test_an_error_inside_a_state_names_the_sub_package_and_where_it_is() -> None:
+def test_error_inside_state_names_sub_package_and_offset() -> None:
     good = bytes(ToolData())
     body = good + struct.pack(">iB", 36, 2) + good[5:-1]
     data = bytes(urlink.packets.KeyMessage()) + struct.pack(">iB", 5 + len(body), 16) + body
@@ -507,7 +508,7 @@ def test_digital_bits_in_both_codings(version: str, coding: str) -> None:
     assert state.digital_coding == coding
 
 
-def test_coding_cannot_be_told_while_all_inputs_are_off() -> None:
+def test_digital_coding_is_none_while_all_inputs_are_off() -> None:
     assert RealtimeState("5.10").digital_coding is None
     assert RealtimeState("5.10", digital_input_bits=5).digital_coding == "integer"
 
@@ -526,7 +527,7 @@ def test_enums_are_found() -> None:
 
 
 @pytest.mark.parametrize("cls", ENUMS, ids=lambda cls: cls.__name__)
-def test_enums_take_numbers_nobody_knows(cls: type[OpenInt]) -> None:
+def test_enums_accept_unknown_numbers(cls: type[OpenInt]) -> None:
     for number in (-(2**31), -99, 66, 9999, 2**32 - 1):
         assert cls(number) == number
         assert cls(number).name == f"UNKNOWN_{number}"
@@ -542,10 +543,10 @@ def test_numbers_of_the_reference() -> None:
     assert [state.value for state in enums.ProgramState] == list(range(6))
     assert [kind.name for kind in enums.RobotType][:4] == ["UR5", "UR10", "UR3", "UR16"]
     assert DigitalBits(1 << 17) is DigitalBits.TOOL_1
-    assert int(DigitalBits(1 << 40)) == 1 << 40  # no name, and kept
+    assert int(DigitalBits(1 << 40)) == 1 << 40  # a bit without a name is kept
 
 
-def test_the_robot_mode_list_is_that_of_the_generation() -> None:
+def test_robot_modes_depend_on_generation() -> None:
     assert RealtimeState("1.8", robot_mode=0).robot_mode is RobotModeCB2.RUNNING
     assert RealtimeState("3.0", robot_mode=7).robot_mode is RobotMode.RUNNING
     assert RobotModeData("1.8", robot_mode=7).robot_mode is RobotModeCB2.NO_POWER
@@ -565,14 +566,14 @@ def test_unknown_codes_decode() -> None:
 
 
 @pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
-def test_every_field_says_what_it_is(cls: type[State]) -> None:
+def test_every_field_has_description_and_unit(cls: type[State]) -> None:
     assert cls.__doc__
     for name, field in cls.FIELDS.items():
         assert field.name == name
         assert field.doc, name
         prop = getattr(cls, name)
         assert prop.__doc__ == (f"{field.doc} [{field.unit}]" if field.unit else field.doc)
-        # What is a plain float or a vector is a quantity, and has its unit, unless nobody knows what it is.
+        # A plain float or a vector is a quantity, which has a unit unless its meaning is unknown.
         unknown = ("unused", "reserved", "test_value", "tolerances", "robot_dexterity", "pointer")
         number = field.shape.number
         if number is not None and number.kind[0] == "f" and field.shape.read is None:
@@ -609,7 +610,7 @@ def test_every_sub_package_is_an_attribute_of_the_state() -> None:
                 setattr(empty, name, part)
 
 
-def test_a_robot_state_is_dissected_to_the_last_byte() -> None:
+def test_robot_state_is_dissected_completely() -> None:
     state = RobotState(RobotModeData("5.11"), JointData("5.11"))
     rows = list(state.dissect())
     assert b"".join(row.data for row in rows) == bytes(state)
@@ -620,8 +621,8 @@ def test_a_robot_state_is_dissected_to_the_last_byte() -> None:
     assert [row.name for row in rows[:3]] == ["size", "type", "robot_mode_data.size"]
 
 
-def test_the_buttons_of_1_7_and_early_1_8() -> None:
-    """The payload ``00 01 40 07 01`` of a 510-byte state, known without the rest of it."""
+def test_additional_info_of_firmware_1_7_has_buttons() -> None:
+    """The payload is ``00 01 40 07 01``, taken from a 510-byte state whose other bytes are unknown."""
     data = bytes.fromhex("0000000a08 0001400701")
     for version in (None, Firmware(1, 7), Firmware(1, 8)):
         info = AdditionalInfo.LAYOUTS.decode(data, version)

@@ -1,4 +1,4 @@
-"""The serial line in the tool connector: the bytes on it, the settings, and the gripper that answers by Modbus RTU."""
+"""Serial line in the tool connector: its bytes, its settings, and a gripper that answers with Modbus RTU."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def of(text: str) -> bytes:
     return bytes.fromhex(text)
 
 
-#: Examples of the maker's manual for the 2F-85: reset, activate, the status of an inactive one, close.
+#: Examples from the manufacturer's manual of the 2F-85: reset, activate, status of an inactive gripper, close.
 RESET = of("09 10 03 E8 00 03 06 00 00 00 00 00 00 73 30")
 ACTIVATE = of("09 10 03 E8 00 03 06 01 00 00 00 00 00 72 E1")
 DONE = of("09 10 03 E8 00 03 01 30")
@@ -35,10 +35,10 @@ def robot() -> Iterator[urlink.Robot]:
         yield robot
 
 
-# -- the gripper, without a line ----------------------------------------------------------------------------------
+# -- the gripper, without the serial line -------------------------------------------------------------------------
 
 
-def test_the_examples_of_the_manual() -> None:
+def test_examples_of_the_manual_are_answered() -> None:
     now = 0.0
     gripper = SimulatedGripper(lambda: now)
     device = ModbusGripper(gripper)
@@ -47,7 +47,7 @@ def test_the_examples_of_the_manual() -> None:
     ]
     assert device(RESET) == DONE
     assert device(ACTIVATE) == DONE
-    # The status without what stopped the fingers: activation is requested, then it is done.
+    # The status without the object bits: activation was requested, and later it is complete.
     assert device(STATUS)[3] & 0x3F == 0x11
     now = 10.0
     assert device(STATUS)[3] & 0x3F == 0x31
@@ -66,12 +66,12 @@ def test_the_examples_of_the_manual() -> None:
         ("09 10 03 E8 00 03 04 00 00 00 00", "09 90 03"),
     ],
 )
-def test_what_it_has_not_is_refused(request_: str, answer: str) -> None:
+def test_unsupported_request_gets_exception_reply(request_: str, answer: str) -> None:
     device = ModbusGripper(SimulatedGripper(lambda: 0.0))
     assert device(of(request_) + crc(of(request_))) == of(answer) + crc(of(answer))
 
 
-def test_a_request_for_another_device_and_a_broken_one_get_no_answer() -> None:
+def test_foreign_and_damaged_requests_get_no_reply() -> None:
     device = ModbusGripper(SimulatedGripper(lambda: 0.0))
     other = of("08 03 07 D0 00 01")
     assert device(other + crc(other)) == b""
@@ -81,7 +81,7 @@ def test_a_request_for_another_device_and_a_broken_one_get_no_answer() -> None:
 
 @pytest.mark.property
 @given(st.lists(st.sampled_from([STATUS, RESET, ACTIVATE, CLOSE]), max_size=4), st.integers(1, 9))
-def test_byte_by_byte_is_as_whole(frames: list[bytes], size: int) -> None:
+def test_replies_do_not_depend_on_chunking(frames: list[bytes], size: int) -> None:
     data = b"".join(frames)
     whole, parts = (ModbusGripper(SimulatedGripper(lambda: 0.0)) for _ in range(2))
     pieces = b"".join(parts(data[at : at + size]) for at in range(0, len(data), size))
@@ -90,14 +90,14 @@ def test_byte_by_byte_is_as_whole(frames: list[bytes], size: int) -> None:
 
 @pytest.mark.property
 @given(st.binary(max_size=200))
-def test_any_bytes_are_survived(data: bytes) -> None:
+def test_any_bytes_raise_no_error(data: bytes) -> None:
     ModbusGripper(SimulatedGripper(lambda: 0.0))(data)
 
 
-# -- the line -------------------------------------------------------------------------------------------------------
+# -- the serial line ------------------------------------------------------------------------------------------------
 
 
-def test_a_gripper_is_asked_over_the_line(robot: urlink.Robot) -> None:
+def test_gripper_answers_over_serial_line(robot: urlink.Robot) -> None:
     robot.io.set_tool_communication(baud_rate=115200, parity="none")
     serial = robot.tool_serial
     assert serial.ask(ACTIVATE, 8) == DONE
@@ -107,7 +107,7 @@ def test_a_gripper_is_asked_over_the_line(robot: urlink.Robot) -> None:
     assert serial.discard() == b""
 
 
-def test_the_robot_shows_the_settings(robot: urlink.Robot) -> None:
+def test_robot_state_shows_serial_settings(robot: urlink.Robot) -> None:
     robot.io.set_tool_communication(baud_rate=19200, parity="even", stop_bits=2, rx_idle_chars=1.7, tx_idle_chars=0.0)
     info = robot.primary.of(urlink.packets.ToolCommunicationInfo).wait()
     shown = (info.is_enabled, info.baud_rate, info.parity, info.stop_bits, round(info.rx_idle_chars, 6))
@@ -129,12 +129,14 @@ def test_the_robot_shows_the_settings(robot: urlink.Robot) -> None:
         (lambda robot: robot.tool_serial.read(1, timeout=0.0), "timeout"),
     ],
 )
-def test_nonsense_is_refused(robot: urlink.Robot, call: Callable[[urlink.Robot], object], said: str) -> None:
+def test_invalid_serial_arguments_are_rejected(
+    robot: urlink.Robot, call: Callable[[urlink.Robot], object], said: str
+) -> None:
     with pytest.raises(urlink.BadValue, match=said):
         call(robot)
 
 
-def test_a_line_that_is_not_enabled_answers_nothing_and_says_how_much_came(robot: urlink.Robot) -> None:
+def test_timeout_names_number_of_received_bytes(robot: urlink.Robot) -> None:
     with pytest.raises(
         urlink.LinkTimeout, match=r"only 0 of 7 bytes arrived within 0\.2 s; it might still be executed"
     ):
@@ -143,7 +145,7 @@ def test_a_line_that_is_not_enabled_answers_nothing_and_says_how_much_came(robot
     assert len(robot.tool_serial.ask(STATUS, 7)) == 7
 
 
-def test_a_late_answer_is_not_taken_for_the_next_one(robot: urlink.Robot) -> None:
+def test_late_reply_is_not_used_for_next_request(robot: urlink.Robot) -> None:
     robot.io.set_tool_communication()
     robot.controller.tool_serial.device = lambda data: data[:1]
     with pytest.raises(urlink.LinkTimeout, match="1 of 2 bytes"):
@@ -152,7 +154,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(robot: urlink.Robot) -> Non
     assert robot.tool_serial.ask(b"cd", 2) == b"cd"
 
 
-def test_a_connection_that_was_cut_is_made_again(robot: urlink.Robot) -> None:
+def test_cut_connection_is_made_again(robot: urlink.Robot) -> None:
     robot.io.set_tool_communication()
     robot.controller.tool_serial.device = lambda data: data
     assert robot.tool_serial.ask(b"ab", 2) == b"ab"
@@ -178,14 +180,14 @@ def test_threads_take_turns(robot: urlink.Robot) -> None:
     assert not wrong
 
 
-def test_a_closed_robot_has_closed_it(robot: urlink.Robot) -> None:
+def test_robot_close_closes_serial_line(robot: urlink.Robot) -> None:
     serial = robot.tool_serial
     robot.close()
     with pytest.raises(urlink.Closed):
         serial.write(b"a")
 
 
-def test_an_older_controller_has_none() -> None:
+def test_older_controller_has_no_serial_line() -> None:
     with Controller("UR5", "3.15") as controller, urlink.connect(controller.address) as robot:
         with pytest.raises(urlink.LocalError, match=r"an e-Series 5\.0 or later has one"):
             robot.tool_serial.write(b"a")
@@ -194,7 +196,7 @@ def test_an_older_controller_has_none() -> None:
 
 
 @pytest.mark.slow
-def test_a_stream_of_set_points_loses_nothing_beside_it(robot: urlink.Robot) -> None:
+def test_servo_misses_no_state_during_serial_traffic(robot: urlink.Robot) -> None:
     robot.io.set_tool_communication()
     over = threading.Event()
     asked = []

@@ -1,4 +1,4 @@
-"""Export: each format is opened again by a reader that is not ours, and holds what was recorded."""
+"""Export: each format is opened by a third-party reader, and contains the recorded values."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from urlink.arm.poses import compose, quaternion_to_rotvec
 
 CAPTURE = Path(__file__).resolve().parents[3] / "captures" / "simulator-5.11.urlog"
 
-# The first import of h5py asks `uname -p` for the processor, which is a process: before any test that is to start none.
+# The first import of h5py starts the process `uname -p`. Import it before tests that must not start a process.
 with contextlib.suppress(ImportError):
     importlib.import_module("h5py")
 
 
 def reader(name: str) -> Any:
-    """A package that reads a format again."""
+    """Import a package that reads a format; skip the test if it is not installed."""
     package = name.partition(".")[0]
     pytest.importorskip(package, reason=f"{package} is not installed; nox -f nightly.py -s data installs it")
     return importlib.import_module(name)
 
 
 def read_mcap(path: Path) -> dict[str, list[Any]]:
-    """topic -> its messages as a reader of ROS 2 files decodes them."""
+    """Return the messages of each topic, as a reader of ROS 2 files decodes them."""
     with path.open("rb") as file:
         messages = reader("mcap.reader").make_reader(
             file, decoder_factories=[reader("mcap_ros2.decoder").DecoderFactory()]
@@ -53,7 +53,7 @@ def recording() -> urlink.Recording:
     return urlink.load(CAPTURE)
 
 
-def test_csv(recording: urlink.Recording, tmp_path: Path) -> None:
+def test_export_writes_csv(recording: urlink.Recording, tmp_path: Path) -> None:
     path = recording.export(tmp_path / "run.csv", ["q_actual", "robot_mode"])
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
@@ -72,19 +72,19 @@ def test_single_elements_are_exported(recording: urlink.Recording, tmp_path: Pat
     assert [name in recording.realtime for name in names] == [True, False, False, False]
 
 
-def test_one_name_as_a_string_is_exported(recording: urlink.Recording, tmp_path: Path) -> None:
+def test_single_field_is_exported(recording: urlink.Recording, tmp_path: Path) -> None:
     path = recording.export(tmp_path / "run.csv", "qd_actual")
     assert path.read_text().splitlines()[0].startswith("t,wall,qd_actual_0,")
 
 
-def test_resampled_elements_equal_those_of_the_field(recording: urlink.Recording) -> None:
+def test_resampled_element_equals_resampled_field(recording: urlink.Recording) -> None:
     names = ["tool_vector_actual_4", "tool_vector_actual"]
     tables = [chosen(recording.tables, [name], rate=20)["realtime"] for name in names]
     assert list(tables[0].fields) == names[:1]
     assert tables[0][names[0]].tolist() == tables[1][names[1]][:, 4].tolist()
 
 
-def test_parquet(recording: urlink.Recording, tmp_path: Path) -> None:
+def test_export_writes_parquet(recording: urlink.Recording, tmp_path: Path) -> None:
     parquet = reader("pyarrow.parquet")
     table = parquet.read_table(recording.export(tmp_path / "run.parquet"))
     assert table.num_rows == len(recording.realtime)
@@ -94,7 +94,7 @@ def test_parquet(recording: urlink.Recording, tmp_path: Path) -> None:
     assert table.schema.field("tcp_force_2").metadata[b"unit"] == b"N, Nm"
 
 
-def test_mat(recording: urlink.Recording, tmp_path: Path) -> None:
+def test_export_writes_mat(recording: urlink.Recording, tmp_path: Path) -> None:
     scipy = reader("scipy.io")
     found = scipy.loadmat(recording.export(tmp_path / "run.mat"), simplify_cells=True)
     np.testing.assert_array_equal(found["realtime"]["q_actual"], recording.realtime["q_actual"])
@@ -102,7 +102,7 @@ def test_mat(recording: urlink.Recording, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["primary"]["joint_data_T_motor"], recording.primary["joint_data.T_motor"])
 
 
-def test_h5(recording: urlink.Recording, tmp_path: Path) -> None:
+def test_export_writes_h5(recording: urlink.Recording, tmp_path: Path) -> None:
     h5py = reader("h5py")
     with h5py.File(recording.export(tmp_path / "run.h5", ["tcp_force", "joint_data.q_actual"])) as file:
         np.testing.assert_array_equal(file["realtime/tcp_force"], recording.realtime["tcp_force"])
@@ -111,7 +111,7 @@ def test_h5(recording: urlink.Recording, tmp_path: Path) -> None:
         assert file["primary/joint_data.q_actual"].shape == recording.primary["joint_data.q_actual"].shape
 
 
-def test_mcap_as_ros_reads_it(recording: urlink.Recording, tmp_path: Path) -> None:
+def test_export_writes_mcap_for_ros(recording: urlink.Recording, tmp_path: Path) -> None:
     found = read_mcap(recording.export(tmp_path / "run.mcap"))
     realtime = recording.realtime
     counts = Counter({topic: len(messages) for topic, messages in found.items()})
@@ -135,7 +135,7 @@ def test_mcap_as_ros_reads_it(recording: urlink.Recording, tmp_path: Path) -> No
     assert [pose.position.x, pose.position.y, pose.position.z] == realtime["tool_vector_actual"][-1, :3].tolist()
     vector = quaternion_to_rotvec([turn.x, turn.y, turn.z, turn.w])
     np.testing.assert_allclose(vector, realtime["tool_vector_actual"][-1, 3:], atol=1e-9)
-    # The frames of the links, one in the other, lead to where the arm's own kinematics say that its flange is.
+    # The chained frames of the links must end at the flange that the arm's own kinematics compute.
     reached, parent = np.zeros(6), "base_link"
     for link in found["/tf"][-1].decoded_message.transforms:
         assert link.header.frame_id == parent
@@ -154,7 +154,7 @@ def test_mcap_as_ros_reads_it(recording: urlink.Recording, tmp_path: Path) -> No
     assert found["/robot_description"][0].decoded_message.data.startswith('<?xml version="1.0"?>\n<robot name="ur5e">')
 
 
-def test_what_cannot_be_written_leaves_nothing_and_harms_nothing(recording: urlink.Recording, tmp_path: Path) -> None:
+def test_failed_export_keeps_existing_file(recording: urlink.Recording, tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("precious")
     for fields, complaint in (
@@ -179,7 +179,7 @@ def test_what_cannot_be_written_leaves_nothing_and_harms_nothing(recording: urli
 
 
 class Described:
-    """Collects the descriptions of progress, in the place of a terminal."""
+    """Stand-in for a terminal that collects the descriptions of progress."""
 
     texts: list[str]
 
@@ -209,7 +209,7 @@ def test_long_commands_describe_their_progress(
     ):
         robot.sync()
         recorded = ["record", host.address, str(tmp_path / "again.urlog"), "--count", "9", "--duration", "20"]
-        # In lockstep, the other client has to sync as well.
+        # In lockstep, the other client has to sync too.
         with robot.background():
             assert rhdlink.cli.main(recorded) == 0
     commands: tuple[tuple[Callable[[Sequence[str]], int], list[str], str], ...] = (
@@ -233,7 +233,7 @@ def test_long_commands_describe_their_progress(
 
 
 @pytest.mark.real_time
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_command_writes_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.csv"
     assert urlink.cli.main(["export", str(CAPTURE), str(path), "--rate", "20", "tcp_force"]) == 0
     out, err = capsys.readouterr()
@@ -262,7 +262,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert table.export(drive, ["transpos"]).read_text().startswith("t,wall,transpos\n")
 
 
-def test_a_file_says_which_robot_it_is_of(recording: urlink.Recording, tmp_path: Path) -> None:
+def test_exported_file_names_its_robot(recording: urlink.Recording, tmp_path: Path) -> None:
     start = f"{recording.realtime.wall[0] - np.timedelta64(round(recording.realtime.time[0] * 1e9), 'ns')}Z"
     said: dict[str, dict[str, str]] = {}
     for suffix, package in (

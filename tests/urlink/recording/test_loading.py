@@ -1,4 +1,4 @@
-"""`urlink.load`: the columns hold what the stream would have given, whatever happened to the recording."""
+"""`urlink.load`: the columns contain the same values as the stream, even for damaged recordings."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def packet(number: int, version: str = "5.11") -> bytes:
 
 
 def write(path: Path, chunks: Sequence[bytes | str], name: str = "realtime", **info: Any) -> Path:
-    """A recording of chunks 2 ms apart; a text is a connection event."""
+    """Write a recording of chunks 2 ms apart; a string is a connection event."""
     writer = RecordingWriter(path)
     channel = writer.add_channel({"name": name, "firmware": "5.11", "model": "UR5e", **info})
     for number, chunk in enumerate(chunks):
@@ -65,7 +65,7 @@ def load(chunks: Sequence[bytes | str], **info: Any) -> urlink.Recording:
         return run
 
 
-def test_columns_times_and_what_they_mean() -> None:
+def test_table_has_columns_times_and_units() -> None:
     run = load([packet(number) for number in range(50)])
     assert (run.model, str(run.firmware), run.is_complete, run.missing) == ("UR5e", "5.11", True, ())
     table = run.realtime
@@ -94,7 +94,7 @@ def test_columns_times_and_what_they_mean() -> None:
 
 @pytest.mark.property
 @given(st.lists(st.integers(1, 3000), max_size=40), st.integers(0, 2), st.binary(max_size=30))
-def test_however_the_bytes_were_cut(cuts: list[int], size: int, noise: bytes) -> None:
+def test_columns_do_not_depend_on_chunking(cuts: list[int], size: int, noise: bytes) -> None:
     version = ("1.8", "3.4", "5.11")[size]
     packets = [packet(number, version) for number in range(30)]
     data = b"".join(packets[:10]) + noise + b"".join(packets[10:])
@@ -102,7 +102,7 @@ def test_however_the_bytes_were_cut(cuts: list[int], size: int, noise: bytes) ->
     for cut in cuts:
         chunks.append(data[at : at + cut])
         at += cut
-    # As a rule packets come one by one.
+    # Usually packets arrive one by one.
     chunks += [data[begin : begin + len(packets[0])] for begin in range(at, len(data), len(packets[0]))]
     protocol = RealtimeProtocol()
     expected = [protocol.decode(frame) for chunk in chunks for frame in protocol.framer.feed(chunk)]
@@ -114,7 +114,7 @@ def test_however_the_bytes_were_cut(cuts: list[int], size: int, noise: bytes) ->
 
 @pytest.mark.property
 @given(st.sampled_from(["1.8", "3.4", "5.11"]), st.binary(min_size=1216, max_size=1216))
-def test_every_column_is_what_the_state_says(version: str, content: bytes) -> None:
+def test_columns_equal_values_of_the_state(version: str, content: bytes) -> None:
     size = len(packet(0, version))
     data = size.to_bytes(4, "big") + content[: size - 4]
     state = urlink.decode(data, "realtime", version)[0]
@@ -125,7 +125,7 @@ def test_every_column_is_what_the_state_says(version: str, content: bytes) -> No
         np.testing.assert_array_equal(table[name][1], expected, err_msg=name)
 
 
-def test_a_lost_connection_and_damage_are_told_and_cost_no_more_than_they_hit(tmp_path: Path) -> None:
+def test_damage_is_reported_and_loses_only_affected_packets(tmp_path: Path) -> None:
     chunks = [packet(number) for number in range(40)]
     path = write(tmp_path / "run.urlog", [*chunks[:20], b"\0\1\2", "lost", "connected", *chunks[20:]])
     data = bytearray(path.read_bytes())
@@ -149,7 +149,7 @@ def test_a_lost_connection_and_damage_are_told_and_cost_no_more_than_they_hit(tm
     assert np.isfinite(gap["q_actual"][~lost][:15]).all()
 
 
-def test_two_firmwares_in_one_file() -> None:
+def test_file_with_two_firmwares_has_two_parts() -> None:
     old, new = [packet(n, "3.4") for n in range(5)], [packet(n, "5.11") for n in range(5, 12)]
     run = load([*old, "lost", "connected", *new])
     table = run.realtime
@@ -166,10 +166,10 @@ def test_two_firmwares_in_one_file() -> None:
     assert later.parts[1]["q_actual"][:, 0].tolist() == [5, 6, 7]
 
 
-def test_between_and_resampled() -> None:
+def test_between_and_resampled_select_rows() -> None:
     states = []
     for number in range(101):
-        angle = math.pi - 0.05 + number * 0.001  # passes half a turn, where the vector changes its direction
+        angle = math.pi - 0.05 + number * 0.001  # passes half a turn, so the vector changes its direction
         vector = angle if angle <= math.pi else angle - 2 * math.pi
         states.append(bytes(RealtimeState("5.11", time=number, tool_vector_actual=[number, 0, 0, 0, 0, vector])))
     table = load(states).realtime
@@ -194,7 +194,7 @@ def test_between_and_resampled() -> None:
         table.between(50, 60).resampled(10)
 
 
-def test_robot_states_their_parts_and_messages() -> None:
+def test_robot_states_have_sub_packages_and_messages() -> None:
     def state(number: int) -> bytes:
         joints = JointData("5.11", q_actual=[number] * 6, joint_modes=[253] * 6)
         return bytes(RobotState(RobotModeData("5.11", robot_mode=7, is_power_on=True), joints))
@@ -219,7 +219,7 @@ def test_robot_states_their_parts_and_messages() -> None:
         states.nothing  # noqa: B018  # reading it raises
 
 
-def test_rtde_by_its_recipe() -> None:
+def test_rtde_table_follows_recipe() -> None:
     recipe = Recipe(["timestamp", "actual_q", "robot_mode"], ["DOUBLE", "VECTOR6D", "INT32"], 1)
     packages = [recipe.encode({"timestamp": number, "actual_q": [number] * 6, "robot_mode": 7}) for number in range(20)]
     info = {"asked": list(recipe.names), "names": list(recipe.names), "types": list(recipe.types), "number": 1}
@@ -241,7 +241,7 @@ def test_rtde_by_its_recipe() -> None:
     assert run.rtde.begins == [7]
 
 
-def test_frames_of_pandas_and_the_error_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_to_frame_returns_pandas_or_explains_how_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     table = load([packet(number) for number in range(5)]).realtime
     for library, extra in (("pandas", "pandas"), ("polars", "polars")):
         with monkeypatch.context() as patched:
@@ -261,7 +261,7 @@ def test_frames_of_pandas_and_the_error_without_it(monkeypatch: pytest.MonkeyPat
     assert frame.index.name == "t"
 
 
-def test_frames_of_polars() -> None:
+def test_to_frame_returns_polars() -> None:
     table = load([packet(number) for number in range(5)]).realtime
     polars = pytest.importorskip("polars", reason="polars is not installed; nox -f nightly.py -s data installs it")
     frame = table.to_frame("q_actual", "robot_mode", library="polars")
@@ -279,7 +279,7 @@ def test_frames_of_polars() -> None:
 
 @pytest.mark.parametrize("path", [CAPTURES / f"simulator-{version}.urlog" for version in ("1.8", "3.15", "5.25")])
 @pytest.mark.simulated_time
-def test_recordings_of_the_simulator(path: Path) -> None:
+def test_recorded_simulator_loads_like_replay(path: Path) -> None:
     run = urlink.load(path)
     with urlink.connect(f"replay://{path}?rate=max") as robot:
         states = list(robot.realtime)
@@ -288,7 +288,7 @@ def test_recordings_of_the_simulator(path: Path) -> None:
     assert len(run.primary) > 0
 
 
-def test_a_channel_that_is_not_described(tmp_path: Path) -> None:
+def test_channel_without_name_is_rejected(tmp_path: Path) -> None:
     path = write(tmp_path / "run.urlog", [])
     data = path.read_bytes()
     assert len(urlink.load(path).realtime) == 0
@@ -298,7 +298,7 @@ def test_a_channel_that_is_not_described(tmp_path: Path) -> None:
         urlink.load(path)
 
 
-# -- records that mean harm --------------------------------------------------------------------------------
+# -- hostile records ---------------------------------------------------------------------------------------
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.sampled_from(["lost", "5.11", "UR5e", "realtime", ""]),
@@ -317,10 +317,10 @@ payloads = st.one_of(
 
 @pytest.mark.simulated_time
 @pytest.mark.property
-@example([(Kind.CHANNEL, b'{"name":"realtime","firmware":"5.11"}')])  # can be played, and few that are drawn can
+@example([(Kind.CHANNEL, b'{"name":"realtime","firmware":"5.11"}')])  # can be played, unlike most drawn examples
 @example([(Kind.EVENT, b'{"state":"connected"}')])
 @given(st.lists(st.tuples(st.sampled_from([Kind.CHANNEL, Kind.EVENT]), payloads), min_size=1, max_size=3))
-def test_any_record_is_read_or_a_documented_error(records: list[tuple[Kind, bytes]]) -> None:
+def test_any_record_is_read_or_raises_link_error(records: list[tuple[Kind, bytes]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.urlog"
         writer = RecordingWriter(path)
@@ -350,7 +350,7 @@ def test_any_record_is_read_or_a_documented_error(records: list[tuple[Kind, byte
 @pytest.mark.parametrize(
     "payload", [b"\xff\xfe{", b"{", b"[]", b"{}", b'{"state": 1}', b"[" * 100_000, b"1" * 5000], ids=range(7)
 )
-def test_an_event_that_is_none(tmp_path: Path, payload: bytes) -> None:
+def test_invalid_event_raises_bad_recording(tmp_path: Path, payload: bytes) -> None:
     path = tmp_path / "run.urlog"
     writer = RecordingWriter(path)
     channel = writer.add_channel({"name": "realtime", "firmware": "5.11"})

@@ -1,4 +1,4 @@
-"""Pictures of recordings and of what comes, and what a notebook shows."""
+"""Plots of recordings and of live states, and the HTML for notebooks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def run() -> urlink.Recording:
 
 
 @pytest.mark.slow
-def test_a_panel_for_each_field_and_a_line_for_each_element(run: urlink.Recording) -> None:
+def test_plot_has_panel_per_field_and_line_per_element(run: urlink.Recording) -> None:
     plot = run.plot("q_actual", "tcp_force", "primary.robot_mode_data.robot_mode", start=0.1, end=0.2)
     panels = plot.figure().axes
     assert [panel.get_title("left") for panel in panels] == [
@@ -57,7 +57,7 @@ def test_single_elements_are_plotted(run: urlink.Recording) -> None:
     assert panel.get_ylabel() == "rad"
 
 
-def test_list_of_names_is_refused_with_a_hint(run: urlink.Recording) -> None:
+def test_list_of_names_is_rejected_with_a_hint(run: urlink.Recording) -> None:
     fields: list[str] = ["q_actual"]
     with pytest.raises(
         urlink.BadValue, match=r"field \['q_actual'\] is not a string; expected each name as an argument"
@@ -65,7 +65,7 @@ def test_list_of_names_is_refused_with_a_hint(run: urlink.Recording) -> None:
         run.plot(fields)  # type: ignore[arg-type]
 
 
-def test_recording_and_tables_name_their_columns(run: urlink.Recording) -> None:
+def test_column_as_attribute_raises_with_a_hint(run: urlink.Recording) -> None:
     held: Any = run
     with pytest.raises(AttributeError, match=r"write recording.realtime\['q_actual'\]"):
         held.actual_q  # noqa: B018
@@ -73,7 +73,7 @@ def test_recording_and_tables_name_their_columns(run: urlink.Recording) -> None:
         held.realtime.q_actual  # noqa: B018
 
 
-def test_no_line_leads_over_a_lost_connection(tmp_path: Path) -> None:
+def test_line_is_interrupted_at_lost_connection(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run.urlog")
     channel = writer.add_channel({"name": "realtime"})
     for number in range(20):
@@ -86,7 +86,7 @@ def test_no_line_leads_over_a_lost_connection(tmp_path: Path) -> None:
     assert np.flatnonzero(np.isnan(line.get_ydata())).tolist() == run.realtime.begins == [12]
 
 
-def test_no_peak_is_lost_in_a_long_recording() -> None:
+def test_thinned_line_keeps_peaks() -> None:
     time = np.arange(300_000) / 500
     values = np.zeros(300_000)
     values[123_456] = 7.0
@@ -97,7 +97,7 @@ def test_no_peak_is_lost_in_a_long_recording() -> None:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_drawn(run: urlink.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plot_rejects_invalid_requests(run: urlink.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(urlink.BadValue, match="nothing to plot"):
         run.plot()
     with pytest.raises(urlink.BadValue, match="did you mean q_actual"):
@@ -114,7 +114,7 @@ def test_what_cannot_be_drawn(run: urlink.Recording, tmp_path: Path, monkeypatch
 
 
 @pytest.mark.slow
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plot_command_writes_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, begin in (("q.png", b"\x89PNG"), ("q.svg", b"<?xml")):
         path = tmp_path / name
         assert urlink.cli.main(["plot", str(CAPTURE), "q_actual", "-o", str(path)]) == 0
@@ -126,12 +126,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_a_live_plot_shows_what_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_live_plot_shows_arriving_states(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Plot] = []
     array = History.array
 
     def slow(history: History, *fields: str) -> NDArray[np.void]:
-        """Of a computer that is busy: a state comes meanwhile."""
+        """Simulate a busy computer: wait until another state has arrived."""
         before = len(history)
         if not drawn:
             until(lambda: len(history) > before)
@@ -141,7 +141,7 @@ def test_a_live_plot_shows_what_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(History, "array", slow)
     with urlink.connect(f"replay://{CAPTURE}") as robot:
         robot.realtime.plot("q_actual", "speed_scaling", seconds=0.3, period=0.05)
-        monkeypatch.setattr(History, "array", array)  # the recording may be over soon
+        monkeypatch.setattr(History, "array", array)  # the recording may end soon
         with pytest.raises(urlink.BadValue, match="no field"):
             robot.realtime.plot("nothing", seconds=0.3)
     assert drawn[0]._curves[0].time[-1] <= 0
@@ -155,7 +155,7 @@ def test_live_plot_ends_with_every_state(monkeypatch: pytest.MonkeyPatch) -> Non
     drawn: list[int] = []
 
     def update(live: plotting.LivePlot, plot: Plot, pause: float) -> None:
-        """Drawing takes longer than the plot is to last, as the first time in a notebook."""
+        """Simulate a slow first drawing in a notebook, which takes longer than the plot should last."""
         drawn.append(len(plot._curves[0].time))
         time.sleep(1.0)
 
@@ -199,7 +199,7 @@ def test_notebook_plot_shows_every_received_state(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.simulated_time
-def test_what_a_notebook_shows_is_escaped(run: urlink.Recording) -> None:
+def test_notebook_html_is_escaped(run: urlink.Recording) -> None:
     with urlink.connect(f"replay://{CAPTURE}?rate=max") as robot:
         robot.realtime.wait()
         assert "<td>realtime</td>" in robot._repr_html_()

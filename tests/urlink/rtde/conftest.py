@@ -1,4 +1,4 @@
-"""Every test of this folder compares what a lock guards with the lock."""
+"""Check, in every test of this folder, that guarded attributes change only with their lock held."""
 
 from tests.worlds.guarded import guards
 

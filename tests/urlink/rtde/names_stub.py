@@ -1,6 +1,6 @@
-"""The stub `src/urlink/rtde/names.pyi` has to be: the names and types of the table, for type checkers and editors.
+"""Expected contents of `src/urlink/rtde/names.pyi`: names and types of the table, for type checkers and editors.
 
-``python tests/urlink/rtde/names_stub.py`` writes it anew after the table has changed.
+After a change of the table, ``python tests/urlink/rtde/names_stub.py`` writes the file again.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _TYPES = {
 
 
 def annotation(variable: Variable) -> str:
-    """The Python type of a variable in a state."""
+    """Return the Python type of a variable in a state."""
     if variable.meaning is None:
         return _TYPES.get(variable.type, "int")
     name: str = variable.meaning.__name__

@@ -1,4 +1,4 @@
-"""`robot.rtde` over a controller that answers as the test says: streams, inputs, registers, and who holds what."""
+"""`robot.rtde` with a scripted controller: streams, inputs, registers, and claims of inputs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Cell(urlink.rtde.Outputs):
 
 @contextmanager
 def rtde_of(*desks: ScriptedRtde, firmware: str = "5.11", refusal: str = "") -> Iterator[Rtde]:
-    """An `Rtde` whose connections are to these desks, one after the other."""
+    """Provide an `Rtde` that connects to these scripted controllers, one after the other."""
     left = list(desks)
     known = Firmware.parse(firmware)
 
@@ -65,11 +65,11 @@ def rtde_of(*desks: ScriptedRtde, firmware: str = "5.11", refusal: str = "") -> 
 # -- outputs ---------------------------------------------------------------------------------------
 
 
-def test_a_stream_of_variables() -> None:
+def test_outputs_streams_variables() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp", "actual_q", frequency=125)
-        assert desk.opened == 0, "nothing connects before it is used"
+        assert desk.opened == 0, "the stream must not connect before its first use"
         state = stream.wait(2.0)
         assert state.actual_q.tolist() == [0.0] * 6
         desk.say(timestamp=7.0, actual_q=[1, 2, 3, 4, 5, 6])
@@ -86,7 +86,7 @@ def test_a_stream_of_variables() -> None:
         assert pickle.loads(pickle.dumps(newest)) == newest
 
 
-def test_a_declared_class() -> None:
+def test_outputs_accepts_a_declared_class() -> None:
     desk = ScriptedRtde()
     desk.lacks = {"payload"}
     with rtde_of(desk) as rtde:
@@ -118,17 +118,17 @@ def test_a_declared_class() -> None:
         (lambda rtde: rtde.inputs(), "expected the names"),
     ],
 )
-def test_what_is_wrong_is_said_before_anything_is_sent(call: Callable[[Rtde], object], error: str) -> None:
+def test_invalid_arguments_are_rejected_before_sending(call: Callable[[Rtde], object], error: str) -> None:
     with rtde_of() as rtde, pytest.raises(BadValue, match=error):
         call(rtde)
 
 
-def test_cb3_sends_at_125_hz_at_most() -> None:
+def test_cb3_frequency_is_limited_to_125_hz() -> None:
     with rtde_of(firmware="3.15") as rtde, pytest.raises(BadValue, match="1 to 125"):
         rtde.outputs("timestamp", frequency=500)
 
 
-def test_what_is_missing_is_said_when_the_stream_is_used() -> None:
+def test_missing_variable_raises_at_first_use() -> None:
     desk = ScriptedRtde()
     desk.lacks = {"payload"}
     with rtde_of(desk) as rtde:
@@ -137,7 +137,7 @@ def test_what_is_missing_is_said_when_the_stream_is_used() -> None:
             stream.wait(2.0)
 
 
-def test_the_recipe_is_restored_after_the_connection_was_lost() -> None:
+def test_recipe_is_restored_after_lost_connection() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp")
@@ -145,15 +145,15 @@ def test_the_recipe_is_restored_after_the_connection_was_lost() -> None:
         stream.subscribe(lambda state: times.append(state.timestamp), inline=True)
         until(lambda: len(times) == 1)
         desk.put(ConnectionLost("cut"))
-        until(lambda: len(times) == 2)  # each connection begins with a data package
+        until(lambda: len(times) == 2)  # each connection starts with a data package
         desk.say(timestamp=9.0)
         until(lambda: times[-1] == 9.0)
         assert stream.stats.reconnects == 1
         assert [type(request).__name__ for request in desk.asked].count("OutputsRequest") == 2
 
 
-def test_another_recipe_after_the_connection_was_lost() -> None:
-    """A controller that comes back with an older firmware lacks a variable that was there."""
+def test_recipe_adapts_to_older_firmware_after_reconnection() -> None:
+    """A controller that returns with an older firmware no longer has one of the variables."""
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp", "payload", missing="leave_out")
@@ -166,7 +166,7 @@ def test_another_recipe_after_the_connection_was_lost() -> None:
         assert stream.left_out == ("payload",)
 
 
-def test_text_comes_on_the_stream() -> None:
+def test_stream_delivers_text_messages() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp")
@@ -177,7 +177,7 @@ def test_text_comes_on_the_stream() -> None:
         assert (texts[0].message, texts[0].source, texts[0].level) == ("hello", "URControl", MessageLevel.INFO)
 
 
-def test_a_package_that_does_not_fit_is_counted_and_no_more() -> None:
+def test_mismatched_package_is_only_counted() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         stream = rtde.outputs("timestamp")
@@ -191,7 +191,7 @@ def test_a_package_that_does_not_fit_is_counted_and_no_more() -> None:
 # -- inputs ----------------------------------------------------------------------------------------
 
 
-def test_masks_are_set_by_themselves() -> None:
+def test_masks_are_set_automatically() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("speed_slider_fraction", "standard_digital_output") as inputs:
         assert inputs.names == ("speed_slider_fraction", "standard_digital_output")
@@ -210,7 +210,7 @@ def test_masks_are_set_by_themselves() -> None:
         assert inputs.connection is ConnectionState.CONNECTED
 
 
-def test_analogue_outputs_need_their_type_once() -> None:
+def test_first_analog_output_needs_its_type() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("standard_analog_output_0", "standard_analog_output_1") as inputs:
         with pytest.raises(BadValue, match="missing standard_analog_output_type; the first send"):
@@ -221,7 +221,7 @@ def test_analogue_outputs_need_their_type_once() -> None:
         assert (desk.written["standard_analog_output_mask"], desk.written["standard_analog_output_type"]) == (2, 1)
 
 
-def test_what_has_no_mask_is_given_the_first_time_and_kept_then() -> None:
+def test_inputs_without_mask_are_required_in_first_send() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_double_register_24") as inputs:
         with pytest.raises(BadValue, match="missing input_double_register_24; the first send"):
@@ -232,7 +232,7 @@ def test_what_has_no_mask_is_given_the_first_time_and_kept_then() -> None:
         assert desk.written == {"input_int_register_24": 2, "input_double_register_24": 0.5}
 
 
-def test_what_two_threads_send_is_sent_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_sends_are_serialised(monkeypatch: pytest.MonkeyPatch) -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_int_register_25") as inputs:
         inputs.send(input_int_register_24=0, input_int_register_25=0)
@@ -241,7 +241,7 @@ def test_what_two_threads_send_is_sent_in_turn(monkeypatch: pytest.MonkeyPatch) 
         def slow(*arguments: Any) -> None:
             monkeypatch.setattr(inputs._connection, "send", send)
             other.start()
-            other.join(0.05)  # before, it would have sent its package meanwhile
+            other.join(0.05)  # without serialisation, the other thread would send its package now
             send(*arguments)
 
         monkeypatch.setattr(inputs._connection, "send", slow)
@@ -269,7 +269,7 @@ def test_what_two_threads_send_is_sent_in_turn(monkeypatch: pytest.MonkeyPatch) 
         ({"input_bit_register_64": 2}, "expected True or False"),
     ],
 )
-def test_values_are_checked(values: dict[str, Any], error: str) -> None:
+def test_input_values_are_checked(values: dict[str, Any], error: str) -> None:
     desk = ScriptedRtde()
     names = ["speed_slider_fraction", "tool_digital_output", "input_int_register_24", "external_force_torque"]
     with rtde_of(desk) as rtde, rtde.inputs(*names, "input_bit_register_64") as inputs:
@@ -278,7 +278,7 @@ def test_values_are_checked(values: dict[str, Any], error: str) -> None:
         assert desk.written == {}
 
 
-def test_numbers_of_numpy_are_numbers() -> None:
+def test_numpy_numbers_are_accepted() -> None:
     desk = ScriptedRtde()
     names = ["input_int_register_24", "external_force_torque", "input_bit_register_64"]
     with rtde_of(desk) as rtde, rtde.inputs(*names) as inputs:
@@ -292,7 +292,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
         }
 
 
-def test_what_was_closed_is_let_go() -> None:
+def test_closed_streams_and_inputs_are_released() -> None:
     desks = [ScriptedRtde(), ScriptedRtde(), ScriptedRtde()]
     with rtde_of(*desks) as rtde:
         with rtde.outputs("timestamp") as stream:
@@ -305,7 +305,7 @@ def test_what_was_closed_is_let_go() -> None:
 
 
 @pytest.mark.simulated_time
-def test_closing_ends_a_claim_that_is_not_answered() -> None:
+def test_close_ends_unanswered_claim() -> None:
     desk = ScriptedRtde()
     desk.answers[InputsRequest] = lambda request: []
     ended: list[float] = []
@@ -322,11 +322,11 @@ def test_closing_ends_a_claim_that_is_not_answered() -> None:
         begun = time.monotonic()
         rtde.close()
         thread.join()
-        assert ended[0] - begun < 0.1, "it waited for its timeout"
+        assert ended[0] - begun < 0.1, "the claim waited for its timeout"
         assert desk._closed
 
 
-def test_inputs_that_cannot_be_had_are_not_kept() -> None:
+def test_failed_claim_is_not_kept() -> None:
     desk = ScriptedRtde()
     desk.held = {"speed_slider_fraction"}
     with rtde_of(desk, ScriptedRtde()) as rtde:
@@ -336,7 +336,7 @@ def test_inputs_that_cannot_be_had_are_not_kept() -> None:
         assert rtde._open == [held]
 
 
-def test_set_points_are_written_without_waiting() -> None:
+def test_write_does_not_wait() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_double_register_24") as inputs:
         inputs._write({"input_int_register_24": 1, "input_double_register_24": 0.5})
@@ -355,7 +355,7 @@ def test_set_points_are_written_without_waiting() -> None:
             inputs._write({"input_int_register_24": 4, "input_double_register_24": 0.5})
 
 
-def test_an_input_in_use_is_said_by_name() -> None:
+def test_input_in_use_is_named() -> None:
     desk = ScriptedRtde()
     desk.held = {"speed_slider_fraction"}
     with rtde_of(desk) as rtde, pytest.raises(InputInUse, match="speed_slider_fraction") as caught:
@@ -363,7 +363,7 @@ def test_an_input_in_use_is_said_by_name() -> None:
     assert caught.value.names == ("speed_slider_fraction",)
 
 
-def test_inputs_are_claimed_again_and_what_was_sent_is_not_sent_again() -> None:
+def test_inputs_are_claimed_again_but_not_sent_again() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24") as inputs:
         inputs.send(input_int_register_24=4)
@@ -375,7 +375,7 @@ def test_inputs_are_claimed_again_and_what_was_sent_is_not_sent_again() -> None:
         assert desk.written == {"input_int_register_24": 5}
 
 
-def test_nothing_is_written_where_nothing_may_be() -> None:
+def test_recording_refuses_all_inputs() -> None:
     with rtde_of(refusal="is a recording") as rtde:
         calls: list[Callable[[], object]] = [
             lambda: rtde.inputs("input_int_register_24"),
@@ -387,7 +387,7 @@ def test_nothing_is_written_where_nothing_may_be() -> None:
                 call()
 
 
-def test_what_is_closed_cannot_be_used() -> None:
+def test_closed_inputs_raise_closed() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         inputs = rtde.inputs("input_int_register_24")
@@ -397,7 +397,7 @@ def test_what_is_closed_cannot_be_used() -> None:
             inputs.send(input_int_register_24=1)
 
 
-def test_who_holds_inputs() -> None:
+def test_who_holds_lists_unavailable_inputs() -> None:
     desk = ScriptedRtde()
     desk.held = {"speed_slider_mask", "input_int_register_0"}
     desk.lacks = {"external_force_torque"}
@@ -410,7 +410,7 @@ def test_who_holds_inputs() -> None:
     assert desk._closed
 
 
-def test_what_a_controller_lacks() -> None:
+def test_missing_lists_variables_in_limited_requests() -> None:
     for protocol in (1, 2):
         desk = ScriptedRtde()
         desk.protocols = {protocol}
@@ -423,7 +423,7 @@ def test_what_a_controller_lacks() -> None:
 # -- registers -------------------------------------------------------------------------------------
 
 
-def test_registers_are_claimed_as_they_are_written() -> None:
+def test_registers_are_claimed_at_first_write() -> None:
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         registers = rtde.registers()
@@ -452,7 +452,7 @@ def test_registers_are_claimed_as_they_are_written() -> None:
         assert [type(request).__name__ for request in desk.asked].count("InputsRequest") == 6
 
 
-def test_registers_that_cannot_be_had() -> None:
+def test_unavailable_registers_are_rejected() -> None:
     desk = ScriptedRtde()
     desk.held = {"input_int_register_24"}
     with rtde_of(desk) as rtde:
@@ -473,15 +473,15 @@ def test_registers_that_cannot_be_had() -> None:
         assert desk.written == {"input_int_register_0": 1}
 
 
-def test_a_claim_that_is_not_answered() -> None:
+def test_refused_claim_raises_rtde_refused() -> None:
     desk = ScriptedRtde()
     desk.answers[InputsRequest] = lambda request: [InputsReply(recipe=0, types="INT32")]
     with rtde_of(desk) as rtde, pytest.raises(urlink.RtdeRefused, match="refused the inputs"):
         rtde.registers().write_integer(24, 1)
 
 
-def test_register_write_in_a_handler_fails_at_once_during_a_claim() -> None:
-    """The main thread that it interrupts waits for a reply, and cannot go on before the handler has returned."""
+def test_register_write_in_handler_fails_at_once_during_claim() -> None:
+    """The interrupted main thread waits for a reply, and cannot continue before the handler has returned."""
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde:
         registers = rtde.registers()
@@ -494,13 +494,13 @@ def test_register_write_in_a_handler_fails_at_once_during_a_claim() -> None:
             failures.append((caught.value, time.monotonic() - began))
             return desk.usual(request)
 
-        desk.answers[InputsRequest] = handler  # is called in the thread that claims, as a handler would be
+        desk.answers[InputsRequest] = handler  # it is called in the claiming thread, like a signal handler
         registers.write_integer(24, 1)
         assert len(failures) == 1
-        assert failures[0][1] < 0.01  # simulated time
+        assert failures[0][1] < 0.01  # seconds of simulated time
 
 
-def test_a_reply_that_comes_late_is_not_taken_for_that_to_the_next_claim() -> None:
+def test_late_reply_is_not_used_for_next_claim() -> None:
     desk = ScriptedRtde()
     late: list[State] = []
 
@@ -529,7 +529,7 @@ def test_a_reply_that_comes_late_is_not_taken_for_that_to_the_next_claim() -> No
         assert desk.written == {"input_int_register_25": 2}
 
 
-def test_output_registers_are_read() -> None:
+def test_read_methods_return_output_registers() -> None:
     desks = [ScriptedRtde() for _ in range(4)]
     with rtde_of(*desks) as rtde:
         registers = rtde.registers(lower=True)
@@ -543,5 +543,5 @@ def test_output_registers_are_read() -> None:
         until(lambda: registers.read_bit(33))
 
 
-def test_the_names_for_type_checkers_are_those_of_the_table() -> None:
+def test_names_stub_equals_table() -> None:
     assert names_stub.PATH.read_text(encoding="utf-8") == names_stub.text(), "run tests/urlink/rtde/names_stub.py"

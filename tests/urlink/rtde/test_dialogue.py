@@ -1,4 +1,4 @@
-"""The client's side of RTDE against a controller that answers as the test says, and against recorded answers."""
+"""Client side of RTDE with a scripted controller, and with recorded replies."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def opened(desk: ScriptedRtde, plan: Requests, timeout: float = 2.0) -> tuple[Rt
 
 
 def received(transport: RtdeTransport, plan: Requests, count: int = 1) -> list[Any]:
-    """What a stream gets of the next chunks, the bytes of the dialogue included."""
+    """Return the packets that a stream gets from the next chunks, including the bytes of the dialogue."""
     receiver = Receiver("desk", RtdeProtocol(plan), StreamCounters())
     packets: list[Any] = []
     while sum(isinstance(packet, Outputs) for packet in packets) < count:
@@ -64,7 +64,7 @@ def asked(desk: ScriptedRtde) -> list[str]:
     return [type(request).__name__ for request in desk.asked]
 
 
-def test_what_is_asked_and_in_which_order() -> None:
+def test_requests_are_sent_in_order() -> None:
     desk = ScriptedRtde()
     plan = Requests(("timestamp", "actual_q"), 125.0, inputs=[("speed_slider_mask", "speed_slider_fraction")])
     transport, dialogue = opened(desk, plan)
@@ -81,14 +81,14 @@ def test_what_is_asked_and_in_which_order() -> None:
 
 
 @pytest.mark.parametrize(("firmware", "frequency"), [((3, 15, 8), 125.0), ((5, 4, 3), 500.0), ((10, 12, 0), 500.0)])
-def test_the_most_that_the_controller_sends(firmware: tuple[int, int, int], frequency: float) -> None:
+def test_default_frequency_is_maximum_of_controller(firmware: tuple[int, int, int], frequency: float) -> None:
     desk = ScriptedRtde()
     desk.firmware = (*firmware, 0)
     opened(desk, Requests(("timestamp",)))
     assert desk.asked[2].frequency == frequency
 
 
-def test_a_connection_that_is_interrupted_as_it_begins_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_open_closes_connection(monkeypatch: pytest.MonkeyPatch) -> None:
     desk = ScriptedRtde()
 
     def interrupted(transport: RtdeTransport, dialogue: object) -> None:
@@ -101,7 +101,7 @@ def test_a_connection_that_is_interrupted_as_it_begins_is_given_up(monkeypatch: 
     assert desk._closed
 
 
-def test_what_the_controller_lacks_is_left_out_and_asked_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_optional_variable_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
     desk = ScriptedRtde()
     desk.lacks = {"payload", "payload_cog"}
     plan = Requests(("timestamp", "payload", "actual_q", "payload_cog"), optional=frozenset(["payload", "payload_cog"]))
@@ -115,7 +115,7 @@ def test_what_the_controller_lacks_is_left_out_and_asked_again(caplog: pytest.Lo
     assert state.LEFT_OUT == ("payload", "payload_cog")
 
 
-def test_what_the_controller_lacks_is_an_error() -> None:
+def test_missing_required_variable_raises() -> None:
     desk = ScriptedRtde()
     desk.lacks = {"payload"}
     with pytest.raises(NoSuchVariable, match=r"does not have actual_Q \(did you mean actual_q\?\), payload") as caught:
@@ -125,14 +125,14 @@ def test_what_the_controller_lacks_is_an_error() -> None:
         opened(desk, Requests(("payload",), optional=frozenset(["payload"])))
 
 
-def test_a_type_that_nobody_knows_is_as_good_as_none() -> None:
+def test_unknown_type_counts_as_missing_variable() -> None:
     desk = ScriptedRtde()
     desk.answers[OutputsRequest] = lambda request: [OutputsReply("2.0", recipe=1, types="STRING")]
     with pytest.raises(NoSuchVariable, match=r"timestamp .unknown type STRING"):
         opened(desk, Requests(("timestamp",)))
 
 
-def test_an_input_in_use() -> None:
+def test_input_in_use_raises() -> None:
     desk = ScriptedRtde()
     desk.held = {"speed_slider_mask"}
     with pytest.raises(InputInUse, match="in use by another client or a fieldbus: speed_slider_mask") as caught:
@@ -150,7 +150,7 @@ def test_an_input_in_use() -> None:
         (InputsRequest, InputsReply(recipe=0, types="INT32"), "refused the inputs input_int_register_24"),
     ],
 )
-def test_refusals(request_class: type[State], reply: State, error: str) -> None:
+def test_refusal_raises_rtde_refused(request_class: type[State], reply: State, error: str) -> None:
     desk = ScriptedRtde()
     desk.answers[request_class] = lambda request: [reply]
     with pytest.raises(RtdeRefused, match=error):
@@ -165,22 +165,22 @@ def test_refusals(request_class: type[State], reply: State, error: str) -> None:
         (StartRequest, "StartReply"),
     ],
 )
-def test_what_is_not_answered_is_said(request_class: type[State], awaited: str) -> None:
+def test_missing_reply_is_named(request_class: type[State], awaited: str) -> None:
     desk = ScriptedRtde()
     desk.answers[request_class] = lambda request: []
     with pytest.raises(LinkTimeout, match=rf"no {awaited} arrived within 0.05 s"):
         opened(desk, Requests(("timestamp",)), 0.05)
 
 
-def test_a_start_that_yields_no_data_is_noticed() -> None:
+def test_start_without_data_times_out() -> None:
     desk = ScriptedRtde()
     desk.answers[StartRequest] = lambda request: [StartReply(accepted=True)]
     with pytest.raises(LinkTimeout, match=r"no data packages arrived within 0.05 s"):
         opened(desk, Requests(("timestamp",)), 0.05)
 
 
-def test_text_and_data_in_place_of_any_reply(caplog: pytest.LogCaptureFixture) -> None:
-    """PolyScope X says "SafetySetup has not been confirmed yet" on each connect, and data may come before a reply."""
+def test_text_and_data_before_a_reply_are_accepted(caplog: pytest.LogCaptureFixture) -> None:
+    """PolyScope X sends "SafetySetup has not been confirmed yet" on each connection; data may precede a reply."""
     desk = ScriptedRtde()
     plan = Requests(("timestamp",), inputs=[("input_int_register_24",)])
 
@@ -200,7 +200,7 @@ def test_text_and_data_in_place_of_any_reply(caplog: pytest.LogCaptureFixture) -
     assert "message from the controller: 'not confirmed'" in caplog.text
 
 
-def test_protocol_1(caplog: pytest.LogCaptureFixture) -> None:
+def test_protocol_1_is_supported(caplog: pytest.LogCaptureFixture) -> None:
     desk = ScriptedRtde()
     desk.protocols = {1}
     plan = Requests(("timestamp", "actual_q"), 50.0)
@@ -216,7 +216,7 @@ def test_protocol_1(caplog: pytest.LogCaptureFixture) -> None:
         opened(desk, plan)
 
 
-def test_data_packages_that_do_not_fit() -> None:
+def test_mismatched_data_packages_raise() -> None:
     desk = ScriptedRtde()
     plan = Requests(("timestamp",))
     opened(desk, plan)
@@ -239,8 +239,8 @@ def test_data_packages_that_do_not_fit() -> None:
     assert protocol.unknown == 1
 
 
-def test_a_recording_that_begins_late_goes_on_with_another_recipe() -> None:
-    """The recipe that held when it began is told beside it; the next connection tells its own."""
+def test_recorded_recipe_is_replaced_at_next_connection() -> None:
+    """A recording that starts late stores the current recipe separately; the next connection negotiates a new one."""
     recorded = Recipe(("timestamp", "payload"), ("DOUBLE", "DOUBLE"), 1)
     protocol = RtdeProtocol(Requests(recorded.names, optional=frozenset(recorded.names), recorded=recorded))
     assert protocol.decode(recorded.encode({"timestamp": 1.0, "payload": 2.0})).payload == 2.0
@@ -256,7 +256,7 @@ def test_a_recording_that_begins_late_goes_on_with_another_recipe() -> None:
     assert (state.timestamp, state.payload) == (3.0, None)
 
 
-def test_the_transport_is_disconnected_when_the_dialogue_fails() -> None:
+def test_transport_disconnects_when_dialogue_fails() -> None:
     desk = ScriptedRtde()
     desk.lacks = {"timestamp"}
     transport = RtdeTransport(desk, Requests(("timestamp",)))
@@ -281,12 +281,12 @@ def test_the_transport_is_disconnected_when_the_dialogue_fails() -> None:
         ([f"output_bit_register_{number}" for number in range(1000, 1090)], "names have 2249 bytes"),
     ],
 )
-def test_names_that_cannot_be_asked_for(names: list[str], error: str) -> None:
+def test_invalid_names_are_rejected(names: list[str], error: str) -> None:
     with pytest.raises(BadValue, match=error):
         check_names(names)
 
 
-# -- any answers -----------------------------------------------------------------------------------
+# -- arbitrary replies -----------------------------------------------------------------------------
 
 ANSWERS = st.one_of(
     replies(1),
@@ -313,7 +313,7 @@ ANSWERS = st.one_of(
     optional=st.booleans(),
     frequency=st.sampled_from([None, 125.0]),
 )
-def test_whatever_is_answered_gives_a_packet_or_a_documented_error(
+def test_any_replies_give_packets_or_documented_errors(
     answers: list[bytes], optional: bool, frequency: float | None
 ) -> None:
     names = ("timestamp", "actual_q")
@@ -335,11 +335,11 @@ def test_whatever_is_answered_gives_a_packet_or_a_documented_error(
         assert len(protocol.claims) == 1
 
 
-# -- recorded answers ------------------------------------------------------------------------------
+# -- recorded replies ------------------------------------------------------------------------------
 
 
 def answers_in(recording: Recorded) -> tuple[Requests, dict[str, list[bytes]], bool]:
-    """What the client of a recording asked for as a plan, the answers to it, and whether all were given."""
+    """Return the requests of the recorded client, the replies to them, and whether all requests were granted."""
     unanswered = [frame for frame in Framer(RequestBoundary()).feed(recording.sent) if frame[2] not in b"MU"]
     protocol: Any = 1
     outputs: tuple[str, ...] = ()
@@ -355,7 +355,7 @@ def answers_in(recording: Recorded) -> tuple[Requests, dict[str, list[bytes]], b
             continue
         request: Any = decode_request(unanswered.pop(0), protocol)
         if isinstance(reply, OutputsReply) and answers["O"]:
-            answers["O"].clear()  # a second recipe replaces the first; ours asks once
+            answers["O"].clear()  # a second recipe replaces the first; our client requests only one recipe
             answers["U"].clear()
         answers[chr(frame[2])].append(frame)
         if isinstance(reply, ProtocolReply) and reply.accepted:
@@ -370,7 +370,7 @@ def answers_in(recording: Recorded) -> tuple[Requests, dict[str, list[bytes]], b
     return Requests(outputs, inputs=inputs), answers, is_granted
 
 
-#: What is answered where the client of a recording did not ask, or had left before the answer.
+#: Replies for requests that the recorded client did not make, or whose reply it did not wait for.
 USUAL = {
     "V": bytes(ProtocolReply(accepted=False)),
     "v": bytes(ControllerVersionReply(major=5, minor=11)),
@@ -379,7 +379,7 @@ USUAL = {
 
 
 def replayed(plan: Requests, answers: dict[str, list[bytes]]) -> Iterator[tuple[RtdeProtocol, bytes]]:
-    """Our client, which is given the recorded answers to what it asks."""
+    """Yield our client and the recorded data packages, after its requests got the recorded replies."""
     protocol = RtdeProtocol(plan)
     left = {kind: list(frames) for kind, frames in answers.items()}
     while not protocol.is_ready:
@@ -391,13 +391,13 @@ def replayed(plan: Requests, answers: dict[str, list[bytes]]) -> Iterator[tuple[
 
 
 @pytest.mark.captures("rtde")
-def test_the_answers_of_every_recorded_connection() -> None:
-    """Ours gets through with what real clients were answered, or says why it does not."""
+def test_client_accepts_recorded_replies() -> None:
+    """With the replies that real clients got, our client succeeds or raises `RtdeRefused`."""
     granted = refused = packages = 0
     for recording in recordings(real_captures.folder("rtde")):
         plan, answers, is_granted = answers_in(recording)
         if "hand" in recording.name or not (plan.outputs or plan.inputs):
-            continue  # requests that ours does not make, for the sake of the answers
+            continue  # handwritten requests for special replies, which our client does not make
         try:
             for protocol, frame in replayed(plan, answers):
                 assert protocol.recipe is not None

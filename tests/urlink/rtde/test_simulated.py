@@ -1,4 +1,4 @@
-"""RTDE end to end: `robot.rtde` and `robot.registers` against the simulated controller, recordings and replay."""
+"""RTDE end to end: `robot.rtde` and `robot.registers` with the simulated controller, recordings and replay."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def robot(request: pytest.FixtureRequest) -> Iterator[urlink.Robot]:
         yield robot
 
 
-def test_every_variable_that_the_controller_has(robot: urlink.Robot) -> None:
+def test_every_variable_of_the_controller_is_streamed(robot: urlink.Robot) -> None:
     missing = robot.rtde.missing()
     assert missing == tuple(name for name, variable in OUTPUTS.items() if not variable.is_in(robot.firmware))
     names = [name for name in OUTPUTS if "register" not in name]
@@ -38,7 +38,7 @@ def test_every_variable_that_the_controller_has(robot: urlink.Robot) -> None:
     assert stream.stats.failed == 0
 
 
-def test_what_is_written_takes_effect(robot: urlink.Robot) -> None:
+def test_inputs_and_registers_take_effect(robot: urlink.Robot) -> None:
     outputs = robot.rtde.outputs(
         "target_speed_fraction", "actual_digital_output_bits", "input_int_register_24", "input_bit_register_64"
     )
@@ -63,7 +63,7 @@ def test_what_is_written_takes_effect(robot: urlink.Robot) -> None:
     until(is_free)
 
 
-def test_a_program_and_a_client_share_registers() -> None:
+def test_program_and_client_share_registers() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         robot.registers.write_integer(24, 20)
         robot.registers.write_float(25, 0.5)
@@ -75,7 +75,7 @@ def test_a_program_and_a_client_share_registers() -> None:
         assert robot.registers.read_float(27) == 1.5
 
 
-def test_the_subscription_goes_on_after_a_reboot() -> None:
+def test_subscription_continues_after_reconnection() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11", silence=0.5) as robot:
         stream = robot.rtde.outputs("timestamp", "actual_q", frequency=50)
         got: list[Outputs] = []
@@ -97,14 +97,14 @@ def test_the_subscription_goes_on_after_a_reboot() -> None:
         until(is_sent)
 
 
-def test_a_recording_holds_the_recipe(tmp_path: Path) -> None:
+def test_recording_contains_the_recipe(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     with urlink.connect("sim://ur5e?firmware=5.4") as robot:
         stream = robot.rtde.outputs("timestamp", "actual_q", "robot_mode", "payload", missing="leave_out")
-        first = stream.wait()  # so the recording begins after the recipe was told
+        first = stream.wait()  # the recording starts after the recipe was negotiated
         with robot.record(path, ["realtime", stream]):
             until(lambda: stream.latest is not None and stream.latest.timestamp > first.timestamp + 0.1)
-            robot.controller.faults.cut("rtde")  # the second connection is recorded from its beginning
+            robot.controller.faults.cut("rtde")  # the second connection is recorded from its start
             until(lambda: stream.stats.reconnects == 1)
             until(lambda: stream.latest is not None)
             last = stream.wait()
@@ -130,7 +130,7 @@ def test_a_recording_holds_the_recipe(tmp_path: Path) -> None:
         assert robot.rtde.outputs("actual_q").wait().actual_q.shape == (6,)
 
 
-def test_a_recording_without_rtde_says_so(tmp_path: Path) -> None:
+def test_recording_without_rtde_raises(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     with urlink.connect("sim://ur5e?firmware=5.4") as robot, robot.record(path, ["realtime"]):
         robot.realtime.wait()
@@ -138,7 +138,7 @@ def test_a_recording_without_rtde_says_so(tmp_path: Path) -> None:
         robot.rtde.outputs("actual_q")
 
 
-def test_a_robot_that_is_closed_has_closed_its_rtde() -> None:
+def test_robot_close_closes_rtde() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         stream = robot.rtde.outputs("timestamp")
         stream.start()

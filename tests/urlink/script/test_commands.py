@@ -1,4 +1,4 @@
-"""Every command as text, for a firmware of each kind, against what was read once (`tests/golden.py`)."""
+"""Text of every command for one firmware of each kind, compared with reviewed files (`tests/golden.py`)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def table(firmware: str) -> str:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_text_is_as_it_was_looked_over(firmware: str) -> None:
+def test_commands_equal_golden_files(firmware: str) -> None:
     check_golden(GOLDEN / f"commands_{firmware}.txt", table(firmware))
 
 
@@ -84,6 +84,6 @@ NEW = Firmware(5, 11)
         (lambda: commands.popup("a", "t", 1, False), "True or False"),  # type: ignore[arg-type]
     ],
 )
-def test_what_cannot_be_said_is_refused(build: Callable[[], str], match: str) -> None:
+def test_commands_reject_invalid_arguments(build: Callable[[], str], match: str) -> None:
     with pytest.raises(BadValue, match=match):
         build()

@@ -1,4 +1,4 @@
-"""What is sent compiles on the simulated controller, for a firmware of each kind."""
+"""Sent programs and commands compile on the simulated controller, for one firmware of each kind."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SOURCES = {
 @pytest.mark.parametrize("permission", [None, Permission(StartPlace(None, (31, 7)), 3, 100)])
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("name", SOURCES)
-def test_programs(name: str, firmware: str, permission: Permission | None) -> None:
+def test_wrapped_programs_compile(name: str, firmware: str, permission: Permission | None) -> None:
     wrapped = wrap(SOURCES[name], "t", permission)
     script = compile_script(wrapped.text, Firmware.parse(firmware))
     assert script.name == wrapped.name
@@ -32,7 +32,7 @@ def test_programs(name: str, firmware: str, permission: Permission | None) -> No
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_commands(firmware: str) -> None:
+def test_commands_compile(firmware: str) -> None:
     version = Firmware.parse(firmware)
     statements = [
         *(commands.digital_out(version, bank, 0, True) for bank in (commands.STANDARD, commands.TOOL)),
@@ -53,7 +53,7 @@ def test_commands(firmware: str) -> None:
     compile_script(commands.secondary(*statements), version)
 
 
-def test_errors_are_at_the_users_lines() -> None:
+def test_compile_error_has_line_of_user_source() -> None:
     wrapped = wrap("a = 1\nb =\nc = 2", "t")
     with pytest.raises(ProgramError) as caught:
         compile_script(wrapped.text, Firmware(5, 11))

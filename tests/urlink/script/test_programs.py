@@ -1,4 +1,4 @@
-"""The programs that move an arm, word for word per firmware (`tests/golden.py`)."""
+"""Programs that move an arm, compared word by word for each firmware (`tests/golden.py`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from urlink.script import commands, waypoints
 from urlink.script.links import ReverseSocket
 from urlink.script.streaming import streaming
 
-#: rad/s, of no arm there is.
+#: Joint speeds in rad/s, which belong to no real arm.
 SPEEDS = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -34,20 +34,20 @@ WAYPOINTS: dict[str, Callable[[Firmware], list[str]]] = {
         firmware, "192.168.56.1", 50001, 123456789, is_quintic=True
     ),
 }
-#: Of each firmware that has texts of its own.
+#: Firmware versions whose texts differ from each other.
 CASES = [(version, name) for version in ("1.8", "3.1", "3.4", "5.11") for name in PROGRAMS] + [
     (version, name) for version in ("3.4", "5.11") for name in WAYPOINTS
 ]
 
 
 @pytest.mark.parametrize(("version", "name"), CASES)
-def test_text(version: str, name: str) -> None:
+def test_programs_equal_golden_files(version: str, name: str) -> None:
     text = "\n".join((PROGRAMS | WAYPOINTS)[name](Firmware.parse(version))) + "\n"
     check_golden(GOLDEN / f"{name}_{version}.script", text)
 
 
 @pytest.mark.parametrize(("version", "name"), CASES)
-def test_blocks_are_closed(version: str, name: str) -> None:
+def test_program_blocks_are_closed_and_indented(version: str, name: str) -> None:
     depth = 0
     for line in (PROGRAMS | WAYPOINTS)[name](Firmware.parse(version)):
         word = line.split()[0].rstrip(":")
@@ -59,7 +59,7 @@ def test_blocks_are_closed(version: str, name: str) -> None:
     assert depth == 0
 
 
-def test_nothing_that_the_oldest_firmware_does_not_have() -> None:
+def test_programs_for_cb2_use_only_its_functions() -> None:
     for name, program in PROGRAMS.items():
         text = "\n".join(program(Firmware.parse("1.8")))
         for word in ("lookahead", "gain", "timeout", "global", "local", "to_str", "str_cat"):
@@ -67,7 +67,7 @@ def test_nothing_that_the_oldest_firmware_does_not_have() -> None:
 
 
 @pytest.mark.parametrize("version", ["3.1", "3.2", "3.2.19171"])
-def test_speeds_without_a_time(version: str) -> None:
+def test_speed_joints_without_time_argument_sleeps(version: str) -> None:
     assert commands.speed_joints(Firmware.parse(version), [0] * 6, 1, 2) == [
         "speedj([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0)",
         "sleep(2.0)",
@@ -75,7 +75,7 @@ def test_speeds_without_a_time(version: str) -> None:
     ]
 
 
-def test_the_watchdog_counts_cycles() -> None:
+def test_watchdog_counts_cycles() -> None:
     assert "elif missed < 50:" in "\n".join(
         streaming(Firmware(5, 11), ReverseSocket("h", 1, 0), speeds=SPEEDS, watchdog=0.1)
     )
@@ -99,6 +99,6 @@ def test_the_watchdog_counts_cycles() -> None:
         lambda: waypoints.interpolating(Firmware(5, 11), "h", 1, 0, is_quintic=True, lookahead_time=0.001),
     ],
 )
-def test_what_cannot_be_written(call: Callable[[], object]) -> None:
+def test_programs_reject_invalid_arguments(call: Callable[[], object]) -> None:
     with pytest.raises(BadValue):
         call()

@@ -1,4 +1,4 @@
-"""A user's program as it is sent, and lines of the controller as the user's."""
+"""Wrapping of a user's program before it is sent, and conversion of line numbers back to the user's source."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from urlink.script.wrapping import LARGEST, Permission, StartPlace, grant, progr
 
 
 def body(source: str) -> list[str]:
-    """What stands between the markers."""
+    """Return the lines between the markers."""
     lines = wrap(source, "t").text.splitlines()
     assert lines[0].endswith("():")
     assert lines[1].strip().startswith("textmsg(")
@@ -22,17 +22,17 @@ def body(source: str) -> list[str]:
     return lines[2:-2]
 
 
-def test_bare_statements() -> None:
+def test_statements_are_wrapped_in_a_function() -> None:
     assert wrap("movej(q)\nstopl(1)", "t").text == (
         'def urlink_t():\n  textmsg("urlink_t started")\n  movej(q)\n  stopl(1)\n  textmsg("urlink_t finished")\nend\n'
     )
 
 
-def test_a_function_is_called() -> None:
+def test_function_is_called() -> None:
     assert body("def job():\n  halt\nend") == ["  def job():", "    halt", "  end", "  job()"]
 
 
-def test_the_last_of_several_is_called() -> None:
+def test_last_of_several_functions_is_called() -> None:
     source = "def one():\n  a()\nend\n# and\n\ndef two():\n  one()\nend\n"
     assert body(source)[-1] == "  two()"
     assert wrap(source, "t").name == "two_t"
@@ -62,13 +62,13 @@ def test_statements_above_the_last_function_run_first() -> None:
     assert body("thread t():\n  b()\nend\ndef job():\n  run t()\nend\nthread u():\n  c()\nend")[-1] == "  job()"
 
 
-def test_defaults_need_no_arguments() -> None:
+def test_function_with_default_arguments_is_called() -> None:
     assert body("def job(a = 1, b=2):\nend")[-1] == "  job()"
     with pytest.raises(BadValue, match=r"line 2 .* job takes arguments"):
         wrap("\ndef job(a, b=2):\nend", "t")
 
 
-def test_secondary() -> None:
+def test_secondary_program_is_wrapped() -> None:
     assert wrap("# lamp\nsec lamp():\n  set_flag(1, True)\nend\n", "t").text == (
         'sec lamp_t():\n  textmsg("lamp_t started")\n  set_flag(1, True)\n  textmsg("lamp_t finished")\nend\n'
     )
@@ -84,12 +84,12 @@ def test_secondary() -> None:
 @pytest.mark.parametrize(
     "source", ["movej(q)", "def f():\n  movej(q)\nend", "sec f():\n  movej(q)\nend", "\n\nsec f():\n  x\nend"]
 )
-def test_places_are_the_users(source: str, permission: Permission | None) -> None:
+def test_place_returns_position_in_user_source(source: str, permission: Permission | None) -> None:
     wrapped = wrap(source, "t", permission)
     sent, own = wrapped.text.splitlines(), source.splitlines()
     for number, line in enumerate(sent, 1):
         if number <= wrapped.above and not wrapped.is_secondary:
-            continue  # the beginning, and the permission
+            continue  # the lines of the beginning and of the permission
         if "textmsg" in line or "_t()" in line or line.strip() in ("end", "f()"):
             continue
         at, column = wrapped.place(number, len(line) - len(line.lstrip()) + 1)
@@ -100,7 +100,7 @@ def test_places_are_the_users(source: str, permission: Permission | None) -> Non
         assert wrapped.place(number, 0)[1] == 1
 
 
-def test_waits_for_its_token_in_the_register() -> None:
+def test_program_waits_for_token_in_register() -> None:
     permission = Permission(StartPlace(47, (31,)).on(Firmware(5, 11)), token=4711, cycles=250)
     wrapped = wrap("movej(q)", "t", permission)
     assert wrapped.permission == permission
@@ -126,11 +126,11 @@ def test_waits_for_its_token_in_the_register() -> None:
         "end\n"
     )
     assert grant(permission) == "sec urlink_permission():\n  write_output_integer_register(47, 4711)\nend\n"
-    # A sec may take no time, so it cannot wait.
+    # A sec must not take any time, so it cannot wait.
     assert wrap("sec a():\n  b()\nend", "t", permission).permission is None
 
 
-def test_waits_for_its_token_in_the_flags_where_there_is_no_register() -> None:
+def test_program_waits_for_token_in_flags_without_register() -> None:
     place = StartPlace(47, (31, 7, 30)).on(Firmware(3, 8))
     permission = Permission(place, token=5, cycles=250)
     assert place.tokens == 7
@@ -154,12 +154,12 @@ def test_waits_for_its_token_in_the_flags_where_there_is_no_register() -> None:
 @pytest.mark.parametrize(
     ("firmware", "tokens"), [("1.8", 255), ("3.8", 255), ("3.9", 2**31 - 1), ("5.2", 255), ("10.7", 2**31 - 1)]
 )
-def test_how_many_tokens_there_are(firmware: str, tokens: int) -> None:
+def test_number_of_tokens_depends_on_firmware(firmware: str, tokens: int) -> None:
     assert START_PLACE.on(Firmware.parse(firmware)).tokens == tokens
     assert StartPlace(None, ()).on(Firmware.parse(firmware)).tokens == 0
 
 
-def test_the_line_in_the_controllers_words_is_the_users() -> None:
+def test_words_contain_line_of_user_source() -> None:
     assert wrap("a\nb\nc", "t").words("syntax_error_on_line:4:end:") == "syntax_error_on_line:2:end:"
     assert wrap("a", "t").words("compile_error_name_not_found:a:") == "compile_error_name_not_found:a:"
 
@@ -183,21 +183,21 @@ def test_the_line_in_the_controllers_words_is_the_users() -> None:
         ("#" * (LARGEST + 1), "bytes"),
     ],
 )
-def test_what_cannot_be_a_program(source: str, match: str) -> None:
+def test_wrap_rejects_invalid_sources(source: str, match: str) -> None:
     with pytest.raises(BadValue, match=match):
         wrap(source, "t")
 
 
-def test_words_in_strings_and_comments_open_nothing() -> None:
+def test_keywords_in_strings_and_comments_are_ignored() -> None:
     source = 'textmsg("def end if")  # while the end\nend_q = 1\nrun_if = end_q'
     assert body(source) == [f"  {line}" for line in source.splitlines()]
 
 
-def test_lines_of_other_systems() -> None:
+def test_wrap_accepts_crlf_line_ends() -> None:
     assert body("a()\r\nb()\r\n") == ["  a()", "  b()"]
 
 
-def test_the_librarys_own() -> None:
+def test_program_wraps_lines_of_the_library() -> None:
     assert program("urlink_1", ["a()"]).text == (
         'def urlink_1():\n  textmsg("urlink_1 started")\n  a()\n  textmsg("urlink_1 finished")\nend\n'
     )
@@ -211,8 +211,8 @@ def test_the_librarys_own() -> None:
         st.sampled_from(["def f():", "thread t():", "if a:", "end", "a()", "# end", "", '"end"', "else:"]), max_size=12
     )
 )
-def test_whatever_is_sent_is_one_program(lines: list[str]) -> None:
-    """No source closes the program around it and goes on outside."""
+def test_any_accepted_source_gives_one_program(lines: list[str]) -> None:
+    """A source cannot close the program around it and continue outside."""
     try:
         wrapped = wrap("\n".join(lines), "t")
     except BadValue:
@@ -227,13 +227,13 @@ def test_whatever_is_sent_is_one_program(lines: list[str]) -> None:
 
 
 @pytest.mark.parametrize("end", ["b = a +", "f(1,", "x = [1, ", "y = not", "z = a and  # more?"])
-def test_the_last_statement_is_whole(end: str) -> None:
+def test_incomplete_last_statement_is_rejected(end: str) -> None:
     with pytest.raises(BadValue, match=r"line 2 .* in the middle of a statement"):
         wrap(f"a = 1\n{end}\n\n", "t")
 
 
-def test_a_line_that_the_user_has_not_written_is_not_quoted() -> None:
-    """A bracket that stays open is found in the line after the program, which is the library's own."""
+def test_error_after_user_source_does_not_quote_library_line() -> None:
+    """The controller reports an open bracket at the line after the source, which was generated by this library."""
     wrapped = wrap("popup(1", "t")
     sent = wrapped.text.splitlines()
     after = next(number for number, line in enumerate(sent, 1) if "popup(1" in line) + 1

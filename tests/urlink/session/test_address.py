@@ -1,4 +1,4 @@
-"""Addresses: every form, and a clear word about every other."""
+"""Addresses: every valid form, and a clear error for every other text."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from urlink.session.address import RecordingAddress, RobotAddress, SimulatorAddr
         ("ur://[fe80::1%25eth0]", "fe80::1%eth0"),
     ],
 )
-def test_robots(text: str, host: str) -> None:
+def test_robot_address_is_parsed(text: str, host: str) -> None:
     assert parse_address(text) == RobotAddress(host, dict(PORTS))
 
 
-def test_ports_of_a_robot() -> None:
+def test_robot_address_sets_ports() -> None:
     place = parse_address("ur://robot?realtime=1&primary_readonly=65535")
     assert isinstance(place, RobotAddress)
     assert place.ports == {**PORTS, "realtime": 1, "primary_readonly": 65535}
@@ -55,7 +55,7 @@ def test_ports_of_a_robot() -> None:
         ("sim://ur5e?scene=/tmp/a%20table.xml", SimulatorAddress("ur5e", scene=Path("/tmp/a table.xml"))),
     ],
 )
-def test_simulators(text: str, place: SimulatorAddress) -> None:
+def test_simulator_address_is_parsed(text: str, place: SimulatorAddress) -> None:
     assert parse_address(text) == place
 
 
@@ -73,7 +73,7 @@ def test_simulators(text: str, place: SimulatorAddress) -> None:
         ("replay:///tmp/ü.urlog", "/tmp/ü.urlog", 1),
     ],
 )
-def test_recordings(text: str, path: str, rate: float) -> None:
+def test_recording_address_is_parsed(text: str, path: str, rate: float) -> None:
     assert parse_address(text) == RecordingAddress(Path(path), rate)
 
 
@@ -128,7 +128,7 @@ def test_recordings(text: str, path: str, rate: float) -> None:
         ("replay:///run#1.urlog", "write # in a file name as %23"),
     ],
 )
-def test_what_nobody_can_read_is_told_with_what_was_expected(text: str, hint: str) -> None:
+def test_invalid_address_names_expected_form(text: str, hint: str) -> None:
     with pytest.raises(BadAddress) as caught:
         parse_address(text)
     assert any(part in str(caught.value) for part in hint.split("|"))
@@ -145,7 +145,7 @@ anything = st.text() | st.text(alphabet="/:?#[]@=&%.0123456789abursimeplyt ", ma
 @example("sim://?firmware=9.999999999")
 @example("replay://%00")
 @example("\ud800")
-def test_any_text_is_an_address_or_a_bad_one(text: str) -> None:
+def test_any_text_is_an_address_or_raises_bad_address(text: str) -> None:
     try:
         place = parse_address(text)
     except BadAddress:
@@ -162,19 +162,19 @@ def test_any_text_is_an_address_or_a_bad_one(text: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["nothing.urlog", "nul%00.urlog"])
-def test_connecting_to_a_recording_that_is_not_there(tmp_path: Path, name: str) -> None:
+def test_connect_raises_for_missing_recording(tmp_path: Path, name: str) -> None:
     with pytest.raises(BadRecording, match="cannot read"):
         urlink.connect(f"replay://{tmp_path}/{name}")
 
 
-def test_connecting_to_a_file_that_is_none(tmp_path: Path) -> None:
+def test_connect_raises_for_file_of_other_type(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("not a recording")
     with pytest.raises(BadRecording, match="is not a recording"):
         urlink.connect(f"replay://{tmp_path}/notes.txt")
 
 
 @pytest.mark.simulated_time
-def test_a_recording_without_the_interface_says_so_at_once(tmp_path: Path) -> None:
+def test_missing_interface_of_recording_raises_immediately(tmp_path: Path) -> None:
     with urlink.connect("sim://ur5?firmware=3.4") as robot, robot.record(tmp_path / "run.urlog", ["primary"]):
         robot.primary.wait()
     with urlink.connect(f"replay://{tmp_path}/run.urlog?rate=max") as replayed:
@@ -184,7 +184,7 @@ def test_a_recording_without_the_interface_says_so_at_once(tmp_path: Path) -> No
         assert list(replayed.primary)
 
 
-def test_a_robot_address_is_written_as_it_is_read() -> None:
+def test_robot_address_round_trip() -> None:
     assert str(RobotAddress("127.0.0.1")) == "127.0.0.1"
     assert str(RobotAddress("::", dict(PORTS))) == "[::1]"
     somewhere = RobotAddress("0.0.0.0", {**PORTS, "realtime": 5})

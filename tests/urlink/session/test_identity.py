@@ -1,4 +1,4 @@
-"""Who is there: controllers of every kind, and everything else that can listen at an address."""
+"""Identification of a peer: controllers of every generation, and other servers that can listen at an address."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from urlink.simulator.interfaces.interface import package
 
 pytestmark = pytest.mark.simulated_time
 
-#: Seconds that any answer may take beyond the timeout: the machine may be busy.
+#: Tolerance for timeouts, in seconds, because the computer might be busy.
 MARGIN = 3.0
 
 Behaviour = Callable[[socket.socket, threading.Event], None]
 
 
 class Server(OneAfterAnother):
-    """Does one thing with each connection."""
+    """Server with the same behaviour for each connection."""
 
     def __init__(self, behaviour: Behaviour) -> None:
         self.over = threading.Event()
@@ -59,7 +59,7 @@ def serve() -> Iterator[Callable[[Behaviour], int]]:
 
 
 def says(*parts: bytes, then_close: bool = False) -> Behaviour:
-    """Sends these, each in a segment of its own, and then nothing."""
+    """Return a behaviour that sends these parts, each in a separate segment, and then nothing."""
 
     def behave(connection: socket.socket, over: threading.Event) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -72,7 +72,7 @@ def says(*parts: bytes, then_close: bool = False) -> Behaviour:
 
 
 def timed_identify(port: int, timeout: float) -> Identity:
-    """`identify`, which keeps to its timeout whatever comes of it."""
+    """Call `identify`, and check that it keeps its timeout even if it raises."""
     began = time.monotonic()
     try:
         return identify("127.0.0.1", port, timeout)
@@ -98,7 +98,7 @@ VERSION, FIRST_STATE, STATE = greeting("UR5e", "5.11")
 
 
 @pytest.mark.parametrize("row", RELEASES, ids=lambda row: str(row.since))
-def test_every_generation_says_who_it_is(row: Release) -> None:
+def test_every_generation_is_identified(row: Release) -> None:
     model = "UR10e" if row.since.is_e_series else "UR10"
     with Controller(model, row.since) as controller:
         for interface in ("primary", "secondary_readonly"):
@@ -106,31 +106,31 @@ def test_every_generation_says_who_it_is(row: Release) -> None:
             identity = timed_identify(controller.ports[interface], 10)
             assert identity.firmware[:2] == row.since[:2]
             assert identity.said_so
-            # The oldest send no configuration, from which the model is read.
+            # The oldest controllers send no configuration data, which contain the model.
             assert identity.model == (model if 6 in row.state else None)
             if identity.model is not None:
-                assert time.monotonic() - began < MARGIN, "it does not wait for what it knows"
+                assert time.monotonic() - began < MARGIN, "identify must return when everything is known"
 
 
-def test_a_version_that_comes_after_the_first_state(serve: Callable[[Behaviour], int]) -> None:
+def test_version_after_first_state_is_used(serve: Callable[[Behaviour], int]) -> None:
     assert timed_identify(serve(says(FIRST_STATE, STATE, VERSION)), 10) == Identity(Firmware(5, 11), True, "UR5e")
 
 
-def test_a_greeting_in_single_bytes(serve: Callable[[Behaviour], int]) -> None:
+def test_greeting_in_single_bytes_is_identified(serve: Callable[[Behaviour], int]) -> None:
     port = serve(says(*(bytes([byte]) for byte in VERSION + FIRST_STATE)))
     assert timed_identify(port, 10) == Identity(Firmware(5, 11), True, "UR5e")
 
 
-def test_a_version_and_nothing_else(serve: Callable[[Behaviour], int]) -> None:
+def test_version_without_state_gives_no_model(serve: Callable[[Behaviour], int]) -> None:
     assert timed_identify(serve(says(VERSION)), 0.5) == Identity(Firmware(5, 11), True, None)
 
 
 @pytest.mark.parametrize("row", RELEASES, ids=lambda row: str(row.since))
-def test_without_a_version_the_sizes_tell(serve: Callable[[Behaviour], int], row: Release) -> None:
+def test_firmware_is_inferred_from_sizes_without_version(serve: Callable[[Behaviour], int], row: Release) -> None:
     _, first, later = greeting("UR5e" if row.since.is_e_series else "UR5", str(row.since))
     identity = timed_identify(serve(says(first, later)), 0.25)
     assert not identity.said_so
-    assert identity.firmware <= row.since, "the oldest that sends such states"
+    assert identity.firmware <= row.since, "expected the oldest firmware that sends such states"
     same = [each for each in RELEASES if each.since == identity.firmware]
     assert {kind: size for kind, size in same[0].state.items() if kind not in (5, 6)} == {
         kind: size for kind, size in row.state.items() if kind not in (5, 6)
@@ -138,20 +138,20 @@ def test_without_a_version_the_sizes_tell(serve: Callable[[Behaviour], int], row
     assert (identity.model is None) == (6 not in row.state)
 
 
-def test_who_closes_after_it_has_said_everything(serve: Callable[[Behaviour], int]) -> None:
+def test_peer_that_closes_after_greeting_is_identified(serve: Callable[[Behaviour], int]) -> None:
     port = serve(says(VERSION, FIRST_STATE, then_close=True))
     assert timed_identify(port, 10) == Identity(Firmware(5, 11), True, "UR5e")
     port = serve(says(VERSION, then_close=True))
     assert timed_identify(port, 10) == Identity(Firmware(5, 11), True, None)
 
 
-def test_one_bad_package_hides_nothing(serve: Callable[[Behaviour], int]) -> None:
+def test_bad_package_does_not_prevent_identification(serve: Callable[[Behaviour], int]) -> None:
     bad = package(16, package(0, b"too short"))
     port = serve(says(bad, VERSION, FIRST_STATE))
     assert timed_identify(port, 10) == Identity(Firmware(5, 11), True, "UR5e")
 
 
-def test_states_that_no_known_firmware_sends(serve: Callable[[Behaviour], int]) -> None:
+def test_states_of_unknown_firmware_raise_wrong_peer(serve: Callable[[Behaviour], int]) -> None:
     state = PrimaryProtocol().decode(STATE)
     assert isinstance(state, RobotState)
     body = b"".join(bytes(part) for part in state.packages) + package(77, b"from the future")
@@ -159,27 +159,27 @@ def test_states_that_no_known_firmware_sends(serve: Callable[[Behaviour], int]) 
         timed_identify(serve(says(package(16, body))), 0.3)
 
 
-# -- everything else ----------------------------------------------------------------------------------
+# -- other peers --------------------------------------------------------------------------------------
 
 
-def test_nobody() -> None:
+def test_refused_connection_raises_connect_failed() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port: int = server.getsockname()[1]
     with pytest.raises(ConnectFailed, match="refused"):
         timed_identify(port, 5)
 
 
-def test_somebody_silent(serve: Callable[[Behaviour], int]) -> None:
+def test_silent_peer_raises_timeout(serve: Callable[[Behaviour], int]) -> None:
     with pytest.raises(LinkTimeout, match=r"accepted the connection, but sent nothing within 0\.3 s"):
         timed_identify(serve(says()), 0.3)
 
 
-def test_somebody_who_closes_at_once(serve: Callable[[Behaviour], int]) -> None:
+def test_peer_that_closes_at_once_raises_connection_lost(serve: Callable[[Behaviour], int]) -> None:
     with pytest.raises(ConnectionLost, match="closed the connection"):
         timed_identify(serve(says(then_close=True)), 5)
 
 
-def test_somebody_who_closes_in_the_middle_of_a_word(serve: Callable[[Behaviour], int]) -> None:
+def test_peer_that_closes_within_message_raises_connection_lost(serve: Callable[[Behaviour], int]) -> None:
     with pytest.raises(ConnectionLost, match="closed the connection"):
         timed_identify(serve(says(VERSION[:20], then_close=True)), 5)
 
@@ -194,14 +194,14 @@ BANNERS = [
 
 @pytest.mark.parametrize("banner", BANNERS, ids=["http", "ssh", "smtp", "telnet"])
 @pytest.mark.parametrize("then_close", [False, True])
-def test_another_protocol(serve: Callable[[Behaviour], int], banner: bytes, then_close: bool) -> None:
+def test_other_protocol_raises_wrong_peer(serve: Callable[[Behaviour], int], banner: bytes, then_close: bool) -> None:
     with pytest.raises(WrongPeer, match="does not send packets of a UR controller; its first bytes are") as caught:
         timed_identify(serve(says(banner, then_close=then_close)), 0.4)
-    assert repr(banner[:8])[2:-1] in str(caught.value), "what it said is shown, and printable"
+    assert repr(banner[:8])[2:-1] in str(caught.value), "the first bytes must be shown as printable text"
     assert str(caught.value).isprintable()
 
 
-def test_a_flood_of_something_else(serve: Callable[[Behaviour], int]) -> None:
+def test_endless_invalid_data_raise_wrong_peer(serve: Callable[[Behaviour], int]) -> None:
     def flood(connection: socket.socket, over: threading.Event) -> None:
         while not over.is_set():
             connection.sendall(b"\xaa" * 65536)
@@ -210,18 +210,18 @@ def test_a_flood_of_something_else(serve: Callable[[Behaviour], int]) -> None:
         timed_identify(serve(flood), 10)
 
 
-def test_the_realtime_port_of_a_controller() -> None:
+def test_realtime_port_raises_wrong_peer() -> None:
     with Controller("UR5e", "5.11") as controller, pytest.raises(WrongPeer, match="the real-time interface") as caught:
         timed_identify(controller.ports["realtime"], 5)
     assert "30003" in str(caught.value)
 
 
-def test_the_dashboard_of_a_controller(serve: Callable[[Behaviour], int]) -> None:
+def test_dashboard_port_raises_wrong_peer(serve: Callable[[Behaviour], int]) -> None:
     with pytest.raises(WrongPeer, match="dashboard server"):
         timed_identify(serve(says(b"Connected: Universal Robots Dashboard Server\n")), 5)
 
 
-def test_a_controller_that_sends_too_slowly(serve: Callable[[Behaviour], int]) -> None:
+def test_too_slow_greeting_raises_timeout(serve: Callable[[Behaviour], int]) -> None:
     def trickle(connection: socket.socket, over: threading.Event) -> None:
         for byte in VERSION:
             connection.sendall(bytes([byte]))
@@ -232,16 +232,16 @@ def test_a_controller_that_sends_too_slowly(serve: Callable[[Behaviour], int]) -
         timed_identify(serve(trickle), 0.4)
 
 
-def test_messages_that_tell_nothing(serve: Callable[[Behaviour], int]) -> None:
+def test_messages_without_identity_raise_timeout(serve: Callable[[Behaviour], int]) -> None:
     text = package(20, struct.pack(">QBB", 0, 253, 0) + b"hello")
     with pytest.raises(LinkTimeout, match="did not identify itself"):
         timed_identify(serve(says(text, text)), 0.3)
 
 
-# -- as connect() sees it -----------------------------------------------------------------------------
+# -- connect() ----------------------------------------------------------------------------------------
 
 
-def test_connect_tells_the_same(serve: Callable[[Behaviour], int]) -> None:
+def test_connect_raises_the_same_errors(serve: Callable[[Behaviour], int]) -> None:
     began = time.monotonic()
     with pytest.raises(LinkTimeout):
         urlink.connect(f"ur://127.0.0.1?primary={serve(says())}", timeout=0.3)
@@ -250,7 +250,7 @@ def test_connect_tells_the_same(serve: Callable[[Behaviour], int]) -> None:
     assert time.monotonic() - began < 0.6 + MARGIN
 
 
-def test_connect_asks_the_secondary_interface_where_there_is_no_primary(serve: Callable[[Behaviour], int]) -> None:
+def test_connect_uses_secondary_interface_without_primary(serve: Callable[[Behaviour], int]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         nobody = server.getsockname()[1]
     secondary = serve(says(VERSION, FIRST_STATE))
@@ -258,33 +258,33 @@ def test_connect_asks_the_secondary_interface_where_there_is_no_primary(serve: C
         assert (str(robot.firmware), robot.model) == ("5.11", "UR5e")
 
 
-def test_leaves_nothing_behind() -> None:
+def test_identify_leaves_no_threads() -> None:
     with Controller("UR5e", "5.11") as controller:
         before = threading.active_count()
         timed_identify(controller.ports["primary"], 5)
         assert threading.active_count() == before
 
 
-# -- its kinematics -----------------------------------------------------------------------------------
+# -- kinematics ---------------------------------------------------------------------------------------
 
 
-def test_kinematics_of_an_arm_that_is_not_known() -> None:
+def test_kinematics_of_unknown_arm_raise() -> None:
     for model, why in ((None, "does not report its arm model"), ("UR77", "unknown arm model UR77")):
         with pytest.raises(LocalError, match=why):
             _ = Identity(Firmware(1, 6), True, model).kinematics
 
 
-def test_kinematics_of_dh_parameters_that_are_those_of_another_arm() -> None:
+def test_kinematics_with_dh_of_another_arm_raise() -> None:
     with pytest.raises(WrongPeer, match=r"UR10e sends unusable DH parameters: .* link 2"):
         _ = Identity(Firmware(5, 11), True, "UR10e", MODELS["UR5e"]).kinematics
 
 
-def test_kinematics_without_dh_parameters_are_as_published() -> None:
+def test_kinematics_without_dh_use_published_values() -> None:
     assert repr(Identity(Firmware(5, 11), True, "UR10e").kinematics) == "<Arm UR10e, as published>"
 
 
-def test_a_doubt_that_comes_up_while_it_is_asked_stays() -> None:
-    """Connected to anew meanwhile: it may be another one than the one that has answered."""
+def test_doubt_during_query_causes_another_query() -> None:
+    """The stream reconnected during the query, so a different controller might have answered."""
     asked: list[str] = []
 
     def ask() -> Identity:

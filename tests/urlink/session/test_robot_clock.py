@@ -1,5 +1,4 @@
-"""`robot.clock` over a network in simulated time, with clocks that drift, jitter, cut cables and a controller that is
-started again."""
+"""`robot.clock` over a simulated network: drifting clocks, jitter, cut cables, and a restarted controller."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ CELL = "192.168.0.100"
 
 
 class Truth:
-    """What the clock of a simulated controller on another computer shows now, between its cycles too."""
+    """Clock that returns the exact time of a simulated controller on another computer, also between two cycles."""
 
     def __init__(self, sim: urlink.Simulation, controller: Controller, rate: float) -> None:
         self._cell = sim.network.computers["cell"]
@@ -36,7 +35,7 @@ class Truth:
     ("firmware", "seed", "drift", "latency", "jitter"),
     [("5.11", 1, 100e-6, 1e-4, 5e-5), ("5.11", 2, -100e-6, 2e-3, 4e-3), ("3.15", 3, 60e-6, 5e-4, 1e-3)],
 )
-def test_it_is_right_within_its_bound(firmware: str, seed: int, drift: float, latency: float, jitter: float) -> None:
+def test_clock_is_right_within_its_bound(firmware: str, seed: int, drift: float, latency: float, jitter: float) -> None:
     with urlink.simulated_time(seed, latency=latency, jitter=jitter) as sim:
         cell = sim.computer("cell", CELL)
         cell.rate, sim.here.rate = 1.0 + drift, 1.0 - 0.5 * drift
@@ -69,7 +68,7 @@ def test_it_is_right_within_its_bound(firmware: str, seed: int, drift: float, la
 
 
 @pytest.mark.slow
-def test_a_controller_that_is_started_again_is_seen() -> None:
+def test_clock_detects_restart_of_controller() -> None:
     with urlink.simulated_time(4) as sim:
         cell = sim.computer("cell", CELL)
         with sim.on(cell):
@@ -91,7 +90,7 @@ def test_a_controller_that_is_started_again_is_seen() -> None:
 
 
 @pytest.mark.simulated_time
-def test_it_waits_for_the_first_state() -> None:
+def test_clock_waits_for_first_state() -> None:
     with urlink.connect("sim://ur5e") as robot:
         clock = robot.clock
         assert repr(clock) == "<RobotClock: no state has arrived>"
@@ -104,7 +103,7 @@ def test_it_waits_for_the_first_state() -> None:
 
 
 @pytest.mark.simulated_time
-def test_with_asyncio() -> None:
+def test_clock_does_not_wait_in_asyncio() -> None:
     async def ask() -> None:
         async with urlink.connect_async("sim://ur5e") as robot:
             with pytest.raises(LocalError):

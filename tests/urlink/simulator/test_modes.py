@@ -33,7 +33,7 @@ CASES = [
         "UR10", "3.14", [RobotMode.RUNNING, RobotMode.RUNNING, RobotMode.POWER_OFF, RobotMode.POWER_OFF], id="CB3"
     ),
     pytest.param(
-        "UR16e", "5.11", [RobotMode.RUNNING, RobotMode.RUNNING, RobotMode.POWER_OFF, RobotMode.POWER_OFF], id="e"
+        "UR16e", "5.11", [RobotMode.RUNNING, RobotMode.RUNNING, RobotMode.POWER_OFF, RobotMode.POWER_OFF], id="e-Series"
     ),
 ]
 

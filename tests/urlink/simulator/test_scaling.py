@@ -225,7 +225,7 @@ def test_later_moves_from_rest_have_a_shorter_ramp(rest: str) -> None:
 @pytest.mark.parametrize("firmware", ["5.11", "5.25"])
 def test_later_moves_last_as_long_as_on_the_vendor_simulator(firmware: str) -> None:
     # The limits come from the tests of the UR Client Library. Its executor sends one move after the other to a running
-    # program and checks every 0.1 s whether the move has ended. movej lasts more than 1.4 s (1.45 to 1.65 s in earlier
+    # program. It checks every 0.1 s whether the move has ended. movej lasts more than 1.4 s (1.45 to 1.65 s in earlier
     # releases) and movel 0.65 to 0.85 s. A move with a time lasts up to 0.1 s longer than this time; 0.3 s become 0.35
     # to 0.45 s.
     pose, near = "p[-0.203, 0.263, 0.559, 0.68, -1.083, -2.076]", "p[-0.203, 0.463, 0.559, 0.68, -1.083, -2.076]"

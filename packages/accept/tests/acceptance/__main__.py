@@ -1,14 +1,14 @@
-"""`urlink accept` many times: ``python -m packages.accept.tests.acceptance sound --runs 200``, or ``faults``.
+"""Run `urlink accept` many times: ``python -m packages.accept.tests.acceptance sound --runs 200``, or ``faults``.
 
-``sound`` runs stages against sound controllers, one firmware row after the other with an arm that is drawn: what is
-not held, and what contradicts a parameter, is a false alarm. Of stage 3 one joint swings, another one for each round of
-the rows. In simulated time, or with ``--real`` in real time beside a process that computes without end.
+``sound`` runs stages with sound controllers, one firmware row after the other with a random arm. A requirement that is
+not held, or a result that contradicts a parameter, is a false alarm. In stage 3 one joint swings, and the next joint in
+each round of the rows. The runs are in simulated time, or with ``--real`` in real time next to a busy process.
 
-``faults`` runs stage 2 again and again for half a minute while faults are injected (`faulted`), and looks how far any
-joint leaves its start; a run has some 45 faults.
+``faults`` repeats stage 2 for half a minute while faults are injected (`faulted`), and measures how far any joint
+leaves its start. A run has about 45 faults.
 
-With ``--state FILE`` the next call goes on with the runs that are left. ``--first 17 --runs 1`` is one run alone,
-which in simulated time may differ from the same one after others in its process.
+With ``--state FILE`` the next call continues with the remaining runs. ``--first 17 --runs 1`` is a single run. In
+simulated time, it can differ from the same run after other runs in its process.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from urlink_accept.acceptance.stages import STAGES, run
 from .faulted import faulted
 
 LIMIT = requirements()["box"].limit
-#: s of simulated time of a run with faults.
+#: Duration of a run with faults, in s of simulated time.
 _FAULTED = 30.0
 
 
 def address(seed: int) -> str:
-    """A sound controller: of each firmware row in turn, with an arm on which it runs."""
+    """Return the address of a sound controller: each firmware row in turn, with a random arm."""
     firmware = RELEASES[seed % len(RELEASES)].since
     models = []
     for name, arm in MODELS.items():
@@ -58,11 +58,13 @@ def address(seed: int) -> str:
 
 
 def sound(stages: Sequence[int], is_real: bool, seed: int) -> dict[str, Any]:
-    """How many verdicts of which kind a run has, and the false alarms."""
+    """Return how many verdicts of each kind a run has, and the false alarms."""
     joint = JOINTS[seed // len(RELEASES) % len(JOINTS)]
 
     def consent(number: int, does: str) -> str:
-        return "" if number < 3 or does == STAGES[3] or f"moves the {joint} alone" in does else "another joint is drawn"
+        return (
+            "" if number < 3 or does == STAGES[3] or f"moves the {joint} alone" in does else "another joint was drawn"
+        )
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "run.urlog")
@@ -73,7 +75,7 @@ def sound(stages: Sequence[int], is_real: bool, seed: int) -> dict[str, Any]:
     alarms = [f"{each.requirement.name}: {each.seen}" for each in found if each.state == "not held"]
     alarms += [f"{each.requirement.name} contradicts {said}" for each in found for said in each.contradicts]
     ended = [f"stage {note.said['number']} ended early: {note.said['error']}" for note in evidence.said("stage-ended")]
-    if not is_real:  # else this computer may have been held up until nothing was known of the arm
+    if not is_real:  # in real time, this computer may be delayed so long that the state of the arm is unknown
         alarms, ended = alarms + ended, []
     states = dict(Counter(each.state for each in found if each.requirement.stage in stages))
     said = [*map("FALSE ALARM: {}".format, alarms), *ended]
@@ -83,7 +85,7 @@ def sound(stages: Sequence[int], is_real: bool, seed: int) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def busy() -> Iterator[None]:
-    """A process beside this one that computes without end."""
+    """Run another process that computes all the time."""
     process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         yield
@@ -124,7 +126,7 @@ def all_with_faults(args: argparse.Namespace) -> int:
     worst = math.degrees(max(each["away"] for each in runs))
     print(
         f"{happened.total()} faults in {sum(each['stages'] for each in runs)} stages of {len(runs)} runs: {wrong} runs "
-        f"left the box; the farthest was {worst:.2f} of {math.degrees(LIMIT):g}°"
+        f"left the box; the largest distance was {worst:.2f} of {math.degrees(LIMIT):g}°"
     )
     return _ended(runs, wrong)
 
@@ -144,10 +146,10 @@ def main() -> int:
     of_sound, of_faults = kinds.add_parser("sound"), kinds.add_parser("faults")
     trials.add_arguments(of_sound, runs=len(RELEASES))
     of_sound.add_argument("--stages", type=int, nargs="+", choices=tuple(STAGES), default=tuple(STAGES))
-    of_sound.add_argument("--real", action="store_true", help="in real time, beside a busy process")
+    of_sound.add_argument("--real", action="store_true", help="run in real time, next to a busy process")
     trials.add_arguments(of_faults, runs=12)
     given = parser.parse_args()
-    logging.disable()  # each fault is told of
+    logging.disable()  # each fault would cause log messages
     return all_sound(given) if given.kind == "sound" else all_with_faults(given)
 
 

@@ -1,6 +1,6 @@
-"""Defects of a controller, planted in what it has said, and the requirement that is to name each.
+"""Defects of a controller, planted in its evidence, and the requirement that must detect each defect.
 
-A defect changes the evidence of a sound run: bytes of packets, when they came, or what was answered.
+A defect changes the evidence of a sound run: bytes of packets, their arrival times, or answers.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ class Defect(NamedTuple):
     """A defect.
 
     Attributes:
-        plant: changes a copy of the evidence.
-        named: the requirement that is not held with it.
-        said: what the verdict says, or a part of that.
-        moves: it shows while the arm moves.
+        plant: Function that changes a copy of the evidence.
+        named: Requirement that is not held with the defect.
+        said: Text of the verdict, or a part of it.
+        moves: Whether the defect shows only while the arm moves.
     """
 
     plant: Plant
@@ -45,7 +45,7 @@ class Defect(NamedTuple):
 
 
 def _frames(wire: Wire) -> list[tuple[Stamp, list[bytes]]]:
-    """The chunks of a connection, cut into packets; what is left over stays with its chunk."""
+    """Split the chunks of a connection into packets; remaining bytes stay with their chunk."""
     found = []
     for stamp, data in wire.chunks:
         at, parts = 0, []
@@ -59,7 +59,10 @@ def _frames(wire: Wire) -> list[tuple[Stamp, list[bytes]]]:
 
 
 def _each(interface: str, change: Callable[[bytes, int], bytes | None]) -> Plant:
-    """Change each packet that came on an interface; None leaves it out. It gets the packet and its number."""
+    """Change each packet that arrived on an interface.
+
+    `change` receives the packet and its number, and returns the new packet, or None to leave the packet out.
+    """
 
     def plant(evidence: Evidence) -> None:
         for wire in evidence.received(interface):
@@ -96,7 +99,7 @@ def _rtde_place(evidence: Evidence, name: str) -> tuple[int, int]:
 
 
 def rtde(name: str, change: Callable[[Values], Any]) -> Plant:
-    """Change a variable of RTDE."""
+    """Change an RTDE variable."""
 
     def plant(evidence: Evidence) -> None:
         at, count = _rtde_place(evidence, name)
@@ -110,7 +113,7 @@ def rtde(name: str, change: Callable[[Values], Any]) -> Plant:
 
 
 def sub_package(kind: int, change: Callable[[bytes], bytes], interface: str = "primary") -> Plant:
-    """Change a sub-package of the robot states, and the sizes with it."""
+    """Change a sub-package of the robot states, and adapt the sizes."""
 
     def changed(frame: bytes, number: int) -> bytes:
         if frame[4] != 16:
@@ -148,7 +151,7 @@ def _shorter(count: int) -> Callable[[bytes, int], bytes]:
 
 
 def later(interface: str, seconds: Callable[[float], float]) -> Plant:
-    """Let chunks come later: by seconds that follow from the seconds since the connection was made."""
+    """Delay chunks by seconds that depend on the time since the connection was made."""
 
     def plant(evidence: Evidence) -> None:
         for wire in evidence.received(interface):
@@ -159,7 +162,7 @@ def later(interface: str, seconds: Callable[[float], float]) -> Plant:
 
 
 def note(step: str, change: Callable[[dict[str, Any]], Any]) -> Plant:
-    """Change what was noted about a step."""
+    """Change the note about a step."""
 
     def plant(evidence: Evidence) -> None:
         for number, each in enumerate(evidence.notes):
@@ -172,12 +175,12 @@ def note(step: str, change: Callable[[dict[str, Any]], Any]) -> Plant:
 
 
 def answer(asked: str, reply: str) -> Plant:
-    """Change an answer of the dashboard."""
+    """Change an answer of the dashboard server."""
     return note("dashboard", lambda said: said.update(reply=reply) if said["asked"] == asked else None)
 
 
 def both(*plants: Plant) -> Plant:
-    """Several of them, as one."""
+    """Combine several defects."""
 
     def plant(evidence: Evidence) -> None:
         for each in plants:
@@ -246,12 +249,12 @@ def _another_version(frame: bytes, number: int) -> bytes:
 
 
 def _misfit(frame: bytes) -> bytes:
-    """The first sub-package says that it is larger than the package."""
+    """Set a size of the first sub-package that is larger than the package."""
     return frame[:5] + struct.pack(">i", 0x7FFF) + frame[9:]
 
 
 def _joint_order(part: bytes) -> bytes:
-    """The first two joints of the joint data, which has 41 bytes for each."""
+    """Swap the first two joints of the joint data, which has 41 bytes for each joint."""
     return part[:5] + part[46:87] + part[5:46] + part[87:]
 
 
@@ -287,14 +290,14 @@ DEFECTS: Mapping[str, Defect] = {
         "tool_vector",
     ),
     "pose in mm": Defect(rt("tool_vector_actual", lambda p: [*(p[:3] * 1000.0), *p[3:]]), "kinematics", "mm"),
-    "tool elsewhere by all interfaces": Defect(
+    "displaced tool on all interfaces": Defect(
         both(rt("tool_vector_actual", lambda p: p + 0.01), rtde("actual_TCP_pose", lambda p: p + 0.01)), "kinematics"
     ),
     "a calibration of another arm": Defect(_calibration, "kinematics", "its own calibration"),
     "force in mN": Defect(rt("tcp_force", lambda f: 1000.0 * f), "fields-agree", "thousandths"),
     "temperatures in kelvin": Defect(rt("motor_temperatures", lambda t: t + 273.15), "values-possible", "temperatures"),
-    "voltages ten times": Defect(rt("V_actual", lambda v: 10.0 * v), "values-possible", "V_actual"),
-    "no number": Defect(rt("q_actual", lambda q: np.nan), "values-possible", "nan"),
+    "tenfold voltages": Defect(rt("V_actual", lambda v: 10.0 * v), "values-possible", "V_actual"),
+    "NaN in q_actual": Defect(rt("q_actual", lambda q: np.nan), "values-possible", "nan"),
     "an unknown robot mode": Defect(rt("robot_mode", lambda m: 42.0), "modes-known", "robot_mode"),
     "an unknown safety mode": Defect(rt("safety_mode", lambda m: 99.0), "modes-known", "safety_mode"),
     "an unknown program state": Defect(rt("program_state", lambda m: 77.0), "modes-known", "program_state"),
@@ -303,8 +306,8 @@ DEFECTS: Mapping[str, Defect] = {
     "momentum below zero": Defect(rt("linear_momentum_norm", lambda m: -1.0), "values-possible", "momentum"),
     "elbow at the base": Defect(rt("elbow_position", lambda p: 0.0), "fields-agree", "elbow_position"),
     "acceleration in g": Defect(rt("tool_accelerometer", lambda a: a / 9.82), "accelerometer", "1.00 m/s²"),
-    "a payload that is not there": Defect(rt("payload_mass", lambda m: 9.0), "gravity", "9.00 kg"),
-    "a sensor that is off": Defect(rt("q_actual", lambda q: q + 0.02), "tracking"),
+    "a wrong payload": Defect(rt("payload_mass", lambda m: 9.0), "gravity", "9.00 kg"),
+    "a sensor with an offset": Defect(rt("q_actual", lambda q: q + 0.02), "tracking"),
     "a stopped clock": Defect(_each("realtime", _stopped_clock), "clock-forward", "time of the previous one"),
     "a clock that jumps back": Defect(
         _each("realtime", lambda f, n: f if n % 97 else f[:4] + struct.pack(">d", 0.5) + f[12:]), "clock-forward"
@@ -325,19 +328,19 @@ DEFECTS: Mapping[str, Defect] = {
     "packets cut off": Defect(
         _each("realtime", lambda f, n: f if n % 50 else f[:-7]), "realtime-bytes", "belong to no"
     ),
-    "packets that come late": Defect(later("realtime", lambda t: 0.6 if 1.0 < t < 1.3 else 0.0), "realtime-late", "ms"),
+    "late packets": Defect(later("realtime", lambda t: 0.6 if 1.0 < t < 1.3 else 0.0), "realtime-late", "ms"),
     "stale RTDE": Defect(later("rtde", lambda t: 0.06), "rtde-fresh", "+60"),
     "RTDE with a stopped clock": Defect(rtde("timestamp", lambda t: 50.0), "clock-forward", "rtde"),
     "RTDE with the wrong sign": Defect(rtde("actual_q", lambda q: -q), "fields-agree", "rtde actual_q"),
-    "RTDE that stands still": Defect(rtde("actual_current", lambda i: 0.5), "fields-agree", "stays the same"),
+    "constant values of RTDE": Defect(rtde("actual_current", lambda i: 0.5), "fields-agree", "stays the same"),
     "RTDE at half the rate": Defect(
         _each("rtde", lambda f, n: None if f[2:3] == b"U" and n % 2 else f), "rtde-rate", "250.00 Hz"
     ),
     "RTDE with extra bytes": Defect(_data(_longer_data), "rtde-bytes"),
-    "RTDE of an unknown type": Defect(
+    "RTDE package of unknown type": Defect(
         _each("rtde", lambda f, n: f if n % 40 else f + b"\x00\x04\x5a\x00"), "rtde-bytes"
     ),
-    "a variable that is not there": Defect(note("rtde-names", _set(missing=["actual_q"])), "rtde-names", "actual_q"),
+    "a missing variable": Defect(note("rtde-names", _set(missing=["actual_q"])), "rtde-names", "actual_q"),
     "a variable of another type": Defect(
         note("rtde-names", lambda said: said["types"].__setitem__(said["names"].index("robot_mode"), "DOUBLE")),
         "rtde-names",
@@ -355,30 +358,30 @@ DEFECTS: Mapping[str, Defect] = {
         "unknown-parts",
         "primary",
     ),
-    "a sub-package that grew": Defect(sub_package(4, lambda part: part + bytes(4)), "state-size", "sub-package 4"),
-    "a sub-package that is gone": Defect(
+    "a longer sub-package": Defect(sub_package(4, lambda part: part + bytes(4)), "state-size", "sub-package 4"),
+    "a missing sub-package": Defect(
         sub_package(7, lambda part: part[:4] + b"\x63" + part[5:]), "state-size", "no sub-package 7"
     ),
-    "a state whose sizes do not fit": Defect(
+    "a state with inconsistent sizes": Defect(
         _each("primary", lambda f, n: f if f[4] != 16 else f[:5] + b"\0\0\x7f\xff" + f[9:]),
         "primary-bytes",
         "belong to no",
     ),
-    "a state of the secondary that does not fit": Defect(
+    "a secondary state with inconsistent sizes": Defect(
         _each("secondary", lambda f, n: f if f[4] != 16 else _misfit(f)), "secondary-bytes"
     ),
-    "a primary interface that is late": Defect(later("primary", lambda t: 0.3), "primary-fresh", "+300"),
+    "a late primary interface": Defect(later("primary", lambda t: 0.3), "primary-fresh", "+300"),
     "joints of the primary in another order": Defect(
         sub_package(1, _joint_order), "fields-agree", "primary q_actual, against the others"
     ),
-    "another firmware by the secondary": Defect(_each("secondary", _another_version), "versions-agree", "secondary"),
-    "another firmware by the dashboard": Defect(
+    "another firmware on the secondary": Defect(_each("secondary", _another_version), "versions-agree", "secondary"),
+    "another firmware from the dashboard": Defect(
         answer("PolyscopeVersion", "URSoftware 5.9.1.1 (x)"), "versions-agree", "dashboard"
     ),
-    "other words of the dashboard": Defect(answer("running", "yes"), "dashboard-words", "running"),
-    "a dashboard that is wrong": Defect(answer("robotmode", "Robotmode: IDLE"), "dashboard-modes", "IDLE"),
+    "an unknown reply of the dashboard": Defect(answer("running", "yes"), "dashboard-words", "running"),
+    "a wrong reply of the dashboard": Defect(answer("robotmode", "Robotmode: IDLE"), "dashboard-modes", "IDLE"),
     "a closed port": Defect(note("port", _set(error="connection refused")), "ports", "refused"),
-    "an arm that does not say its model": Defect(
+    "an arm without a model": Defect(
         lambda evidence: setattr(evidence, "identity", replace(_identity(evidence), model=None)), "identity"
     ),
 }
@@ -390,7 +393,7 @@ def _identity(evidence: Evidence) -> Any:
 
 
 def planted(base: Evidence, defect: Defect | None) -> Evidence:
-    """A copy of the evidence, with a defect or without."""
+    """Return a copy of the evidence, with or without a defect."""
     evidence = copy.copy(base)
     evidence.notes = list(base.notes)
     evidence.wires = [replace(wire, chunks=list(wire.chunks)) for wire in base.wires]

@@ -1,8 +1,8 @@
-"""Stage 2 again and again while things go wrong, in simulated time: how far does any joint leave its start?
+"""Repeat stage 2 while faults happen, in simulated time, and measure how far any joint leaves its start.
 
-The controller is on a computer of its own. Once in a while, at moments that the seed draws, something happens to it, to
-the cable, to the computer of the stage, or to the key that the person holds. When that ends the stage, somebody mends
-what is broken, and the stage begins anew, with its steps in another order: so each of them is met by faults.
+The controller is on a separate computer. At times that the seed determines, a fault happens to the controller, the
+cable, the computer of the stage, or the key that the person holds. When a fault ends the stage, everything is repaired,
+and the stage starts again with its steps in another order. So faults happen in each of the steps.
 """
 
 from __future__ import annotations
@@ -31,11 +31,13 @@ from urlink_accept.acceptance.standing import Told, try_each
 __all__ = ["Ran", "faulted", "tried"]
 
 HOST = "192.168.0.100"
-#: s between two faults, in the mean; between two looks at the arm; after a stage for what was sent, and after mending.
+#: Mean time between two faults; interval for checking the arm; wait after a stage for sent data, and after repair; in
+#: s.
 BETWEEN, LOOK, AFTER, MENDED = 0.5, 0.02, 0.3, 0.1
-#: s that a reboot takes, and until when the arm has to run again.
+#: Duration of a reboot, and maximum time until the arm runs again, in s.
 _DOWN, _RUNS = 0.3, 10.0
-#: Faults that end the stage nearly always: half as often as the others, so that some stages come to their later steps.
+#: Faults that almost always end the stage. They are half as frequent as the others, so that later steps are reached
+#: too.
 _ENDS = (
     "protective stop",
     "safeguard stop",
@@ -43,20 +45,20 @@ _ENDS = (
     "power off",
     "reboot",
     "connections reset",
-    "key let go of",
+    "key released",
 )
 
 
 @dataclass
 class Ran:
-    """What came of a run.
+    """Result of a run.
 
     Attributes:
-        happened: name of a fault -> how often it happened while the stage was under way, and changed something.
-        stages: how often the stage began.
-        steps: name of a step -> how often it was begun.
-        away: rad by which any joint has left where it stood when the steps of a stage began, at most. A program of the
-            stage before may go on until then, such as one that a safeguard stop had paused.
+        happened: Number of times, by fault, that a fault happened during the stage and changed the state.
+        stages: Number of times that the stage started.
+        steps: Number of times, by step, that a step started.
+        away: Largest distance of any joint from its position when the steps of a stage started, in rad. A program of
+            the previous stage may continue until then, for example after a safeguard stop has paused it.
     """
 
     happened: Counter[str] = field(default_factory=Counter)
@@ -66,7 +68,7 @@ class Ran:
 
 
 class _Person(OfTheSimulator):
-    """Holds the key until it slips."""
+    """Person who holds the key until it is released."""
 
     is_held = True
 
@@ -76,7 +78,7 @@ class _Person(OfTheSimulator):
 
 @dataclass
 class _Cell:
-    """What things happen to."""
+    """Controller, network and person to which faults happen."""
 
     simulation: Simulation
     controller: Controller
@@ -92,7 +94,7 @@ class _Cell:
         return self.controller.modes.power
 
     def unplug(self) -> None:
-        """The cable is out for a while."""
+        """Unplug the cable for a while."""
         network, here = self.simulation.network, self.simulation.here
         robot = network.computers["robot"]
         network.cut(here, robot)
@@ -100,7 +102,7 @@ class _Cell:
         network.mend(here, robot)
 
     def freeze(self) -> None:
-        """The program of the stage is frozen for a while."""
+        """Freeze the program of the stage for a while."""
         self.simulation.here.suspend()
         time.sleep(self.draw.uniform(0.1, 2.0))
         self.simulation.here.resume()
@@ -109,7 +111,7 @@ class _Cell:
         return lambda: setattr(self.controller, "speed_fraction", fraction)
 
     def faults(self) -> Mapping[str, tuple[bool, Callable[[], object]]]:
-        """Name of a fault -> whether it would change something now, and what makes it happen."""
+        """Return whether each fault would change something now, and the function that causes it."""
         controller, do = self.controller, self.controller.faults
         is_up, may_move = controller.is_up, controller.modes.may_move
         return {
@@ -136,11 +138,11 @@ class _Cell:
             ),
             "cable out": (True, self.unplug),
             "program frozen": (True, self.freeze),
-            "key let go of": (self.person.is_held, lambda: setattr(self.person, "is_held", False)),
+            "key released": (self.person.is_held, lambda: setattr(self.person, "is_held", False)),
         }
 
     def mend(self) -> None:
-        """What is broken, by somebody who stands there."""
+        """Repair everything, as a person at the robot would."""
         controller = self.controller
         controller.faults.heal()
         controller.remote_control, controller.speed_fraction, self.person.is_held = True, 1.0, True
@@ -154,7 +156,7 @@ class _Cell:
 
 
 def tried(controller: Controller, path: Path, person: OfTheSimulator, dead_man: int | None = None) -> str:
-    """Run stage 2; what ended it early, or nothing."""
+    """Run stage 2, and return the error that ended it early, or an empty text."""
     with Logbook(path, controller.ports) as book:
         try:
             with urlink.connect(controller.address) as robot:
@@ -165,12 +167,12 @@ def tried(controller: Controller, path: Path, person: OfTheSimulator, dead_man: 
 
 
 def faulted(seed: int, seconds: float, folder: Path) -> Ran:
-    """Run stage 2 for so many seconds of simulated time, most often on a CB3, which has fewer cycles.
+    """Run stage 2 for some seconds of simulated time, mostly on a CB3, which has fewer cycles.
 
     Args:
-        seed: of everything.
-        seconds: after which no stage begins.
-        folder: for logbooks, which are not kept.
+        seed: Seed of all random choices.
+        seconds: Time after which no further stage starts, in s.
+        folder: Folder for logbooks, which are deleted.
     """
     draw = random.Random(seed)
     model, firmware = ("UR5e", draw.choice(("5.11", "5.25", "10.12"))) if seed % 10 == 9 else ("UR5", "3.15")

@@ -22,7 +22,7 @@ from urlink_accept.acceptance.report import as_text, judge
 from urlink_accept.acceptance.requirements import requirements
 from urlink_accept.acceptance.stages import run
 
-#: A name that begins in one chunk and ends in the next, and a serial number.
+#: A name that starts in one chunk and ends in the next, and a serial number.
 CHUNKS = (
     b"Connected: Universal Robots Dashboard Server\n",
     b"Loaded program: /programs/secr",
@@ -32,7 +32,7 @@ CHUNKS = (
 
 @pytest.fixture
 def logbook(tmp_path: Path) -> Path:
-    """A dashboard that has named a program."""
+    """Logbook of a dashboard connection that contains the name of a program."""
     path = tmp_path / "logbook.urlog"
     writer = RecordingWriter(path)
     notes, dashboard = writer.add_channel({"name": NOTES}), writer.add_channel({"name": "dashboard"})
@@ -48,7 +48,7 @@ def logbook(tmp_path: Path) -> Path:
     return path
 
 
-def test_names_serial_numbers_and_addresses_are_overwritten(logbook: Path, tmp_path: Path) -> None:
+def test_pack_overwrites_names_serial_numbers_and_addresses(logbook: Path, tmp_path: Path) -> None:
     pack(logbook, tmp_path / "run.zip", requirements(), {"owner": "us"}, ("10.0.0.7",))
     with opened(tmp_path / "run.zip") as bundle:
         (wire,) = bundle.evidence.received("dashboard")
@@ -64,14 +64,14 @@ def test_names_serial_numbers_and_addresses_are_overwritten(logbook: Path, tmp_p
         assert (bundle.requirements, bundle.site) == (requirements(), {"owner": "us"})
 
 
-def test_the_same_logbook_makes_the_same_requirements_and_manifest_entries(logbook: Path, tmp_path: Path) -> None:
+def test_pack_writes_recording_requirements_and_manifest(logbook: Path, tmp_path: Path) -> None:
     pack(logbook, tmp_path / "run.zip", requirements(), {})
     with zipfile.ZipFile(tmp_path / "run.zip") as archive:
         assert archive.namelist() == ["bytes.urlog", "requirements.toml", "MANIFEST.json"]
 
 
 @pytest.mark.parametrize("part", ["bytes.urlog", "requirements.toml", "MANIFEST.json"])
-def test_a_bundle_that_was_changed_is_refused(logbook: Path, tmp_path: Path, part: str) -> None:
+def test_opened_rejects_changed_bundle(logbook: Path, tmp_path: Path, part: str) -> None:
     pack(logbook, tmp_path / "run.zip", requirements(), {})
     with zipfile.ZipFile(tmp_path / "run.zip") as archive:
         parts = {name: archive.read(name) for name in archive.namelist()}
@@ -83,7 +83,7 @@ def test_a_bundle_that_was_changed_is_refused(logbook: Path, tmp_path: Path, par
         pass
 
 
-def test_what_is_no_bundle(tmp_path: Path) -> None:
+def test_opened_rejects_other_files(tmp_path: Path) -> None:
     (tmp_path / "run.zip").write_bytes(b"PK")
     for name in ("run.zip", "none.zip"):
         with pytest.raises(BadRecording, match="is not a bundle"), opened(tmp_path / name):
@@ -99,10 +99,10 @@ def test_what_is_no_bundle(tmp_path: Path) -> None:
         (b" " * 100_000, "MANIFEST.json is larger than 65536 bytes"),
     ],
 )
-def test_opened_rejects_a_zip_bomb(
+def test_opened_rejects_zip_bomb(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, manifest: bytes, problem: str
 ) -> None:
-    """Nothing is unpacked for longer than needed, and never the whole part into memory."""
+    """Only the necessary parts are unpacked, and never a whole part in memory."""
     monkeypatch.setitem(bundle_module._LARGEST, "bytes.urlog", 5_000_000)
     path = tmp_path / "run.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -138,7 +138,7 @@ def test_evidence_rejects_deep_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_replay_gives_the_same_page_byte_for_byte(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_prints_identical_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logbook, path = tmp_path / "logbook.urlog", tmp_path / "run.zip"
     secrets = run("sim://?firmware=1.6", logbook, (0,), lambda number, does: "", seconds=1.5)
     pack(logbook, path, requirements(), {}, secrets)
@@ -157,6 +157,6 @@ def test_a_replay_gives_the_same_page_byte_for_byte(tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("arguments", [[], ["sim://", "--replay", "run.zip"], ["sim://", "--yes"]])
-def test_wrong_usage(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_accept_rejects_wrong_usage(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert urlink.cli.main(["accept", *arguments]) == 2
     assert "expected" in (said := capsys.readouterr().err) or "--stage" in said

@@ -1,4 +1,4 @@
-"""Each planted defect is named for what it is."""
+"""The right requirement detects each planted defect."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from urlink_accept.acceptance.stages import run
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Evidence]:
-    """Three seconds of a sound arm that stands, and of one that moves."""
+    """Three seconds of a sound arm at rest, and of a moving arm."""
     found = {}
     for moves in (False, True):
         path: Path = tmp_path_factory.mktemp("sound") / "run.urlog"
@@ -29,16 +29,16 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Evidence]:
     return found
 
 
-def test_there_are_enough() -> None:
+def test_defects_are_many_and_name_known_checks() -> None:
     assert len(DEFECTS) >= 60
     assert {each.named for each in DEFECTS.values()} <= CHECKS.keys()
 
 
 @pytest.mark.matrix(3)
 @pytest.mark.parametrize("name", DEFECTS)
-def test_a_defect_is_named_for_what_it_is(sound: dict[bool, Evidence], name: str) -> None:
+def test_requirement_detects_planted_defect(sound: dict[bool, Evidence], name: str) -> None:
     defect = DEFECTS[name]
-    # The other requirements may be held or not.
+    # The other requirements may be held or not held.
     named = {defect.named: requirements()[defect.named]}
     (verdict,) = judge(planted(sound[defect.moves], defect), named)
     assert verdict.state == "not held", verdict
@@ -47,28 +47,28 @@ def test_a_defect_is_named_for_what_it_is(sound: dict[bool, Evidence], name: str
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moves", [False, True])
-def test_the_runs_themselves_are_sound(sound: dict[bool, Evidence], moves: bool) -> None:
-    """Nothing is planted in what is shared."""
+def test_runs_without_defects_are_sound(sound: dict[bool, Evidence], moves: bool) -> None:
+    """The shared evidence is not changed by planting."""
     assert [each.seen for each in judge(planted(sound[moves], None), requirements()) if each.state == "not held"] == []
 
 
-def test_what_came_while_this_computer_was_held_up_is_not_judged(sound: dict[bool, Evidence]) -> None:
-    """A simulated controller beside other programs leaves packages out, and so does a computer that is too slow."""
+def test_primary_rate_is_not_judged_when_computer_was_delayed(sound: dict[bool, Evidence]) -> None:
+    """On a busy or slow computer, a simulated controller leaves out packages."""
     evidence = planted(sound[False], DEFECTS["robot states left out"])
     evidence.notes = [Note(at, step, {"worst": 0.2} if step == "woken" else said) for at, step, said in evidence.notes]
     (verdict,) = judge(evidence, {"primary-rate": requirements()["primary-rate"]})
     assert (verdict.state, verdict.seen[:33]) == ("not tried", "this computer itself was delayed ")
 
 
-def test_rates_are_of_what_came_while_it_was_seen_whether_this_computer_is_held_up(sound: dict[bool, Evidence]) -> None:
+def test_rate_counts_only_time_after_listening(sound: dict[bool, Evidence]) -> None:
     evidence = planted(sound[False], None)
     evidence.notes = [Note(at + 1.5 * (step == "listening"), step, said) for at, step, said in evidence.notes]
     (verdict,) = judge(evidence, {"primary-rate": requirements()["primary-rate"]})
     assert verdict.state == "held"
-    assert 12 <= int(verdict.seen.split()[-2]) <= 15  # of 3 s, the second half
+    assert 12 <= int(verdict.seen.split()[-2]) <= 15  # the second half of 3 s
 
 
-def test_what_the_dashboard_said_in_stage_0_is_not_compared_with_a_later_stage(sound: dict[bool, Evidence]) -> None:
+def test_dashboard_modes_ignore_states_of_later_stages(sound: dict[bool, Evidence]) -> None:
     evidence = planted(sound[False], None)
     *before, last = evidence.primary.states
     runs = SimpleNamespace(robot_mode=last.robot_mode_data.robot_mode, is_program_running=True)

@@ -1,4 +1,4 @@
-"""Stage 2 on simulated controllers: what a sound one does, and that nothing leaves the box whatever goes wrong."""
+"""Stage 2 on simulated controllers: a sound controller passes, and no fault makes an arm leave the box."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def consent(number: int, does: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_a_sound_controller_holds_everything(tmp_path: Path) -> None:
+def test_sound_controller_holds_all_requirements(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     run("sim://?firmware=3.15", path, (2,), consent)
     verdicts = {each.requirement.name: each for each in judge(Evidence(path), requirements())}
@@ -38,7 +38,7 @@ def test_a_sound_controller_holds_everything(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_what_a_firmware_cannot_be_asked_for_is_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unsupported_request_is_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Robot API of 10.7 has no pause."""
 
     def some(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object]) -> None:
@@ -57,7 +57,7 @@ def test_what_a_firmware_cannot_be_asked_for_is_not_tried(tmp_path: Path, monkey
 
 
 class LetsGo(OfTheSimulator):
-    """Holds the key for so many looks at it."""
+    """Person who holds the key for a given number of checks."""
 
     def __init__(self, controller: Controller, looks: int) -> None:
         super().__init__(controller)
@@ -70,7 +70,7 @@ class LetsGo(OfTheSimulator):
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_letting_go_of_the_key_stops_the_arm(tmp_path: Path) -> None:
+def test_releasing_key_stops_arm(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         ended = tried(controller, tmp_path / "run.urlog", LetsGo(controller, 200))
         assert ended == "stopped: the dead-man switch was released"
@@ -79,7 +79,7 @@ def test_letting_go_of_the_key_stops_the_arm(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_nothing_moves_before_the_input_is_held(tmp_path: Path) -> None:
+def test_arm_does_not_move_before_input_is_held(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         before = np.array(controller.arm.sample.q_target)
         assert "not held" in tried(controller, tmp_path / "run.urlog", OfTheSimulator(controller), dead_man=3)
@@ -88,7 +88,7 @@ def test_nothing_moves_before_the_input_is_held(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 9, *(pytest.param(seed, marks=pytest.mark.matrix(9)) for seed in range(20, 38))])
-def test_no_run_leaves_the_box_whatever_happens(seed: int, tmp_path: Path) -> None:
+def test_arm_stays_in_box_during_faults(seed: int, tmp_path: Path) -> None:
     ran = faulted(seed, 8.0, tmp_path)
     assert ran.happened.total() > 3
     assert 0.0 < ran.away <= LIMIT, ran

@@ -16,18 +16,18 @@ ROOT = Path(__file__).resolve().parents[4]
 TABLE = Path(module.__file__).with_name("requirements.toml")
 
 
-def test_each_requirement_is_measured_and_nothing_else_is() -> None:
+def test_each_requirement_has_one_check() -> None:
     assert requirements().keys() == CHECKS.keys()
     assert {each.stage for each in requirements().values()} == set(STAGES)
 
 
-def test_they_stand_stage_by_stage() -> None:
+def test_requirements_are_sorted_by_stage() -> None:
     numbers = [each.stage for each in requirements().values()]
     assert numbers == sorted(numbers)
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="tomllib came with Python 3.11")
-def test_other_readers_of_toml_read_the_same() -> None:
+def test_tomllib_reads_same_requirements() -> None:
     import tomllib
 
     told = tomllib.loads(TABLE.read_text(encoding="utf-8"))
@@ -36,15 +36,15 @@ def test_other_readers_of_toml_read_the_same() -> None:
 
 
 @pytest.mark.parametrize("name", requirements())
-def test_sources_are_there(name: str) -> None:
-    """A source that is a file, and a page with a section."""
+def test_source_files_exist(name: str) -> None:
+    """Each source file exists, and each requirement has a reason."""
     each = requirements()[name]
     assert each.why
     for file in re.findall(r"(?:docs|src)/[\w./-]+\w", each.source):
         assert (ROOT / file).is_file(), file
 
 
-def test_a_file_of_ones_own_changes_limits_and_names_the_cell(tmp_path: Path) -> None:
+def test_user_file_changes_limits_and_names_site(tmp_path: Path) -> None:
     path = tmp_path / "cell.toml"
     path.write_text(
         '# ours\n[site]\nowner = "A. Nother"\n\n[clock-drift]\nlimit = 50\nwhy = "a camera is synchronised"\n',
@@ -71,13 +71,13 @@ def test_a_file_of_ones_own_changes_limits_and_names_the_cell(tmp_path: Path) ->
         ("[site]\n[site]", "line 2"),
     ],
 )
-def test_mistakes_name_the_line_or_the_value(tmp_path: Path, text: str, said: str) -> None:
+def test_errors_name_line_or_value(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "cell.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(BadValue, match=re.escape(said)):
         from_file(path)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(BadValue, match=r"none\.toml"):
         from_file(tmp_path / "none.toml")

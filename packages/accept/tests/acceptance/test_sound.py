@@ -1,4 +1,4 @@
-"""What is no defect is not taken for one: each case was a false alarm of a run beside a busy process."""
+"""Evidence without a defect is not rejected: each case was a false alarm of a run on a busy computer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,13 @@ _PERIOD = 0.002
 
 
 def evidence(speeds: np.ndarray, notes: list[Note], arrivals: np.ndarray | None = None) -> Evidence:
-    """Of an e-Series whose joints have these speeds, a row each 2 ms: (n, 6) rad/s."""
+    """Return evidence of an e-Series.
+
+    Args:
+        speeds: Joint speeds, shape (n, 6), in rad/s, one row every 2 ms.
+        notes: Notes of the logbook.
+        arrivals: Arrival times in s; None for the times of the states.
+    """
     times = _PERIOD * np.arange(1, len(speeds) + 1)
     accelerations = np.diff(speeds, axis=0, prepend=0.0) / _PERIOD
     positions = np.cumsum(0.5 * _PERIOD * (speeds + np.vstack([np.zeros(6), speeds[:-1]])), axis=0)
@@ -40,7 +46,7 @@ def verdict(name: str, of: Evidence) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("sign", "state"), [(1.0, "held"), (-1.0, "not held")])
-def test_an_arm_may_start_and_brake_within_one_cycle(sign: float, state: str) -> None:
+def test_arm_may_start_and_brake_within_one_cycle(sign: float, state: str) -> None:
     speeds = np.zeros((400, 6))
     speeds[:, 5] = np.repeat(np.tile([0.1, 0.0], 20), 10)
     of = evidence(speeds, [Note(0.0, "stage", {"number": 0})])
@@ -50,7 +56,7 @@ def test_an_arm_may_start_and_brake_within_one_cycle(sign: float, state: str) ->
 
 
 @pytest.mark.parametrize(("gap", "state"), [(0.3, "not tried"), (0.0, "not held")])
-def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: float, state: str) -> None:
+def test_stream_end_is_not_judged_when_computer_was_delayed(gap: float, state: str) -> None:
     error = "ConnectionLost: no message reached the program on the robot in time; it brakes on its own"
     arrivals = _PERIOD * np.arange(1, 1001)
     arrivals[500:] += gap
@@ -63,8 +69,8 @@ def test_a_stream_that_ends_while_this_computer_is_held_up_is_not_judged(gap: fl
 
 
 @pytest.mark.parametrize(("each", "state"), [(2, "not tried"), (1, "not held")])
-def test_a_trajectory_that_this_computer_answered_too_seldom_is_not_judged(each: int, state: str) -> None:
-    """It takes three times as long as it should; set-points are sent only meanwhile."""
+def test_trajectory_with_few_set_points_is_not_judged(each: int, state: str) -> None:
+    """The motion takes three times too long; set-points are sent only during the motion."""
     sent: list[float] = []
     notes, speeds = [Note(0.0, "stage", {"number": 2})], np.zeros((12000, 6))
     for begin, slider in ((0.1, 1.0), (4.1, 0.5), (11.1, 1.0)):
@@ -80,7 +86,7 @@ def test_a_trajectory_that_this_computer_answered_too_seldom_is_not_judged(each:
 
 
 @pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
-def test_a_stream_that_could_not_begin_while_this_computer_was_held_up_is_not_judged(gap: float, state: str) -> None:
+def test_stream_start_is_not_judged_after_computer_delay(gap: float, state: str) -> None:
     arrivals = _PERIOD * np.arange(1, 301)
     arrivals[150:] += gap
     ended = "NotRunning: nothing arrived on the primary interface for 1.0 s"
@@ -91,7 +97,7 @@ def test_a_stream_that_could_not_begin_while_this_computer_was_held_up_is_not_ju
 
 @pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
 @pytest.mark.parametrize("name", ["move-arrives", "slider-scales"])
-def test_a_move_whose_end_was_not_seen_is_not_judged(name: str, gap: float, state: str) -> None:
+def test_move_with_unseen_end_is_not_judged(name: str, gap: float, state: str) -> None:
     speeds = np.zeros((300, 6))
     speeds[100:, 5] = 0.01
     arrivals = _PERIOD * np.arange(1, 301)
@@ -105,7 +111,7 @@ def test_a_move_whose_end_was_not_seen_is_not_judged(name: str, gap: float, stat
 @pytest.mark.parametrize(
     ("late", "drift", "state"), [(0.2, 0.0, "not tried"), (0.0, 3e-3, "not held"), (0.0, 0.0, "held")]
 )
-def test_a_controller_that_is_late_at_once_is_no_drift(late: float, drift: float, state: str) -> None:
+def test_sudden_delay_is_not_clock_drift(late: float, drift: float, state: str) -> None:
     arrivals = (1.0 + drift) * _PERIOD * np.arange(1, 30001)
     arrivals[18000:] += late
     notes = [Note(0.0, "stage", {"number": 0})]
@@ -113,7 +119,7 @@ def test_a_controller_that_is_late_at_once_is_no_drift(late: float, drift: float
 
 
 @pytest.mark.parametrize("each", [2, 1])
-def test_a_lag_that_was_measured_by_half_of_the_states_contradicts_nothing(each: int) -> None:
+def test_lag_from_half_of_states_does_not_contradict(each: int) -> None:
     notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "servo-lag", {"event": "begin"})]
     notes.append(Note(1.9, "servo-lag", {"event": "end", "lag": 0.045, "lookahead": 0.03}))
     of = evidence(np.zeros((1000, 6)), notes)
@@ -124,7 +130,7 @@ def test_a_lag_that_was_measured_by_half_of_the_states_contradicts_nothing(each:
 
 
 @pytest.mark.parametrize(("last", "state"), [(0.5, "not tried"), (0.66, "not held")])
-def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, state: str) -> None:
+def test_stream_without_set_points_is_not_judged(last: float, state: str) -> None:
     error = "ConnectionLost: no message reached the program on the robot in time; it brakes on its own"
     notes = [Note(0.0, "stage", {"number": 2})]
     for begin, step in ((0.1, "follow-100"), (0.8, "follow-50"), (1.5, "follow-10")):
@@ -138,7 +144,7 @@ def test_a_stream_that_this_computer_did_not_feed_is_not_judged(last: float, sta
 
 
 @pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
-def test_an_arm_that_was_not_seen_to_stand_is_not_judged_where_nothing_came(gap: float, state: str) -> None:
+def test_unseen_stop_is_not_judged_without_packets(gap: float, state: str) -> None:
     speeds = np.zeros((410, 6))
     speeds[:300, 5] = 0.1
     arrivals = _PERIOD * np.arange(1, 411)
@@ -151,14 +157,14 @@ def test_an_arm_that_was_not_seen_to_stand_is_not_judged_where_nothing_came(gap:
 
 
 @pytest.mark.parametrize("name", ["box", "other-joints"])
-def test_a_stage_in_which_no_packet_came_is_not_judged(name: str) -> None:
+def test_stage_without_packets_is_not_judged(name: str) -> None:
     notes = [Note(0.0, "stage", {"number": 2}), Note(9.0, "moving", {"start": [0.0] * 6, "slider": 0.1})]
     of = evidence(np.zeros((400, 6)), notes)
     assert verdict(name, of) == ("not tried", "no packet of the real-time interface arrived")
 
 
 @pytest.mark.parametrize("count", [8, 20])
-def test_swings_of_which_few_packets_came_tell_nothing(count: int) -> None:
+def test_swing_with_few_packets_is_not_judged(count: int) -> None:
     notes = [Note(0.791, "stage", {"number": 3}), Note(0.791, "swinging", {"start": [0.0] * 6, "slider": 1.0})]
     notes += [Note(0.791, "swing-elbow", {"event": "begin"}), Note(9.0, "swing-elbow", {"event": "end", "error": None})]
     of = evidence(np.zeros((395 + count, 6)), notes)

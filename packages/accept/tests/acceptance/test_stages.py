@@ -1,4 +1,4 @@
-"""Runs against simulated controllers that are sound, in simulated time: nothing is found that is not there."""
+"""Runs with sound simulated controllers, in simulated time: no requirement is falsely not held."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from urlink_accept.acceptance.report import as_html, as_text, is_accepted, judge
 from urlink_accept.acceptance.requirements import requirements
 from urlink_accept.acceptance.stages import run
 
-#: What cannot be tried while nothing moves.
+#: Requirements that cannot be tried while nothing moves.
 _MOVED = {"velocities"}
 
 
@@ -37,7 +37,7 @@ def tried(evidence: Evidence) -> dict[str, str]:
         ("3.15", {"payload-echo", "local", "gravity"}),
     ],
 )
-def test_a_sound_controller_holds_everything(tmp_path: Path, firmware: str, without: set[str]) -> None:
+def test_sound_controller_holds_all_requirements(tmp_path: Path, firmware: str, without: set[str]) -> None:
     path = tmp_path / "run.urlog"
     shown: list[tuple[float, str]] = []
     run(
@@ -69,7 +69,7 @@ def test_a_sound_controller_holds_everything(tmp_path: Path, firmware: str, with
 
 
 @pytest.mark.simulated_time
-def test_what_is_not_consented_to_is_not_tried(tmp_path: Path) -> None:
+def test_stage_without_consent_is_not_tried(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     asked: list[int] = []
 
@@ -86,13 +86,13 @@ def test_what_is_not_consented_to_is_not_tried(tmp_path: Path) -> None:
     assert stopped.seen == "stage 1 was not run: no consent"
 
 
-def test_a_recording_cannot_be_accepted(tmp_path: Path) -> None:
+def test_run_rejects_recording(tmp_path: Path) -> None:
     with pytest.raises(BadValue, match="is a recording"):
         run("replay:///run.urlog", tmp_path / "run.urlog", (0,), consent)
 
 
 @pytest.mark.simulated_time
-def test_a_connection_that_outlives_the_logbook_goes_on_and_is_closed(tmp_path: Path) -> None:
+def test_connection_survives_end_of_logbook(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         transport = TcpTransport("127.0.0.1", controller.ports["realtime"], silence=5.0)
         with Logbook(tmp_path / "run.urlog", controller.ports):

@@ -1,4 +1,4 @@
-"""Stage 3 on simulated arms: what it tells of one, that a joint moves alone and by consent, and what is not held."""
+"""Stage 3 on simulated arms: its results, consent for each joint, and detected defects."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SWUNG = ("elbow", "wrist 1")
 
 
 def consent(number: int, does: str) -> str:
-    """To two of the joints."""
+    """Consent to two of the joints."""
     return "" if does.startswith("MOVES") or any(f"the {name} alone" in does for name in SWUNG) else "not this one"
 
 
@@ -43,7 +43,7 @@ def exactly(*values: float) -> tuple[Estimate, ...]:
 
 @pytest.fixture(scope="module")
 def logbook(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two joints of a sound arm have swung."""
+    """Logbook of a sound arm, two joints of which have swung."""
     path: Path = tmp_path_factory.mktemp("swung") / "run.urlog"
     with urlink.simulated_time(seed=3):
         run("sim://ur5?firmware=3.5", path, (3,), consent)
@@ -56,7 +56,7 @@ def sound(logbook: Path) -> Evidence:
 
 
 @pytest.mark.slow
-def test_a_sound_arm_holds_everything_and_contradicts_nothing(sound: Evidence) -> None:
+def test_sound_arm_holds_all_without_contradictions(sound: Evidence) -> None:
     found = verdicts(sound)
     assert {name: each.state for name, each in found.items()} == dict.fromkeys(OWN, "held")
     assert [each.contradicts for each in found.values() if each.contradicts] == []
@@ -64,7 +64,7 @@ def test_a_sound_arm_holds_everything_and_contradicts_nothing(sound: Evidence) -
 
 
 @pytest.mark.slow
-def test_only_the_joints_that_were_consented_to_have_moved(sound: Evidence) -> None:
+def test_only_joints_with_consent_move(sound: Evidence) -> None:
     q = sound.realtime.column(lambda state: state.q_target)
     assert q is not None
     assert np.ptp(q, axis=0) == pytest.approx([0.0, 0.0, 0.6, 0.6, 0.0, 0.0], abs=1e-3)
@@ -72,7 +72,7 @@ def test_only_the_joints_that_were_consented_to_have_moved(sound: Evidence) -> N
 
 
 @pytest.mark.slow
-def test_a_replay_gives_the_same_page_byte_for_byte(logbook: Path, tmp_path: Path) -> None:
+def test_replay_gives_identical_report(logbook: Path, tmp_path: Path) -> None:
     pack(logbook, tmp_path / "run.zip", requirements(), {})
     pages = []
     for _ in range(2):
@@ -83,7 +83,7 @@ def test_a_replay_gives_the_same_page_byte_for_byte(logbook: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_bundle_is_identified_as_its_recording_is(
+def test_identify_reads_bundle_like_its_recording(
     logbook: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pack(logbook, tmp_path / "run.zip", requirements(), {})
@@ -97,8 +97,8 @@ def test_a_bundle_is_identified_as_its_recording_is(
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_what_an_arm_contradicts_of_the_table_is_named_with_what_was_measured(tmp_path: Path) -> None:
-    """And nothing else of it is."""
+def test_contradictions_name_parameter_and_measured_value(tmp_path: Path) -> None:
+    """Only these parameters are contradicted."""
     estimates = {
         "rotor_inertia": exactly(1.862, 1.862, 1.4, 0.211, 0.211, 0.211),
         "viscous_current": exactly(0.97, 0.97, 0.97, 0.5, 0.216, 0.216),
@@ -123,7 +123,7 @@ def test_what_an_arm_contradicts_of_the_table_is_named_with_what_was_measured(tm
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_a_slider_below_100_percent_is_no_other_ramp(tmp_path: Path) -> None:
+def test_slider_below_100_percent_does_not_contradict_ramp(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         controller.speed_fraction = 0.5
         run(controller.address, tmp_path / "run.urlog", (3,), consent, person=OfTheSimulator(controller))
@@ -132,8 +132,8 @@ def test_a_slider_below_100_percent_is_no_other_ramp(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["rotor_inertia", "torque_constant", "coulomb_current", "viscous_current"])
-def test_no_arm_contradicts_its_own_row_by_rounding(name: str) -> None:
-    """Also where its value is an end of the interval, as those of the UR10e are."""
+def test_rounding_does_not_contradict_own_parameters(name: str) -> None:
+    """This also holds if the value is an end of the interval, as for the UR10e."""
     for arm in MODELS:
         for row in swings.rows_of(name, arm):
             for off in (-1e-9, 1e-9):
@@ -153,7 +153,7 @@ def _of_joint(joint: int, change: Callable[[float], float]) -> Callable[[Values]
 
 
 def _late() -> Plant:
-    """Positions of 30 packets before."""
+    """Delay positions by 30 packets."""
     before: list[Values] = []
 
     def changed(values: Values) -> Values:
@@ -185,14 +185,14 @@ def _noisy() -> Plant:
         (_noisy(), "swing-noise", "0.0018"),
     ],
 )
-def test_what_is_wrong_is_named(sound: Evidence, plant: Plant, named: str, said: str) -> None:
+def test_requirement_detects_defect_of_swing(sound: Evidence, plant: Plant, named: str, said: str) -> None:
     found = verdicts(planted(sound, Defect(plant, named)))
     assert found[named].state == "not held", found[named]
     assert said in found[named].seen
 
 
 @pytest.mark.simulated_time
-def test_nothing_moves_before_the_switch_is_held(tmp_path: Path) -> None:
+def test_arm_does_not_move_before_switch_is_held(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         before = np.array(controller.arm.sample.q_target)
         logbook = Logbook(tmp_path / "run.urlog", controller.ports)
@@ -206,7 +206,7 @@ def test_nothing_moves_before_the_switch_is_held(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_letting_go_of_the_switch_stops_it_and_no_other_joint_begins(tmp_path: Path) -> None:
+def test_releasing_switch_stops_swing_and_further_joints(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         asked: list[str] = []
 
@@ -228,7 +228,7 @@ def test_letting_go_of_the_switch_stops_it_and_no_other_joint_begins(tmp_path: P
 
 
 @pytest.mark.simulated_time
-def test_a_controller_that_does_not_name_its_arm_is_not_swung(tmp_path: Path) -> None:
+def test_arm_without_model_is_not_swung(tmp_path: Path) -> None:
     run("sim://?firmware=1.8", tmp_path / "run.urlog", (3,), lambda number, does: "")
     found = verdicts(Evidence(tmp_path / "run.urlog"))
     assert {each.seen for each in found.values()} == {"this firmware does not report which arm it has"}

@@ -1,8 +1,8 @@
 """`urlink identify` on arms with planted parameters: ``python -m packages.accept.tests.identification --runs 200``.
 
-Each run draws an arm, records 10 s of it with noise, and identifies it. Of each number it is counted how often its
-interval holds what was planted, and how often it is within 5 % of it. With ``--state FILE`` the next call goes on with
-the runs that are left.
+Each run draws an arm, records 10 s of it with noise, and identifies it. For each number, the program counts how often
+its interval contains the planted value, and how often the number is within 5 % of it. With ``--state FILE`` the next
+call continues with the remaining runs.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ from urlink_accept.identification.samples import Samples
 
 from .planted import OWN, planted, recorded
 
-#: By which factor a parameter may be another one than that of `planted`.
+#: Largest factor by which a drawn parameter may differ from that of `planted`.
 FACTOR = 1.3
-#: Nm and A: of what the controller computes, and the share of the runs whose intervals are to hold what was planted.
+#: Noise of the controller's results, in Nm and A; required fraction of the runs whose interval contains the planted
+#: value.
 NOISE, HELD = 0.1, 0.95
 NEAR = 0.05
-#: s: packets come late by so much in the mean, and the controller's clock is off by up to this.
+#: Mean delay of packets, in s; largest relative error of the controller's clock.
 LATE, DRIFT = 5e-4, 5e-4
 
 
 def drawn(seed: int, rate: int) -> tuple[dict[str, list[float]], Samples]:
-    """What was planted, by its name in the file of an arm, and the recording, of so many rows a second."""
+    """Return the planted values by name, and the recording with `rate` rows per second."""
     rng = np.random.default_rng(seed)
     values = {
         name: (np.array(each) * FACTOR ** rng.uniform(-1.0, 1.0, len(each))).tolist() for name, each in OWN.items()
@@ -47,7 +48,7 @@ def drawn(seed: int, rate: int) -> tuple[dict[str, list[float]], Samples]:
 
 
 def run(rate: int, seed: int) -> dict[str, Any]:
-    """Each number: how far it is off, as a part of what was planted, and whether its interval holds that."""
+    """Return each number's relative error, and whether its interval contains the true value."""
     values, samples = drawn(seed, rate)
     found = identify(samples)
     return {
@@ -70,7 +71,9 @@ def main() -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     trials.add_arguments(parser, runs=200)
-    parser.add_argument("--rate", type=int, choices=(125, 500), default=125, help="rows a second (%(default)d)")
+    parser.add_argument(
+        "--rate", type=int, choices=(125, 500), default=125, help="rows per second (default: %(default)d)"
+    )
     args = parser.parse_args()
     runs = list(trials.tried(args, partial(run, args.rate)))
     names = [name for name, value in runs[0].items() if isinstance(value, list)]
@@ -81,7 +84,7 @@ def main() -> int:
         wrong += is_wrong
         print(
             f"{name:20} held in {int(holds.sum())} of {len(runs)}, within {NEAR:.0%} in {int((apart <= NEAR).sum())}; "
-            f"off by {np.median(apart):.2%} in the median, {apart.max():.2%} at most{'  NOT HELD' if is_wrong else ''}"
+            f"median error {np.median(apart):.2%}, largest {apart.max():.2%}{'  NOT HELD' if is_wrong else ''}"
         )
     print(f"{len(runs)} runs, {len(names)} numbers: {wrong} held in less than {HELD:.0%}")
     print(f"{sum(each['processor'] for each in runs):.0f} s of processor time")

@@ -1,4 +1,4 @@
-"""Recordings of arms whose parameters are known, since they were planted."""
+"""Recordings of arms with known, planted parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MOTORS = Motors(
 
 
 def motion(seconds: float = 10.0, rate: float = 100.0) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Times, positions, speeds and accelerations: two sine waves in each joint."""
+    """Return times, positions, speeds and accelerations of two sine waves in each joint."""
     t = np.arange(0.0, seconds, 1.0 / rate)
     q, qd, qdd = (np.zeros((len(t), 6)) for _ in range(3))
     home = (0.3, -1.4, 1.6, -1.2, -1.5, 0.4)
@@ -47,7 +47,7 @@ def motion(seconds: float = 10.0, rate: float = 100.0) -> tuple[FloatArray, Floa
 
 @cache
 def clean(rate: float) -> Mapping[str, FloatArray]:
-    """10 s of it, as the controller computes it."""
+    """Return 10 s of this motion, as the controller calculates it."""
     t, q, qd, qdd = motion(rate=rate)
     torque = Dynamics(MODEL, payload=PAYLOAD, payload_cog=COG, rotors=MOTORS.rotor_inertias).torque(q, qd, qdd)
     current = np.array([MOTORS.current(a, b) for a, b in zip(torque.tolist(), qd.tolist(), strict=True)])
@@ -56,14 +56,14 @@ def clean(rate: float) -> Mapping[str, FloatArray]:
 
 
 def columns(rng: np.random.Generator, rate: float = 100.0) -> dict[str, FloatArray]:
-    """The same with noise of 0.1 Nm and 0.1 A."""
+    """Return the same with noise of 0.1 Nm and 0.1 A."""
     found = dict(clean(rate))
     for name in ("target_moment", "target_current"):
         found[name] = found[name] + 0.1 * rng.standard_normal(found[name].shape)
     return found
 
 
-#: Postures between which every joint turns by 0.5 rad and more, and the tool's weight is borne in many ways.
+#: Postures between which every joint turns by at least 0.5 rad, and the weight of the tool acts in many directions.
 POSTURES = (
     (0.0, -1.5, 1.9, -2.0, -1.5, 0.0),
     (0.9, -1.1, 1.2, -1.0, -0.6, 0.9),
@@ -83,7 +83,7 @@ COLUMNS = {
     "target_TCP_pose": "pose_target",
     "actual_TCP_force": "force",
 }
-#: What differs from the published arm beside its motors and its payload.
+#: Further differences from the published arm, in addition to motors and payload.
 OTHERS = {
     "tracking_lag": 0.004,
     "start_rate": 5.0,
@@ -93,7 +93,7 @@ OTHERS = {
 }
 
 
-#: All of these, by their names in the file of an arm.
+#: All planted parameters, by their names in the file of an arm.
 OWN: dict[str, Sequence[float]] = {
     "rotor_inertia": MOTORS.rotor_inertias,
     "torque_constant": MOTORS.torque_constants,
@@ -106,16 +106,16 @@ OWN: dict[str, Sequence[float]] = {
 
 
 def exactly(values: Sequence[float]) -> tuple[Estimate, ...]:
-    """Estimates without doubt."""
+    """Return estimates without uncertainty."""
     return tuple(Estimate(value, value, value) for value in values)
 
 
 def planted(seed: int = 4, **values: Sequence[float]) -> ArmFile:
-    """An arm that differs from the published one in everything that can be planted.
+    """Return an arm that differs from the published arm in every parameter that can be planted.
 
     Args:
-        seed: of its calibration.
-        values: other ones than `OWN`, by their names in the file.
+        seed: Seed of its calibration.
+        values: Values that replace those of `OWN`, by their names in the file.
     """
     table = calibrated("UR5e", seed).table
     columns = [np.asarray(column).tolist() for column in (table.dh_theta, table.dh_a, table.dh_d, table.dh_alpha)]
@@ -124,18 +124,20 @@ def planted(seed: int = 4, **values: Sequence[float]) -> ArmFile:
 
 
 def recorded(like: ArmFile, seed: int = 0, every: int = 4) -> Samples:
-    """About 10 s of an arm, a program for each movement: what the controller computes has no noise.
+    """Record about 10 s of an arm, with one program for each motion.
+
+    The calculated values of the controller have no noise.
 
     Args:
-        like: the arm.
-        seed: of the noise of its sensors.
-        every: cycles of 2 ms from one row to the next; 4 are 125 Hz.
+        like: File of the arm.
+        seed: Seed of the noise of its sensors.
+        every: Number of cycles of 2 ms between two rows; 4 cycles are 125 Hz.
     """
     controller = Controller(motion=Still(POSTURES[0]), like=like, seed=seed)
     rows: dict[str, list[list[float]]] = {name: [] for name in COLUMNS}
     times = []
     for posture in (*POSTURES, POSTURES[0]):
-        # The first one is where it stands.
+        # The first posture is the start position.
         controller.take(f"def p():\n  movej({list(posture)}, a=4.0, v=2.2)\nend\n")
         for cycle in range(850):
             controller.step()

@@ -1,4 +1,4 @@
-"""A simulated arm with planted parameters is identified, and the file of it makes the simulator that arm."""
+"""Identification of a simulated arm with planted parameters, and its file in the simulator."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def samples() -> Samples:
 
 
 @pytest.mark.slow
-def test_a_planted_arm_is_identified(samples: Samples) -> None:
+def test_identify_recovers_planted_arm(samples: Samples) -> None:
     assert samples["timestamp"][-1] == pytest.approx(10.2, abs=0.1)
     found, expected = identify(samples), planted()
     for name, each in expected.estimates.items():
         for estimate, truth in zip(found.estimates[name], each, strict=True):
             near = 2e-3 if name == "payload_cog" else 0.05 * abs(truth.value)
             assert estimate.value == pytest.approx(truth.value, abs=near), (name, estimate)
-    assert found.tcp == pytest.approx(expected.tcp, abs=0.02)  # a part of the flange may belong to the tool
+    assert found.tcp == pytest.approx(expected.tcp, abs=0.02)  # a part of the flange may count as part of the tool
     assert found.estimates["calibration"][0].value < 1e-7
     assert min(found.torque_r2) > 0.999
     assert min(found.current_r2) > 0.99
@@ -43,7 +43,7 @@ def test_a_planted_arm_is_identified(samples: Samples) -> None:
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_the_file_makes_the_simulator_that_arm(samples: Samples, tmp_path: Path) -> None:
+def test_arm_file_configures_simulator(samples: Samples, tmp_path: Path) -> None:
     found = identify(samples)
     found.write(tmp_path / "arm.json")
     assert read_arm_file(tmp_path / "arm.json").motors == found.motors
@@ -56,7 +56,7 @@ def test_the_file_makes_the_simulator_that_arm(samples: Samples, tmp_path: Path)
         assert pose[:3] == pytest.approx(samples["target_TCP_pose"][0][:3], abs=1e-6)
 
 
-def test_a_file_of_another_arm_is_refused(tmp_path: Path) -> None:
+def test_arm_file_of_other_model_or_format_is_rejected(tmp_path: Path) -> None:
     planted().write(tmp_path / "arm.json")
     with pytest.raises(BadValue, match="model='UR10e'; expected 'UR5e'"):
         Controller("UR10e", like=read_arm_file(tmp_path / "arm.json"))
@@ -69,7 +69,9 @@ def test_a_file_of_another_arm_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_command(samples: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_identify_command_prints_and_writes_results(
+    samples: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "run.csv"
     with path.open("w", newline="") as file:
         names = [name if each.ndim == 1 else [f"{name}_{i}" for i in range(6)] for name, each in samples.items()]
@@ -90,7 +92,7 @@ def test_the_command(samples: Samples, tmp_path: Path, capsys: pytest.CaptureFix
     assert first["low"] < PAYLOAD < first["high"]
 
 
-def test_what_is_no_recording_of_an_arm(tmp_path: Path) -> None:
+def test_read_samples_rejects_other_files(tmp_path: Path) -> None:
     with pytest.raises(BadRecording, match="No such file"):
         read_samples(tmp_path / "none.csv")
     (tmp_path / "short.csv").write_text("timestamp,x\n1,2\n")
@@ -104,14 +106,14 @@ def test_what_is_no_recording_of_an_arm(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_recording_beside_the_simulator(samples: Samples) -> None:
-    """Of the same arm it differs by noise alone; of the published one by what was planted."""
+def test_compare_measures_difference_from_simulator(samples: Samples) -> None:
+    """The recording differs from the same arm only by noise, but much from the published arm."""
     parts: list[float] = []
     same, other = compare(samples, planted(), parts.append), compare(samples, ArmFile("UR5e", {}))
     assert parts == [each.begin / len(samples["timestamp"]) for each in same.movements]
     assert [each.command.partition("(")[0] for each in same.movements] == ["movej"] * 5
     assert max(abs(each.late) for each in same.movements) < 0.003
-    # Its ramp is 200 ms long instead of 160.
+    # The ramp of the planted arm is 200 ms long instead of 160 ms.
     assert max(each.late for each in other.movements) < -0.003
     assert max(same.rms["target_moment"]) < 0.2
     assert max(other.rms["target_moment"]) > 5.0 * max(same.rms["target_moment"])

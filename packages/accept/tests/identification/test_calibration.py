@@ -1,4 +1,4 @@
-"""A calibration is found again from joint positions and poses."""
+"""A calibration is recovered from joint positions and poses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TCP = (0.01, -0.02, 0.15, 0.1, 0.2, -0.3)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["UR3e", "UR5e", "UR10"])
-def test_a_calibrated_arm_is_found(name: str) -> None:
+def test_fit_recovers_calibrated_arm(name: str) -> None:
     arm = calibrated(name, 3)
     _, q, _, _ = motion(rate=20.0)
     found = fit_calibration(arm.model, q[::2], arm.forward(q[::2], TCP))
@@ -26,14 +26,14 @@ def test_a_calibrated_arm_is_found(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_published_arm_is_found() -> None:
+def test_fit_recovers_published_arm() -> None:
     _, q, _, _ = motion(rate=10.0)
     found = fit_calibration(Arm("UR5e").model, q, Arm("UR5e").forward(q, TCP))
     again = Arm.calibrated("UR5e", found.table)
     np.testing.assert_allclose(again.forward(q, found.tcp), Arm("UR5e").forward(q, TCP), atol=1e-7)
 
 
-def test_an_arm_that_hardly_moves_tells_nothing() -> None:
+def test_fit_rejects_small_motions() -> None:
     _, q, _, _ = motion(rate=10.0)
     q[:, 1:3] = -1.0
     with pytest.raises(BadValue, match="joints 1, 2 move by less"):

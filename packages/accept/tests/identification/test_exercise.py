@@ -1,4 +1,4 @@
-"""The motion to record: where it goes, how fast, what stops it, and that its recording tells what was planted."""
+"""The motion to record: its path, speed and stops, and identification of planted parameters from its recording."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ TCP = np.array([0.02, 0.0, 0.15, 0.0, 0.0, 0.0])
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_what_was_planted_is_recovered_from_its_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """From end to end, by the commands, over the real-time interface of a CB3."""
+def test_commands_recover_planted_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The whole procedure, with the commands, over the real-time interface of a CB3."""
     arm = calibrated("UR5", 4).table
     table = DhTable(*(np.asarray(column).tolist() for column in (arm.dh_theta, arm.dh_a, arm.dh_d, arm.dh_alpha)))
     truth = dataclasses.replace(planted(), model="UR5", calibration=table)
@@ -48,7 +48,7 @@ def test_what_was_planted_is_recovered_from_its_recording(tmp_path: Path, capsys
 
 
 @pytest.mark.parametrize("name", list(MODELS))
-def test_it_is_slow_stays_in_its_box_and_ends_where_it_began(name: str) -> None:
+def test_plan_is_slow_stays_in_box_and_returns_to_start(name: str) -> None:
     arm = Arm(name)
     planned = plan(arm, START, TCP)
     at, speeds, moved = START, [], np.zeros(6)
@@ -69,7 +69,7 @@ def test_it_is_slow_stays_in_its_box_and_ends_where_it_began(name: str) -> None:
     assert planned.seconds < 180.0
 
 
-def test_what_leaves_the_limits_of_a_joint_is_refused() -> None:
+def test_plan_rejects_positions_beyond_joint_limits() -> None:
     start = START.copy()
     start[1] = 6.2
     with pytest.raises(BadValue, match=r"q\[1\] \(shoulder\)"):
@@ -77,7 +77,7 @@ def test_what_leaves_the_limits_of_a_joint_is_refused() -> None:
 
 
 @pytest.mark.simulated_time
-def test_it_does_not_begin_where_it_was_not_planned_or_nobody_holds_the_switch() -> None:
+def test_exercise_needs_planned_start_and_held_switch() -> None:
     with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
         with urlink.connect(controller.address) as robot:
             planned = plan_from_here(robot)
@@ -90,7 +90,7 @@ def test_it_does_not_begin_where_it_was_not_planned_or_nobody_holds_the_switch()
 
 
 @pytest.mark.simulated_time
-def test_letting_go_of_the_switch_stops_it() -> None:
+def test_releasing_switch_stops_exercise() -> None:
     with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
         controller.signals.digital_inputs = 1 << 2
         with urlink.connect(controller.address) as robot:
@@ -109,7 +109,7 @@ def test_letting_go_of_the_switch_stops_it() -> None:
 
 
 @pytest.mark.simulated_time
-def test_a_joint_outside_its_box_stops_it() -> None:
+def test_joint_outside_box_stops_exercise() -> None:
     controller = Controller("UR5", "3.15", motion=Still(START.tolist()))
     with controller, urlink.connect(controller.address) as robot:
         guard = Guard(robot, 0.1)
@@ -121,7 +121,7 @@ def test_a_joint_outside_its_box_stops_it() -> None:
 
 
 @pytest.mark.simulated_time
-def test_nothing_moves_before_somebody_says_that_the_box_is_free(
+def test_exercise_command_needs_confirmation_of_free_box(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
@@ -133,13 +133,13 @@ def test_nothing_moves_before_somebody_says_that_the_box_is_free(
     assert not (tmp_path / "run.urlog").exists()
 
 
-def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+def test_exercise_command_rejects_large_swing(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["exercise", "sim://", "--swing", "90"]) == 2
     assert "expected 6 to 45" in capsys.readouterr().err
 
 
 @pytest.mark.simulated_time
-def test_what_is_begun_at_the_moment_of_the_stop_is_stopped_too() -> None:
+def test_motion_started_during_stop_is_stopped() -> None:
     with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
         controller.signals.digital_inputs = 1 << 2
         with urlink.connect(controller.address) as robot:
@@ -154,8 +154,8 @@ def test_what_is_begun_at_the_moment_of_the_stop_is_stopped_too() -> None:
 
 
 @pytest.mark.simulated_time
-@pytest.mark.parametrize("slider", [1.0, 0.0], ids=["it moves", "it stands at slider 0"])
-def test_a_program_that_could_move_the_arm_later_is_waited_for_and_then_nothing_begins(slider: float) -> None:
+@pytest.mark.parametrize("slider", [1.0, 0.0], ids=["moving", "at rest at slider 0"])
+def test_guard_refuses_while_other_program_runs(slider: float) -> None:
     controller = Controller("UR5", "3.15", motion=Still(START.tolist()))
     with controller, urlink.connect(controller.address) as other, urlink.connect(controller.address) as robot:
         motion = other.motion.move_joints(START + SWING, speed=0.02)

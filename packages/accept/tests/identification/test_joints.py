@@ -1,4 +1,4 @@
-"""Planted parameters of joints are found again, with intervals that hold them."""
+"""Planted joint parameters are recovered, with intervals that contain them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRIALS = 200
 
 
 def pairs(found: JointFit) -> dict[str, tuple[Estimate, float]]:
-    """Each estimate with what was planted."""
+    """Return each estimate with its planted value."""
     named = {
         "rotor": (found.rotor_inertias, MOTORS.rotor_inertias),
         "constant": (found.torque_constants, MOTORS.torque_constants),
@@ -36,7 +36,7 @@ def pairs(found: JointFit) -> dict[str, tuple[Estimate, float]]:
 
 @pytest.mark.slow
 def test_planted_parameters_are_found_within_their_intervals() -> None:
-    """In 95 of 100 trials at least, each of the 25 of them."""
+    """Each of the 25 parameters is in its interval in at least 95 of 100 trials."""
     held: Counter[str] = Counter()
     for seed in range(TRIALS):
         found = fit_joints(MODEL, columns(np.random.default_rng(seed), rate=25.0))
@@ -49,13 +49,13 @@ def test_planted_parameters_are_found_within_their_intervals() -> None:
 def test_planted_parameters_are_found_within_five_percent() -> None:
     found = fit_joints(MODEL, columns(np.random.default_rng(1)))
     for name, (estimate, planted) in pairs(found).items():
-        # The rotor of a wrist is a few hundredths of a Nm beside the noise.
+        # The rotor of a wrist contributes a few hundredths of a Nm, compared with the noise.
         assert estimate.value == pytest.approx(planted, rel=0.05), name
     assert [each.value for each in found.payload_cog] == pytest.approx(COG, abs=2e-3)
     assert min(found.torque_r2[:3]) > 0.99
 
 
-def test_a_joint_that_stands_tells_nothing_of_itself() -> None:
+def test_joint_at_rest_has_no_estimates() -> None:
     given = columns(np.random.default_rng(2))
     for name in ("target_q", "target_qd", "target_qdd"):
         given[name] = given[name].copy()
@@ -67,7 +67,7 @@ def test_a_joint_that_stands_tells_nothing_of_itself() -> None:
     assert found.rotor_inertias[3].is_known
 
 
-def test_without_currents_only_moments_are_told() -> None:
+def test_missing_currents_leave_moment_estimates() -> None:
     given = columns(np.random.default_rng(3))
     del given["target_current"]
     found = fit_joints(MODEL, given)
@@ -75,7 +75,7 @@ def test_without_currents_only_moments_are_told() -> None:
     assert "target_current" in found.torque_constants[0].needs
 
 
-def test_rows_that_are_alike_widen_the_interval() -> None:
+def test_correlated_rows_widen_interval() -> None:
     rng = np.random.default_rng(5)
     column = np.linspace(-1.0, 1.0, 400)[:, np.newaxis]
     noise = rng.standard_normal(400)
@@ -86,8 +86,11 @@ def test_rows_that_are_alike_widen_the_interval() -> None:
 
 @pytest.mark.parametrize("wait", [0.0, 0.02, 0.05], ids="after {} s".format)
 @pytest.mark.parametrize("speed", [1.0, 0.6], ids="at {}".format)
-def test_the_ramp_of_a_program_that_waits_before_it_moves(wait: float, speed: float) -> None:
-    """The ramp begins with the program; so, beside a busy process, 7.2 was told instead of 6.25."""
+def test_start_rate_of_program_that_waits_first(wait: float, speed: float) -> None:
+    """The ramp starts with the program.
+
+    Without this rule, a busy computer measured 7.2 instead of 6.25.
+    """
     controller = Controller("UR5", "3.15", motion=Still(POSTURES[0]))
     controller.speed_fraction = speed
     names = ("target_q", "target_qd", "target_qdd")
@@ -106,7 +109,7 @@ def test_the_ramp_of_a_program_that_waits_before_it_moves(wait: float, speed: fl
     assert found.low < 6.25 < found.high
 
 
-def test_the_interval_of_a_ratio() -> None:
+def test_interval_of_ratio() -> None:
     found = of_ratio(Estimate(0.1, 0.08, 0.125))
     assert (found.value, found.low, found.high) == pytest.approx((10.0, 8.0, 12.5))
     assert not of_ratio(Estimate(0.1, -0.1, 0.3)).is_known

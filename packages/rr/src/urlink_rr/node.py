@@ -61,7 +61,7 @@ def register(node: Any, name: str, robot: Robot, rate: float = RATE, watchdog: f
     """
     service = RobotService(node, name, robot, rate, watchdog)
     context = node.RegisterService(name, "com.robotraconteur.robotics.robot.Robot", service)
-    context.SetServiceAttributes({"urlink.session.address": RR.VarValue(robot.address, "string")})
+    context.SetServiceAttributes({"urlink.address": RR.VarValue(robot.address, "string")})
     return service
 
 

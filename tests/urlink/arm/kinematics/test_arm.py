@@ -1,4 +1,4 @@
-"""The kinematics of published arms against their definition, themselves, and the poses that controllers report."""
+"""Kinematics of published arms, compared with definitions, with itself, and with poses from controllers."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ arms = models.map(Arm)
 
 
 def bent(least: float) -> st.SearchStrategy[float]:
-    """Angles with a sine of at least about `least`, in all four half turns."""
+    """Return a strategy for angles with a sine of at least about `least`, in all four half turns."""
     half_turn = st.one_of(st.just(math.pi / 2.0), st.floats(least, math.pi - least))
     return st.builds(lambda turn, angle: turn * math.pi + angle, st.integers(-2, 1), half_turn)
 
 
-# Made so rather than sought: angles likes multiples of a quarter turn, most of which would be thrown away.
+# Constructed instead of filtered: `angles` prefers multiples of a quarter turn, and most would be rejected.
 regular_joints = st.tuples(angles, angles, bent(1.01e-3), angles, bent(1.01e-2), angles).map(list)
 
 
 def separation(first: Array, second: Array) -> float:
-    """The largest difference between two homogeneous matrices."""
+    """Return the largest difference between two homogeneous matrices."""
     return float(np.abs(first - second).max())
 
 
 def turned(q: Array, other: Array) -> float:
-    """The largest joint movement between two joint positions, whole turns left out."""
+    """Return the largest joint movement between two joint positions, without whole turns."""
     return float(np.abs((q - other + math.pi) % (2.0 * math.pi) - math.pi).max())
 
 
 def missed(arm: Arm, q: Array, target: Array, tcp: ArrayLike | None = None) -> float:
-    """By how much joint positions miss poses: the largest element of the pose of the one seen from the other."""
+    """Return the largest element of the difference between the poses of joint positions and target poses."""
     return float(np.abs(compose(invert(arm.forward(q, tcp)), target)).max(initial=0.0))
 
 
 def wrist_off_base(arm: Arm, q: ArrayLike) -> float:
-    """The distance of the origin of frame 5 from the base's axis."""
+    """Return the distance of the origin of frame 5 from the axis of the base."""
     return float(np.linalg.norm(arm.frames(q)[5][:2, 3]))
 
 
@@ -81,16 +81,16 @@ def test_forward_is_the_last_frame_times_the_tcp(arm: Arm, q: list[float], tcp: 
 
 
 @EVERY
-def test_arm_stretched_upwards(arm: Arm) -> None:
+def test_stretched_arm_has_expected_flange_position(arm: Arm) -> None:
     d1, _, _, d4, d5, d6 = arm.model.dh_d
-    # Upright, the flange looks along -y, beside the arm by d4 and d6.
+    # If the arm is upright, the flange looks along -y, at a distance of d4 and d6 to the side.
     expected = [0.0, -d4 - d6, d1 - arm.model.dh_a.sum() + d5]
     np.testing.assert_allclose(
         arm.forward([0.0, -math.pi / 2.0, 0.0, -math.pi / 2.0, 0.0, 0.0])[:3], expected, atol=1e-15
     )
 
 
-def test_arrays_tuples_and_lists_are_the_same() -> None:
+def test_arrays_tuples_and_lists_give_the_same_result() -> None:
     arm = Arm("UR5e")
     q = [0.1, -1.2, 1.3, -0.4, 0.5, 0.6]
     for alike in (tuple(q), np.array(q), np.array(q, dtype=np.float32), np.array(q)[::1]):
@@ -102,7 +102,7 @@ def test_arrays_tuples_and_lists_are_the_same() -> None:
 
 
 def check_solutions(arm: Arm, found: Array, tcp: Array | None, target: Array) -> None:
-    """Every row reaches the target, no two are the same, there are at most eight."""
+    """Check that every row reaches the target, no two rows are equal, and there are at most eight."""
     assert found.shape[1] == 6
     assert 1 <= len(found) <= 8
     assert missed(arm, found, target, tcp) < 1e-12
@@ -112,7 +112,7 @@ def check_solutions(arm: Arm, found: Array, tcp: Array | None, target: Array) ->
 
 @pytest.mark.property
 @given(arms, joints, tcps)
-def test_every_solution_leads_back_to_the_pose(arm: Arm, q: list[float], tcp: Array | None) -> None:
+def test_every_solution_reaches_the_pose(arm: Arm, q: list[float], tcp: Array | None) -> None:
     there = arm.forward(q, tcp)
     found = arm.solutions(there, tcp=tcp)
     check_solutions(arm, found, tcp, there)
@@ -122,8 +122,8 @@ def test_every_solution_leads_back_to_the_pose(arm: Arm, q: list[float], tcp: Ar
 
 @pytest.mark.property
 @given(arms, regular_joints)
-def test_the_joints_it_came_from_are_among_the_solutions(arm: Arm, q: list[float]) -> None:
-    # Away from singularities; in them the joints are known only to the root of the precision, or not at all.
+def test_original_joints_are_among_the_solutions(arm: Arm, q: list[float]) -> None:
+    # Away from singularities only: in a singularity, joints are known to the root of the precision, or not at all.
     assume(wrist_off_base(arm, q) ** 2 > float(arm.model.dh_d[3]) ** 2 + 1e-4)
     found = arm.solutions(arm.forward(q))
     assert min(turned(np.array(q), other) for other in found) < 1e-7
@@ -132,14 +132,14 @@ def test_the_joints_it_came_from_are_among_the_solutions(arm: Arm, q: list[float
 @pytest.mark.property
 @example(Arm("UR16e"), [0.0, 0.0, 3.25, -1.75, 0.0, 0.0], np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
 @given(arms, joints, tcps)
-def test_near_gives_the_continuation_first(arm: Arm, q: list[float], tcp: Array | None) -> None:
+def test_near_puts_the_continuation_first(arm: Arm, q: list[float], tcp: Array | None) -> None:
     there = arm.forward(q, tcp)
     found = arm.solutions(there, q, tcp)
     check_solutions(arm, found, tcp, there)
     np.testing.assert_allclose(arm.inverse(there, q, tcp, is_limited=False), found[0], rtol=0.0, atol=1e-6)
-    # In the turn of each joint that is meant; precision aside, the joints it came from, at a singular wrist too. Only
-    # close to the axis of the base, where rounding moves joint 1 by more than leaves joint 6 free (`SLACK`), a singular
-    # wrist may go its own way.
+    # Apart from precision, and in the right turn of each joint, these are the original joints, even if the wrist is
+    # singular. A singular wrist may differ only close to the axis of the base. There, rounding moves joint 1 by more
+    # than the error that leaves joint 6 free (`SLACK`).
     off_edge = math.sqrt(max(wrist_off_base(arm, q) ** 2 - float(arm.model.dh_d[3]) ** 2, 0.0))
     rounding = 4e-16 * (1.0 + (0.0 if tcp is None else float(np.linalg.norm(tcp[:3]))))
     if off_edge * SLACK > math.pi * rounding:
@@ -150,7 +150,7 @@ def test_near_gives_the_continuation_first(arm: Arm, q: list[float], tcp: Array 
 
 
 @EVERY
-def test_eight_ways_to_reach_an_ordinary_pose(arm: Arm) -> None:
+def test_ordinary_pose_has_eight_solutions(arm: Arm) -> None:
     q = np.array([0.4, -1.2, 1.5, -0.9, 1.3, 0.2])
     there = arm.forward(q)
     found = arm.solutions(there)
@@ -161,14 +161,14 @@ def test_eight_ways_to_reach_an_ordinary_pose(arm: Arm) -> None:
 
 @EVERY
 @pytest.mark.parametrize("q5", [0.0, math.pi, -math.pi, 1e-13])
-def test_singular_wrist(arm: Arm, q5: float) -> None:
+def test_singular_wrist_continues_from_near(arm: Arm, q5: float) -> None:
     q = np.array([0.4, -1.2, 1.5, -0.9, q5, 0.7])
     there = arm.forward(q)
     free = arm.solutions(there)
     check_solutions(arm, free, None, there)
-    if q5 != 1e-13:  # there joint 6 is almost free, and has a value
+    if q5 != 1e-13:  # there, joint 6 is almost free, but has a value
         in_line = free[np.abs(np.sin(free[:, 4])) < 1e-6]
-        # Elbow up and elbow down, not each of them twice.
+        # Elbow up and elbow down, each of them once.
         assert len(in_line) == 2
         assert (in_line[:, 5] == 0.0).all()
     led = arm.solutions(there, near=q)
@@ -177,7 +177,7 @@ def test_singular_wrist(arm: Arm, q5: float) -> None:
 
 
 @EVERY
-def test_half_a_turn_of_a_joint_is_given_as_pi(arm: Arm) -> None:
+def test_half_turn_is_returned_as_pi(arm: Arm) -> None:
     turn = math.pi
     found = arm.solutions(arm.forward([-turn, -turn, -turn, -turn, -turn / 2.0, 0.0]))
     assert (found == turn).any()
@@ -185,7 +185,7 @@ def test_half_a_turn_of_a_joint_is_given_as_pi(arm: Arm) -> None:
 
 
 @EVERY
-def test_stretched_arm_is_still_in_reach(arm: Arm) -> None:
+def test_stretched_arm_is_within_reach(arm: Arm) -> None:
     q = [0.0, -math.pi / 2.0, 0.0, -math.pi / 2.0, 0.0, 0.0]
     found = arm.solutions(arm.forward(q), near=q)
     check_solutions(arm, found, None, arm.forward(q))
@@ -194,8 +194,8 @@ def test_stretched_arm_is_still_in_reach(arm: Arm) -> None:
 
 @EVERY
 @pytest.mark.parametrize("q3", [0.0, math.pi])
-def test_wrist_in_line_with_the_arm_stretched_or_folded(arm: Arm, q3: float) -> None:
-    # For the orientation joint 6 is free, or nearly so, but only one value of it brings the wrist into reach.
+def test_wrist_in_line_with_stretched_or_folded_arm_is_solved(arm: Arm, q3: float) -> None:
+    # For the orientation, joint 6 is free or nearly free, but only one value of it brings the wrist into reach.
     for q5 in (0.0, math.pi, 1e-11, 1e-9, 1e-7, 1e-5, 1e-3, math.pi - 1e-8):
         q = [0.2, 0.3, q3, -1.0, q5, 1.0]
         there = arm.forward(q)
@@ -213,7 +213,7 @@ OUT_OF_REACH = [
 
 @EVERY
 @pytest.mark.parametrize(("there", "why"), OUT_OF_REACH)
-def test_out_of_reach_is_an_error_of_one_pose_and_nan_among_many(arm: Arm, there: list[float], why: str) -> None:
+def test_out_of_reach_raises_for_one_pose_and_gives_nan_for_many(arm: Arm, there: list[float], why: str) -> None:
     near = [0.1, -1.5, 1.5, -1.5, -1.5, 0.0]
     with pytest.raises(Unreachable, match=why) as failure:
         arm.inverse(there, near)
@@ -231,7 +231,7 @@ def test_out_of_reach_is_an_error_of_one_pose_and_nan_among_many(arm: Arm, there
 
 
 @EVERY
-def test_a_millimetre_beyond_the_stretched_arm_is_out_of_reach(arm: Arm) -> None:
+def test_millimetre_beyond_stretched_arm_is_out_of_reach(arm: Arm) -> None:
     q = [0.3, -0.5, 0.0, 0.8, 1.2, 0.0]
     beyond = arm.forward(q)
     shoulder, wrist = arm.frames(q)[[1, 3], :3, 3]
@@ -241,7 +241,7 @@ def test_a_millimetre_beyond_the_stretched_arm_is_out_of_reach(arm: Arm) -> None
     outside[:3] += 1e-3 * along
 
     def same_shoulder_and_wrist(there: Array) -> int:
-        # The other ways put the wrist elsewhere and have their own reach.
+        # The other branches put the wrist elsewhere, and have another reach.
         return sum(turned(q[[0, 4]], np.array([0.3, 1.2])) < 1e-6 for q in arm.solutions(there))
 
     assert same_shoulder_and_wrist(inside) == 2
@@ -252,7 +252,7 @@ def test_a_millimetre_beyond_the_stretched_arm_is_out_of_reach(arm: Arm) -> None
 # --- limits ---
 
 
-def test_inverse_stays_within_the_limits_where_the_closest_turn_does_not() -> None:
+def test_inverse_stays_within_limits_despite_longer_turn() -> None:
     arm = Arm("UR5e")
     q = np.array([6.2, -1.5, 1.5, -1.5, -1.5, -6.2])
     beyond = q + 0.2 * np.array([1.0, 0.0, 0.0, 0.0, 0.0, -1.0])
@@ -266,18 +266,18 @@ def test_inverse_stays_within_the_limits_where_the_closest_turn_does_not() -> No
     assert bool(arm.within_limits(q))
 
 
-def test_a_joint_that_turns_without_end_is_not_turned_back() -> None:
+def test_endless_joint_is_not_turned_back() -> None:
     arm = Arm("UR3e")
     q = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 50.0])
     np.testing.assert_allclose(arm.inverse(arm.forward(q), q), q, atol=1e-9)
     assert arm.within_limits(q)
 
 
-# --- all ways ---
+# --- all branches ---
 
 
 @EVERY
-def test_each_way_keeps_its_place_along_a_path(arm: Arm) -> None:
+def test_each_branch_keeps_index_along_path(arm: Arm) -> None:
     begin, end = np.array([0.4, -1.4, 1.8, -1.2, 1.3, 0.2]), np.array([0.6, -1.3, 1.7, -1.1, 1.1, 0.5])
     path = arm.forward(begin + np.linspace(0.0, 1.0, 200)[:, None] * (end - begin))
     ways = arm.branches(path)
@@ -292,7 +292,7 @@ def test_each_way_keeps_its_place_along_a_path(arm: Arm) -> None:
 
 @pytest.mark.property
 @given(arms, st.integers(0, 2**32))
-def test_rows_are_what_one_pose_is(arm: Arm, seed: int) -> None:
+def test_many_poses_give_the_same_as_one_by_one(arm: Arm, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = rng.uniform(-2.0 * math.pi, 2.0 * math.pi, (5, 6))
     q[rng.integers(0, 5), rng.integers(0, 6)] = rng.choice([0.0, math.pi, 1e-6, math.pi / 2.0])
@@ -307,14 +307,14 @@ def test_rows_are_what_one_pose_is(arm: Arm, seed: int) -> None:
     assert missed(arm, arm.inverse(there, near, tcp), there, tcp) < 1e-12
     assert missed(arm, np.array(one_by_one), there, tcp) < 1e-12
     ours, singles = arm.branches(there, tcp), np.array([arm.branches(row, tcp) for row in there])
-    # At the very edge of its reach, rounding may tell whether a way is one.
+    # At the very edge of the reach, rounding may decide whether a branch exists.
     both = ~np.isnan(ours).any(axis=-1) & ~np.isnan(singles).any(axis=-1)
     assert both.sum() >= 5
     assert missed(arm, ours[both], np.repeat(there, both.sum(axis=1), axis=0), tcp) < 1e-12
     assert (np.isnan(ours) == np.isnan(singles)).mean() > 0.9
 
 
-def test_any_number_of_dimensions() -> None:
+def test_arguments_may_have_any_number_of_dimensions() -> None:
     arm = Arm("UR10e")
     q = np.random.default_rng(3).uniform(-1.0, 1.0, (2, 3, 6))
     there = arm.forward(q)
@@ -333,14 +333,14 @@ def test_any_number_of_dimensions() -> None:
 
 
 @EVERY
-def test_a_path_is_followed_through_a_singular_wrist(arm: Arm) -> None:
+def test_path_is_followed_through_singular_wrist(arm: Arm) -> None:
     begin, end = np.array([0.3, -1.3, 1.6, -1.9, 0.4, 0.5]), np.array([0.5, -1.1, 1.4, -1.5, -0.4, 0.9])
     q = begin + np.linspace(0.0, 1.0, 41)[:, None] * (end - begin)
     q[20, 4] = 0.0
     there = arm.forward(q)
     found = arm.inverse_path(there, begin)
     assert missed(arm, found, there) < 1e-12
-    # In the singularity joint 6 stays where it was before, and the others make up for it.
+    # In the singularity, joint 6 keeps its previous position, and the other joints compensate for it.
     assert found[20, 5] == pytest.approx(found[19, 5], abs=1e-9)
     np.testing.assert_allclose(np.delete(found, 20, axis=0), np.delete(q, 20, axis=0), atol=1e-6)
     np.testing.assert_allclose(found, q, atol=0.05)
@@ -350,7 +350,7 @@ def test_a_path_is_followed_through_a_singular_wrist(arm: Arm) -> None:
 
 
 @EVERY
-def test_ten_thousand_random_poses(arm: Arm) -> None:
+def test_ten_thousand_random_poses_are_reached(arm: Arm) -> None:
     rng = np.random.default_rng(10)
     q = rng.uniform(-2.0 * math.pi, 2.0 * math.pi, (10_000, 6))
     there = arm.forward(q)
@@ -364,7 +364,7 @@ def test_ten_thousand_random_poses(arm: Arm) -> None:
 
 @EVERY
 @pytest.mark.parametrize("joint", [3, 5])
-def test_random_poses_in_and_close_to_singularities(arm: Arm, joint: int) -> None:
+def test_random_poses_near_singularities_are_reached(arm: Arm, joint: int) -> None:
     rng = np.random.default_rng(11)
     q = rng.uniform(-math.pi, math.pi, (200, 6))
     away = rng.choice([0.0, 1e-14, 1e-12, 1e-9, 1e-6, 1e-4, 1e-2], 200)
@@ -405,7 +405,7 @@ def test_velocity_is_the_jacobian_times_the_speeds(
 def test_manipulability_is_the_product_of_the_singular_values(arm: Arm, q: list[float], tcp: Array | None) -> None:
     expected = float(np.prod(np.linalg.svd(arm.jacobian(q, tcp), compute_uv=False)))
     assert float(arm.manipulability(q)) == pytest.approx(expected, rel=1e-6, abs=1e-12)
-    # As the documentation has it.
+    # The formula in the documentation.
     _, a2, a3, _, _, _ = arm.model.dh_a[[0, 1, 2, 3, 4, 5]]
     x, y = arm.frames(q)[5][:2, 3]
     in_plane = x * math.cos(q[0]) + y * math.sin(q[0])
@@ -416,7 +416,7 @@ def test_manipulability_is_the_product_of_the_singular_values(arm: Arm, q: list[
 # --- arguments ---
 
 
-def test_an_arm_is_named_in_upper_or_lower_case() -> None:
+def test_name_of_arm_ignores_case() -> None:
     assert Arm("ur5E").model is MODELS["UR5e"]
     assert Arm(MODELS["UR3"]).model is MODELS["UR3"]
     assert Arm("ur8long").model is MODELS["UR8 Long"]
@@ -431,7 +431,7 @@ def test_an_arm_is_named_in_upper_or_lower_case() -> None:
     [[0.0] * 5, [0.0] * 7, [], [0.0] * 5 + [math.nan], [math.inf] + [0.0] * 5, np.zeros((6, 1)), 3.0, ["a"] * 6, None],
     ids=repr,
 )
-def test_what_is_not_six_finite_numbers_is_refused(bad: ArrayLike) -> None:
+def test_arguments_must_be_six_finite_numbers(bad: ArrayLike) -> None:
     arm = Arm("UR5e")
     good = [0.0, -1.5, 1.5, -1.5, -1.5, 0.0]
     there = arm.forward(good)
@@ -448,7 +448,7 @@ def test_what_is_not_six_finite_numbers_is_refused(bad: ArrayLike) -> None:
         lambda: arm.inverse_path(bad, good),
         lambda: arm.inverse_path([there], bad),
     ]
-    if bad is not None:  # None stands for the flange, and for no preference.
+    if bad is not None:  # None means the flange, or no preference.
         calls += [
             lambda: arm.forward(good, bad),
             lambda: arm.forward([good], bad),
@@ -461,7 +461,7 @@ def test_what_is_not_six_finite_numbers_is_refused(bad: ArrayLike) -> None:
             call()
 
 
-# --- real bytes, parsed by hand so that they are apart from the schemas ---
+# --- real bytes, parsed by hand, independently of the schemas ---
 
 
 def subpackages(capture: Path) -> dict[int, bytes]:
@@ -476,12 +476,12 @@ def subpackages(capture: Path) -> dict[int, bytes]:
 
 
 def joint_positions(found: dict[int, bytes]) -> Array:
-    """Actual positions out of the six blocks of 41 bytes."""
+    """Return the actual positions from the six blocks of 41 bytes."""
     return np.array([struct.unpack_from(">d", found[1], 41 * i)[0] for i in range(6)])
 
 
 def cartesian(found: dict[int, bytes]) -> tuple[Array, Array | None]:
-    """The pose and, where the package is long enough to hold one, the TCP offset."""
+    """Return the pose and, if the package is long enough, the TCP offset."""
     numbers = np.frombuffer(found[4], ">f8").astype(np.float64)
     return numbers[:6], numbers[6:] if len(numbers) == 12 else None
 
@@ -499,16 +499,16 @@ REAL = pytest.mark.parametrize(
 
 @REAL
 @pytest.mark.captures("ur")
-def test_pose_that_a_controller_reports_for_its_joints(captures: Path, name: str, model: Model) -> None:
+def test_forward_matches_pose_reported_by_controller(captures: Path, name: str, model: Model) -> None:
     found = subpackages(captures / name)
     reported, tcp = cartesian(found)
-    # The rotation vector itself too: same sign, same turn.
+    # The rotation vector is also the same: same sign, same turn.
     np.testing.assert_allclose(Arm(model).forward(joint_positions(found), tcp), reported, rtol=0.0, atol=1e-4)
 
 
 @REAL
 @pytest.mark.captures("ur")
-def test_joints_that_a_controller_reports_for_its_pose(captures: Path, name: str, model: Model) -> None:
+def test_inverse_matches_joints_reported_by_controller(captures: Path, name: str, model: Model) -> None:
     found = subpackages(captures / name)
     reported, tcp = cartesian(found)
     q = joint_positions(found)
@@ -516,11 +516,11 @@ def test_joints_that_a_controller_reports_for_its_pose(captures: Path, name: str
 
 
 @pytest.mark.captures("ur")
-def test_the_oldest_package_has_a_tcp_that_it_does_not_tell(captures: Path) -> None:
+def test_oldest_package_does_not_report_tcp(captures: Path) -> None:
     found = subpackages(captures / "cb2_old_state_465.bin")
     reported, tcp = cartesian(found)
     assert tcp is None
-    # The orientation agrees and the position is a tool's length away.
+    # The orientation agrees, and the position differs by the length of a tool.
     error = compose(invert(Arm("UR5").forward(joint_positions(found))), reported)
     assert 0.05 < np.linalg.norm(error[:3]) < 0.065
     assert np.linalg.norm(error[3:]) < 1e-4

@@ -1,4 +1,4 @@
-"""Calibrated arms: their geometry against the table it came from, and inverse kinematics that are exact for them."""
+"""Calibrated arms: geometry compared with the given table, and exact inverse kinematics."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from urlink.arm.models import MODELS, Model, model
 from urlink.arm.poses import compose, invert, to_matrix
 
 EVERY = pytest.mark.parametrize("name", MODELS)
-#: Of each arm; ten thousand in the session of `nox -f nightly.py -s fuzz`.
+#: Poses of each arm; ten thousand in the session of `nox -f nightly.py -s fuzz`.
 POSES = min(40 * settings().max_examples, 10_000)
 READY = (0.2, -1.4, 1.8, -1.9, -1.5, 0.3)
 
 
 def missed(arm: Arm, q: Array, target: Array) -> float:
-    """By how much joint positions miss poses, m or rad."""
+    """Return the largest difference between the poses of joint positions and target poses, in m or rad."""
     return float(np.abs(compose(invert(arm.forward(q)), target)).max(initial=0.0))
 
 
@@ -37,22 +37,20 @@ def published(arm: Model) -> Table:
 
 @pytest.mark.property
 @given(models, st.integers(0, 99), joints, tcps)
-def test_forward_is_the_product_of_the_table_it_came_from(
-    of: Model, seed: int, q: list[float], tcp: Array | None
-) -> None:
+def test_forward_is_the_product_of_the_dh_table(of: Model, seed: int, q: list[float], tcp: Array | None) -> None:
     table = calibration(of, seed)
-    # What a controller sends looks like this: axes that almost are parallel meet far away.
+    # Tables of controllers look like this: axes that are almost parallel meet far away.
     assert max(map(abs, table.dh_d)) > 10.0
     arm = calibrated(of.name, seed)
     assert arm.is_calibrated
     expected = table.frames(q)[6] @ (np.eye(4) if tcp is None else to_matrix(tcp))
-    # The product itself has but so many digits at hundreds of metres.
+    # The product itself has limited precision at hundreds of metres.
     np.testing.assert_allclose(to_matrix(arm.forward(q, tcp)), expected, rtol=0.0, atol=1e-10)
     np.testing.assert_allclose(arm.frames(q)[6], table.frames(q)[6], rtol=0.0, atol=1e-10)
 
 
 @EVERY
-def test_every_frame_is_close_to_the_published_one(name: str) -> None:
+def test_every_frame_is_close_to_published_frame(name: str) -> None:
     ours, nominal = calibrated(name, 1), Arm(name)
     q = np.random.default_rng(5).uniform(-3.0, 3.0, (50, 6))
     between = np.abs(ours.frames(q) - nominal.frames(q))
@@ -61,7 +59,7 @@ def test_every_frame_is_close_to_the_published_one(name: str) -> None:
     assert np.abs(ours.forward(q) - nominal.forward(q)).max() > 1e-4
 
 
-def test_the_table_that_a_robot_was_reported_to_send() -> None:
+def test_table_reported_from_a_robot_is_accepted() -> None:
     arm = Arm.calibrated("UR5", REPORTED_UR5)
     assert repr(arm) == "<Arm UR5, calibrated>"
     q = np.random.default_rng(6).uniform(-3.0, 3.0, (200, 6))
@@ -73,14 +71,14 @@ def test_the_table_that_a_robot_was_reported_to_send() -> None:
 
 
 @EVERY
-def test_the_published_table_is_no_calibration(name: str) -> None:
+def test_published_table_is_not_a_calibration(name: str) -> None:
     arm = Arm.calibrated(name, published(MODELS[name]))
     assert not arm.is_calibrated
     q = [0.1, -1.0, 1.2, -0.3, 0.7, 0.1]
     np.testing.assert_array_equal(arm.forward(q), Arm(name).forward(q))
 
 
-def test_a_table_of_another_arm_or_of_deviations_is_refused() -> None:
+def test_table_of_other_arm_or_of_deviations_is_rejected() -> None:
     with pytest.raises(BadValue, match=r"DH table of a UR10e: .* of link 2 is -0.42"):
         Arm.calibrated("UR10e", calibration(model("UR5e"), 0))
     whole, nominal = calibration(model("UR5e"), 0), published(model("UR5e"))
@@ -95,7 +93,7 @@ def test_a_table_of_another_arm_or_of_deviations_is_refused() -> None:
 
 
 @pytest.mark.parametrize("bad", [(0.0,) * 5, (0.0,) * 5 + (math.nan,)])
-def test_what_is_no_table_is_refused(bad: tuple[float, ...]) -> None:
+def test_invalid_table_is_rejected(bad: tuple[float, ...]) -> None:
     good = published(model("UR5e"))
     with pytest.raises(BadValue, match="dh_d"):
         Arm.calibrated("UR5e", Table(good.dh_theta, good.dh_a, bad, good.dh_alpha))
@@ -106,7 +104,7 @@ def test_what_is_no_table_is_refused(bad: tuple[float, ...]) -> None:
 
 @pytest.mark.property
 @EVERY
-def test_random_poses(name: str) -> None:
+def test_random_poses_are_reached(name: str) -> None:
     arm = calibrated(name, 2)
     q = np.random.default_rng(10).uniform(-2.0 * math.pi, 2.0 * math.pi, (POSES, 6))
     there = arm.forward(q)
@@ -118,7 +116,7 @@ def test_random_poses(name: str) -> None:
 
 @EVERY
 @pytest.mark.parametrize("joint", [3, 5])
-def test_random_poses_in_and_close_to_singularities(name: str, joint: int) -> None:
+def test_random_poses_near_singularities_are_reached(name: str, joint: int) -> None:
     arm = calibrated(name, 3)
     rng = np.random.default_rng(11)
     q = rng.uniform(-math.pi, math.pi, (40, 6))
@@ -126,14 +124,14 @@ def test_random_poses_in_and_close_to_singularities(name: str, joint: int) -> No
     there = arm.forward(q)
     found = arm.inverse(there, q)
     assert missed(arm, found, there) < 1e-12
-    # The joint positions it came from, and not another way.
+    # The result is the original joint positions, rather than another branch.
     assert np.abs(found - q).max() < 1e-5
     assert missed(arm, arm.inverse(there[:10], READY), there[:10]) < 1e-12
 
 
 @pytest.mark.property
 @given(models, st.integers(0, 9), joints)
-def test_any_pose_that_the_arm_takes_is_found_again(of: Model, seed: int, q: list[float]) -> None:
+def test_any_pose_of_the_arm_is_found_again(of: Model, seed: int, q: list[float]) -> None:
     arm = calibrated(of.name, seed)
     there = arm.forward(q)
     assert missed(arm, arm.inverse(there, q, is_limited=False), there) < 1e-12
@@ -141,7 +139,7 @@ def test_any_pose_that_the_arm_takes_is_found_again(of: Model, seed: int, q: lis
         assert missed(arm, way, there) < 1e-12
 
 
-def test_the_eight_ways_are_those_of_the_published_arm_and_exact() -> None:
+def test_branches_are_exact_and_close_to_published_arm() -> None:
     arm, nominal = calibrated("UR10e", 4), Arm("UR10e")
     q = np.random.default_rng(12).uniform(-2.0, 2.0, (300, 6))
     there = arm.forward(q)
@@ -155,7 +153,7 @@ def test_the_eight_ways_are_those_of_the_published_arm_and_exact() -> None:
     np.testing.assert_allclose(arm.branches(there[0]), ours[0], atol=1e-9)
 
 
-def test_three_steps_lead_from_a_hundredth_of_a_radian_to_the_last_digit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refinement_takes_three_steps_to_full_precision(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = calibrated("UR5e", 5)
     rng = np.random.default_rng(14)
     q = rng.uniform(-3.0, 3.0, (200, 6))
@@ -168,7 +166,7 @@ def test_three_steps_lead_from_a_hundredth_of_a_radian_to_the_last_digit(monkeyp
     assert steps.call_count / len(q) < 3.2
 
 
-def test_rows_are_what_one_pose_is() -> None:
+def test_many_poses_give_the_same_as_one_by_one() -> None:
     arm = calibrated("UR3e", 5)
     rng = np.random.default_rng(13)
     q = rng.uniform(-3.0, 3.0, (60, 6))
@@ -180,8 +178,8 @@ def test_rows_are_what_one_pose_is() -> None:
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_half_a_turn_beside_a_solution_is_none(joint: int) -> None:
-    # The sine of half a turn is as small as that of none.
+def test_joint_half_a_turn_off_is_not_accepted(joint: int) -> None:
+    # The sine of half a turn is as small as the sine of 0.
     arm = calibrated("UR5e", 1)
     there = arm.forward(READY)
     near = np.array(READY)
@@ -190,7 +188,7 @@ def test_half_a_turn_beside_a_solution_is_none(joint: int) -> None:
         assert missed(arm, found, there) < 1e-12
 
 
-def test_out_of_reach() -> None:
+def test_pose_out_of_reach_raises_unreachable() -> None:
     arm = calibrated("UR5e", 6)
     for there in ([5.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 0.0, math.pi, 0.0]):
         with pytest.raises(Unreachable):
@@ -199,7 +197,7 @@ def test_out_of_reach() -> None:
         assert len(arm.solutions(there)) == 0
 
 
-def test_a_path_is_followed_to_the_last_digit() -> None:
+def test_path_is_followed_to_full_precision() -> None:
     arm = calibrated("UR5e", 7)
     q = np.array(READY) + np.linspace(0.0, 0.5, 50)[:, None]
     np.testing.assert_allclose(arm.inverse_path(arm.forward(q), READY), q, atol=1e-9)
@@ -214,7 +212,7 @@ def test_velocity_is_the_jacobian_times_the_speeds() -> None:
     np.testing.assert_allclose(arm.velocity([READY], qd, tcp), [expected], rtol=0.0, atol=1e-13)
 
 
-def test_jacobian_is_the_derivative() -> None:
+def test_jacobian_is_the_derivative_of_the_pose() -> None:
     arm = calibrated("UR16e", 8)
     step = 1e-6
     for i in range(6):

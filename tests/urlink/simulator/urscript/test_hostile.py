@@ -99,7 +99,7 @@ GROWING: dict[str, Callable[[int], str]] = {
     "branches": repeated(lambda n: "if True:\n" * 40 + "end\n" * 40),
     "else ifs": lambda size: "if x == 0:\nx = 1\n" + "elif x == 1:\nx = 1\n" * (size // 20) + "end\n",
     "waiting calls": repeated(lambda n: " x=" + "+".join(["socket_read_line()"] * 20) + "\n"),
-    "own calls in one another": repeated(
+    "nested calls of a user function": repeated(
         lambda n: "def g(a):\nend\n" if not n else " x=" + "g(" * 30 + ")" * 30 + "\n"
     ),
     "threads": repeated(lambda n: "thread t():\nend\n" if not n else "run t()\n"),

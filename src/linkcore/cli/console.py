@@ -1,0 +1,126 @@
+"""Console input with a timeout: lines of stdin and single keys of a terminal, on POSIX systems and on Windows.
+
+On Windows, `select` accepts sockets only. There, a thread reads the lines of stdin, and `msvcrt` reads the keys.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from queue import Empty, SimpleQueue
+
+from .. import clock
+from ..errors import LocalError
+
+#: Seconds between two checks for a key on Windows, whose console reports a key only if it is asked for.
+_POLL = 0.01
+
+#: Reads bytes; None if none came within the given number of seconds, and b"" if the input has ended.
+Reader = Callable[[float], "bytes | None"]
+
+
+def read_stdin(timeout: float) -> bytes | None:
+    """Read what stdin has next; return None if nothing came within `timeout` seconds, and b"" at its end.
+
+    Raises:
+        LocalError: If this system cannot wait for stdin with a timeout.
+    """
+    if sys.platform == "win32":
+        try:
+            return _chunks().get(timeout=timeout)
+        except Empty:
+            return None
+    try:
+        is_ready = bool(select.select([sys.stdin], [], [], timeout)[0])
+    except (OSError, ValueError) as error:
+        raise LocalError(f"cannot wait for stdin: {error}") from None
+    return os.read(sys.stdin.fileno(), 1024) if is_ready else None
+
+
+def lines(is_wanted: Callable[[], bool], pause: float = 0.05) -> Iterator[str | None]:
+    """Yield lines of stdin without line ends, until stdin ends or `is_wanted` returns False; None after each pause.
+
+    Raises:
+        LocalError: If this system cannot wait for stdin with a timeout.
+    """
+    rest = b""
+    while is_wanted():
+        read = read_stdin(pause)
+        if read is None:
+            yield None
+            continue
+        *whole, rest = (rest + read).split(b"\n")
+        for line in whole:
+            yield line.decode(errors="replace").strip()
+        if not read:
+            return
+
+
+@contextlib.contextmanager
+def keys() -> Iterator[Reader]:
+    """Set the terminal to send single keys without showing them; restore it afterwards.
+
+    The block gets a function that reads the keys that were pressed.
+
+    Raises:
+        LocalError: If stdin is not a terminal, or if this system cannot read single keys.
+    """
+    if not sys.stdin.isatty():
+        raise LocalError("stdin is not a terminal; keys can only be read from a terminal")
+    if sys.platform == "win32":
+        yield _pressed
+        return
+    try:
+        import termios
+        import tty
+    except ImportError:
+        raise LocalError("this system cannot read single keys from a terminal (no termios)") from None
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+    tty.setcbreak(terminal)
+    try:
+        yield read_stdin
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+
+if sys.platform == "win32":
+    import functools
+    import msvcrt
+
+    def _pressed(timeout: float) -> bytes | None:
+        until = clock.now() + timeout
+        while not msvcrt.kbhit():
+            if clock.now() >= until:
+                return None
+            clock.sleep(_POLL)
+        key = msvcrt.getch()
+        if key in (b"\x00", b"\xe0"):  # an arrow or a function key, whose code follows
+            msvcrt.getch()
+            return None
+        return key
+
+    @functools.cache
+    def _chunks() -> SimpleQueue[bytes]:
+        """Return the queue of what a thread reads from stdin; b"" is its end."""
+        chunks: SimpleQueue[bytes] = SimpleQueue()
+        number = sys.stdin.fileno()
+
+        def read() -> None:
+            # Not `sys.stdin.buffer`: its lock would be held by this thread when the interpreter exits.
+            while chunk := _read(number):
+                chunks.put(chunk)
+            chunks.put(b"")
+
+        threading.Thread(target=read, name="linkcore stdin", daemon=True).start()
+        return chunks
+
+    def _read(number: int) -> bytes:
+        try:
+            return os.read(number, 1024)
+        except OSError:  # stdin was closed
+            return b""
