@@ -230,7 +230,7 @@ textmsg(modbus_get_signal_status("modules"))
     for program, error in (
         ('modbus_set_output_signal("outputs", True)', "digital_value must be a list of 2 values"),
         ('modbus_set_output_signal("outputs", [True])', "digital_value must be a list of 2 values"),
-        ('modbus_set_output_signal("outputs", [True, 1])', "digital_value is True or False"),
+        ('modbus_set_output_signal("outputs", [True, 1])', "digital_value has the type int; expected True or False"),
         ('modbus_set_output_register("speeds", [1, 65536])', "register_value is 65536; expected 0 to 65535"),
         ('modbus_set_output_signal("inputs", [True, True, True])', "'inputs' is a digital input"),
         ('modbus_add_signal("192.168.0.5", 255, 0, 2, "many", True, 126)', "register_count is 126; expected 1 to 125"),
