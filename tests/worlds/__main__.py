@@ -1,8 +1,8 @@
-"""Runs worlds: ``python -m tests.worlds --seeds 300 --jobs 2``; ``--seed 17`` for one, with its log.
+"""Run simulated worlds: ``python -m tests.worlds --seeds 300 --jobs 2``; ``--seed 17`` runs one and prints its log.
 
-``--traces`` prints the checksum of each run: equal in every process, on every version of Python.
+``--traces`` prints the checksum of each run, which is the same in every process and every version of Python.
 
-``--planted NAME --seeds 10000`` puts a defect of `planted` back, and searches for the first seed that shows it.
+``--planted NAME --seeds 10000`` injects a defect of `planted`, and searches for the first seed that shows it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .world import World
 
 
 def shrunk(world: World, most: int = 300) -> World:
-    """A smaller, simpler and shorter world in which the same is wrong."""
+    """Return a smaller, simpler and shorter world with the same fault."""
     wrong = kind(run(world).faults[0])
     tried = 0
     is_smaller = True
@@ -40,12 +40,12 @@ def shrunk(world: World, most: int = 300) -> World:
 
 
 def kind(fault: str) -> str:
-    """What is wrong, without numbers and names."""
+    """Return the text of a fault without numbers and names."""
     return re.sub(r"\w*\d[\w.]*", "#", fault.splitlines()[0])
 
 
 def on_one_processor() -> None:
-    """Keep this process on the processor that it runs on: its threads take turns, and moving them costs time."""
+    """Bind this process to one processor, because its threads take turns and moving them costs time."""
     if hasattr(os, "sched_setaffinity"):
         allowed = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {allowed[os.getpid() % len(allowed)]})
@@ -60,15 +60,15 @@ def show(world: World, result: Outcome) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.worlds", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=300, help="how many")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--seed", type=int, help="run this one, and print what happens")
-    parser.add_argument("--shrink", action="store_true", help="make a world in which something is wrong smaller")
-    parser.add_argument("--until", action="store_true", help="end with the first fault, and make its world smaller")
-    parser.add_argument("--traces", action="store_true", help="print a checksum of all that happened in each world")
-    parser.add_argument("--shown", metavar="NAME", choices=SHOWN, help="run the world in which that defect shows")
-    parser.add_argument("--planted", metavar="NAME", choices=NAMES, help=f"with a defect: {', '.join(NAMES)}")
+    parser.add_argument("--seeds", type=int, default=300, help="number of worlds (default: %(default)d)")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first world (default: %(default)d)")
+    parser.add_argument("--jobs", type=int, default=1, help="parallel processes (default: %(default)d)")
+    parser.add_argument("--seed", type=int, help="run only this world, and print its events")
+    parser.add_argument("--shrink", action="store_true", help="make a world with a fault smaller")
+    parser.add_argument("--until", action="store_true", help="stop at the first fault, and make its world smaller")
+    parser.add_argument("--traces", action="store_true", help="print a checksum of all events of each world")
+    parser.add_argument("--shown", metavar="NAME", choices=SHOWN, help="run the world that shows this defect")
+    parser.add_argument("--planted", metavar="NAME", choices=NAMES, help=f"inject a defect: {', '.join(NAMES)}")
     given = parser.parse_args()
     if given.planted is not None:
         rest = ["--first", str(given.first), "--seeds", str(given.seeds), "--jobs", str(given.jobs), "--until"]
@@ -96,7 +96,7 @@ def main() -> int:
     seeds = iter(range(given.first, given.first + given.seeds))
     with ProcessPoolExecutor(given.jobs, initializer=on_one_processor) as pool:
         while some := list(islice(seeds, 100)):
-            # Since 3.14 a process of the pool finds no function of this module.
+            # Since Python 3.14, a process of the pool cannot import functions of this module.
             for seed, result in zip(some, pool.map(run, map(draw, some)), strict=True):
                 done += 1
                 simulated += result.simulated

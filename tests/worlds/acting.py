@@ -1,4 +1,4 @@
-"""What is done with the actions of `surface`: called with drawn arguments, entered, used, and checked."""
+"""Use of the actions of `surface`: they are called with drawn arguments, entered, used, and checked."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ __all__ = [
     "use_awaited",
 ]
 
-#: Arguments that say how long a call may take, s.
+#: Arguments that limit the duration of a call, in s.
 _TIMES = ("timeout", "start_timeout", "finish_timeout", "duration", "seconds", "time", "goal_time", "transition_time")
-#: s that a call may take beyond its arguments: connecting, sending and being confirmed.
+#: Time that a call may take in addition to its arguments, in s: for connecting, sending and the confirmation.
 _BESIDE = 12.0
-#: s for which a motion is waited for with `wait=True`.
+#: Time for which a call with `wait=True` may wait for its motion, in s.
 _WAITED = 60.0
 
 
 def drawing(robot: Any, ask: Ask, step: int = 0) -> Drawing:
-    """What the arguments of an ask are drawn by. Those of its numbers are the same each time."""
+    """Return the source of drawn arguments for an ask. The same ask always gets the same arguments."""
     made = Drawing(random.Random(f"{ask.what} {ask.size} {step}"))
     state = None
     with contextlib.suppress(LinkError):
@@ -55,7 +55,7 @@ def drawing(robot: Any, ask: Ask, step: int = 0) -> Drawing:
 
 
 def limit(ask: Ask) -> float:
-    """s that the call of an ask may take."""
+    """Return the time limit for the call of an ask, in s."""
     action = ACTIONS[ask.what]
     _, named = action.arguments(Drawing(random.Random(f"{ask.what} {ask.size} 0")))
     seconds = _BESIDE
@@ -79,14 +79,14 @@ def begin(robot: Any, ask: Ask) -> Any:
     return made
 
 
-#: The arguments of the newest call of an ask, and what it returned.
+#: Arguments and result of the newest call of an ask.
 _given: dict[Ask, tuple[dict[str, Any], Any]] = {}
 
 Check = Callable[[Any, Any, dict[str, Any], Any], bool]
 
 
 def effect(robot: Any, controller: Controller, ask: Ask) -> str | None:
-    """What is not as the call of an ask promises; None if all is."""
+    """Check the promised effect of the call of an ask; return a description of the difference, or None."""
     check = _EFFECTS.get(ask.what)
     named, made = _given.pop(ask, ({}, None))
     if check is None or named.get("confirm", 1.0) is None:
@@ -96,11 +96,11 @@ def effect(robot: Any, controller: Controller, ask: Ask) -> str | None:
         if ask.what in _LATER:
             time.sleep(0.2)
         is_right = check(robot, controller, named, made)
-    return None if is_right else f"it was called with {named} and returned {made!r}, and the robot is not like that"
+    return None if is_right else f"it was called with {named} and returned {made!r}, but the robot differs from that"
 
 
 def _signal(kind: str, first: int, argument: str | None = None) -> Check:
-    """A digital input or output: what was returned, or was set, is what the controller has."""
+    """Return a check that a returned or set digital input or output equals the value of the controller."""
 
     def check(robot: Any, controller: Any, named: dict[str, Any], made: Any) -> bool:
         has = bool(getattr(controller.signals, kind) >> (first + named["number"]) & 1)
@@ -137,7 +137,7 @@ def _ends_at(robot: Any, controller: Any, named: dict[str, Any], made: Any) -> b
     return np.allclose(robot.realtime.wait(2.0).q_actual, named["trajectory"].q[-1], atol=0.05)
 
 
-#: What is true when a call has returned, and a motion has ended: robot, controller, arguments and result.
+#: Checks after a call has returned and its motion has ended; they get robot, controller, arguments and result.
 _EFFECTS: dict[str, Check] = {
     "io.digital_in": _signal("digital_inputs", 0),
     "io.configurable_digital_in": _signal("digital_inputs", 8),
@@ -169,12 +169,12 @@ _EFFECTS: dict[str, Check] = {
     "motion.speed_joints": _stands,
     "motion.speed_linear": _stands,
 }
-#: Calls that do not wait until the controller has done it.
+#: Calls that do not wait for the effect on the controller.
 _LATER = ("io.set_flag", "registers.write_bit", "registers.write_integer", "registers.write_float")
 
 
 def prepared(controller: Controller, seed: int) -> None:
-    """Give inputs and registers of a controller values that can be told apart."""
+    """Give the inputs and registers of a controller different values."""
     chance = random.Random(f"controller {seed}")
     controller.signals.digital_inputs = chance.getrandbits(18) & ~(1 << 7)
     outputs = controller.registers.outputs
@@ -184,7 +184,7 @@ def prepared(controller: Controller, seed: int) -> None:
 
 
 def on_call(robot: Any, ask: Ask) -> None:
-    """What a callback does: mostly nothing, sometimes it cancels what runs."""
+    """Act as a drawn callback: do nothing, or sometimes cancel the current motion."""
     if ask.size > 0.8:
         motion = robot.motion.current
         if motion is not None:
@@ -192,12 +192,12 @@ def on_call(robot: Any, ask: Ask) -> None:
 
 
 def call(robot: Any, ask: Ask) -> None:
-    """Call a method that begins no motion, and use what it returns."""
+    """Call a method that starts no motion, and use its result."""
     use(robot, begin(robot, ask), ask)
 
 
 def use(robot: Any, made: Any, ask: Ask) -> None:
-    """Read from iterators, leave what can be entered, and close what can be closed."""
+    """Use a result: read from iterators, enter and leave context managers, and close subscriptions."""
     if isinstance(made, Iterator):
         with contextlib.suppress(LinkError):
             for _ in itertools.islice(made, 1 + int(4 * ask.size)):
@@ -211,12 +211,12 @@ def use(robot: Any, made: Any, ask: Ask) -> None:
     elif hasattr(made, "__exit__"):
         with made:
             time.sleep(min(ask.patience, 0.2))
-    elif callable(made):  # of `on_stop`: it ends the subscription
+    elif callable(made):  # the result of `on_stop`, which ends the subscription
         made()
 
 
 def _steps(block: Any, ask: Ask) -> Iterator[tuple[str, int, float]]:
-    """What is done in a block: the method, how often, and how long afterwards nothing is."""
+    """Yield the actions in a block: the method, the number of calls, and the pause afterwards."""
     chance = random.Random(f"during {ask.what} {ask.size}")
     methods = OF_BLOCKS[type(block)]
     for _ in range(chance.randint(0, 5) if methods else 0):
@@ -226,10 +226,10 @@ def _steps(block: Any, ask: Ask) -> Iterator[tuple[str, int, float]]:
 
 
 def during(robot: Any, block: Any, ask: Ask) -> None:
-    """Use what a block gives by its methods, with drawn arguments."""
+    """Call methods of an entered block with drawn arguments."""
     for step, (name, often, rest) in enumerate(_steps(block, ask)):
         for _ in range(often):
-            with contextlib.suppress(LocalError):  # what was drawn may be too far or too fast
+            with contextlib.suppress(LocalError):  # drawn values may be too far or too fast
                 positional, named = _arguments(robot, block, name, ask, step)
                 use(robot, getattr(block, name)(*positional, **named), ask)
             if often > 1:
@@ -250,7 +250,7 @@ def _arguments(robot: Any, block: Any, name: str, ask: Ask, step: int) -> tuple[
 
 
 async def use_awaited(made: Any, ask: Ask) -> None:
-    """As `use`, for what the awaited face returns."""
+    """Use a result of the asyncio interface; see `use`."""
     if isinstance(made, AsyncIterator):
         with contextlib.suppress(LinkError):
             for _ in range(1 + int(4 * ask.size)):
@@ -265,16 +265,16 @@ async def use_awaited(made: Any, ask: Ask) -> None:
 
 
 def steps_awaited(block: Any, ask: Ask) -> Iterator[tuple[str, int, float]]:
-    """As `_steps`, of the block or of the part that it awaits."""
+    """Yield the actions in a block of the asyncio interface; see `_steps`."""
     part = getattr(block, "_part", block)
     yield from _steps(part, ask) if type(part) in OF_BLOCKS else ()
 
 
 async def during_awaited(robot: Any, block: Any, name: str, ask: Ask, step: int) -> None:
-    """Call one method of a block of the awaited face."""
+    """Call one method of a block of the asyncio interface."""
     with contextlib.suppress(LocalError):
         positional, named = _arguments(robot, block, name, ask, step)
-        if name == "measure_delay":  # of a block that the awaited face gives as it is
+        if name == "measure_delay":  # the asyncio interface does not wrap this block
             await robot.call(block.measure_delay, *positional, **named)
             return
         made = getattr(block, name)(*positional, **named)
@@ -284,7 +284,7 @@ async def during_awaited(robot: Any, block: Any, name: str, ask: Ask, step: int)
 
 
 def direction(jog: Jog, speeds: Any, state: Any) -> float | None:
-    """Cosine between the speed that was asked for and that of the arm; None where it does not move."""
+    """Return the cosine between the requested and the actual speed, or None if the arm does not move."""
     wanted = np.asarray(speeds, dtype=float)
     if jog.frame == "joints":
         found = state.qd_actual

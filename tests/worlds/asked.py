@@ -1,6 +1,7 @@
-"""What a client of a world asks for: one function for each name of `drawn.ASKED`.
+"""Requests of the clients of a world: one function for each name of `world.ASKED`.
 
-A motion is begun, and its handle returned; a block is returned before it is entered; a call is over when it returns.
+A function for a motion starts it and returns its handle. A function for a block returns the block before it is entered.
+A function for a call returns when the call is complete.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ from .world import Ask
 
 __all__ = ["BLOCK", "CALL", "DURING", "MOTION", "PENDANT_PROGRAM", "URX", "UR_RTDE", "WATCHDOG"]
 
-#: s: the least watchdog that is drawn.
+#: Shortest drawn watchdog, in s.
 WATCHDOG = 0.3
 READY = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])
-#: The program that is saved at the pendant, by its path.
+#: Path of the program that is saved on the pendant.
 PENDANT_PROGRAM = "/programs/pick.urp"
 _WAIT = 2.0
 _DOWN = [0, 0, 1, 0, 0, 0], [0, 0, -10.0, 0, 0, 0], [0.05] * 6
 
 
 def _raised(robot: Any, metres: float) -> Any:
-    """The pose of the tool, so much higher."""
+    """Return the pose of the tool, raised by a distance."""
     pose = robot.realtime.wait(_WAIT).tool_vector_actual.copy()
     pose[2] += metres
     return pose
@@ -136,7 +137,7 @@ def _servo_filtered(robot: Any, servo: Any, ask: Ask) -> None:
 def _stream(robot: Any, stream: Any, ask: Ask) -> None:
     q = robot.realtime.wait(_WAIT).q_target
     speed = 0.3 * ask.size
-    for step in range(1, int(20 * ask.size) + 1):  # it may be starved at any of them
+    for step in range(1, int(20 * ask.size) + 1):  # the stream may run dry at any of these points
         stream.append(urlink.TrajectoryPoint(q + 0.05 * step * speed, 0.05 + stream.end, [speed] * 6), wait=2.0)
         if step == 10:
             stream.clear()
@@ -191,7 +192,7 @@ def _interpreter(robot: Any, interpreter: Any, ask: Ask) -> None:
         interpreter.abort()
 
 
-#: What is done within the block.
+#: Actions within the block.
 DURING: dict[str, Callable[[Any, Any, Ask], None]] = {
     "servo": _servo,
     "servo_rtde": _servo,

@@ -1,4 +1,4 @@
-"""Worlds leave what a killed client had: it is collected with the test, whose warnings are ignored."""
+"""Worlds leave objects of killed clients; they are collected in the same test, which ignores their warnings."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def collects_what_killed_clients_leave() -> Iterator[None]:
-    """A coroutine of theirs is closed outside of its loop, which no later test is to be told of."""
+    """Collect objects of killed clients: a coroutine closed outside of its loop must not warn in a later test."""
     yield
     gc.collect()

@@ -1,4 +1,4 @@
-"""What streams and subscriptions count, beside what really came: counted a second time, from outside."""
+"""Second, independent count of packets, which is compared with the counters of streams and subscriptions."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ __all__ = ["Counted"]
 
 @dataclass(eq=False)
 class _Stream:
-    """What was seen of one stream.
+    """Observations of one stream.
 
     Attributes:
-        begun, done: packets that were to be published, and those that have been.
-        connections: how often it was connected.
-        missed: cycles between two states of one connection.
-        last: time of the last state of this connection by the controller's clock, s.
-        is_known: Whether two consecutive states of this connection have shown how long a cycle is.
-        is_vague: cycles were missing before that, and the library counts by the longest that there is.
+        begun, done: Numbers of packets before and after their publication.
+        connections: Number of connections.
+        missed: Number of missing cycles between states of one connection.
+        last: Time of the last state of this connection on the controller's clock, in s.
+        is_known: Whether two consecutive states of this connection have shown the duration of a cycle.
+        is_vague: Whether cycles were missing before that, so that the library assumes the longest possible cycle.
     """
 
     begun: int = 0
@@ -41,25 +41,25 @@ class _Stream:
 
 
 class Counted:
-    """Counts packets of every stream in a world.
+    """Counter of the packets of every stream in a world.
 
     Args:
-        rate: cycles of the controller a second.
-        fault: reports what must not be.
+        rate: Cycles of the controller per second.
+        fault: Function that reports a fault.
     """
 
     def __init__(self, rate: int, fault: Callable[[str], object]) -> None:
         self._rate = rate
         self._fault = fault
         self._streams: dict[FanOut, _Stream] = {}
-        #: of each subscriber to whole packets: those that were done before it was there, and those begun after
+        #: For each subscriber to whole packets: packets published before it was added, and packets begun afterwards.
         self._since: dict[object, tuple[int, int]] = {}
-        #: how often the callback of a subscription was called
+        #: Number of calls of the callback of each subscription.
         self._calls: dict[Subscription, list[int]] = {}
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
-        """Count, for as long as the block lasts."""
+        """Count packets while the block lasts."""
         with (
             replaced(FanOut, "publish", self._publish),
             replaced(FanOut, "add", self._add),
@@ -110,7 +110,7 @@ class Counted:
                 return
             least, most = (0 if is_over else done - since[1]), stream.begun - since[0]
             if not least <= sink.offered <= most:
-                self._fault(f"a subscriber counts {sink.offered} packets, and {least} to {most} came for it")
+                self._fault(f"a subscriber counts {sink.offered} packets, but {least} to {most} were offered to it")
 
         return wrapped
 
@@ -131,15 +131,15 @@ class Counted:
         if stats.received != stats.decoded + stats.failed:
             self._fault(f"{name}: {stats.received} received, {stats.decoded} decoded and {stats.failed} failed")
         if stats.decoded != stream.done:
-            self._fault(f"{name} counts {stats.decoded} packets, and {stream.done} were handed out")
+            self._fault(f"{name} counts {stats.decoded} packets, but {stream.done} were published")
         if stats.reconnects != max(stream.connections - 1, 0):
-            self._fault(f"{name} counts {stats.reconnects} reconnects, and was connected {stream.connections} times")
+            self._fault(f"{name} counts {stats.reconnects} reconnects, but was connected {stream.connections} times")
         if (
             stream.last is not None
             and not (stats.failed or stream.is_vague)
             and stats.missed not in (None, stream.missed)
         ):
-            self._fault(f"{name} counts {stats.missed} missed cycles; by the controller's clock {stream.missed} are")
+            self._fault(f"{name} counts {stats.missed} missed cycles, but the controller's clock shows {stream.missed}")
 
     def _subscribe(self, subscribe: Callable[..., Subscription]) -> Callable[..., Subscription]:
         def wrapped(connection: Connection, kind: type, callback: Callable[[Any], object], **how: Any) -> Subscription:
@@ -162,9 +162,9 @@ class Counted:
             stats, calls = subscription.stats, self._calls.pop(subscription, None)
             taken = stats.delivered + stats.dropped + stats.raised + stats.waiting
             if timeout and stats.offered != taken:
-                self._fault(f"{subscription.name}: {stats.offered} packets offered, and {taken} accounted for: {stats}")
+                self._fault(f"{subscription.name}: {stats.offered} packets offered, but {taken} accounted for: {stats}")
             handed = stats.delivered + stats.raised
-            # What waits may be in the callback, or come from a reader that was in the middle of an offer.
+            # A waiting packet may be in the callback, or come from a reader that was in the middle of an offer.
             if timeout and calls is not None and not handed <= calls[0] <= handed + stats.waiting:
                 self._fault(f"{subscription.name}: the callback was called {calls[0]} times: {stats}")
 

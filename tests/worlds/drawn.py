@@ -1,4 +1,4 @@
-"""Worlds as a seed draws them."""
+"""Random worlds, drawn from a seed."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ _KINDS = ("threads",) * 8 + ("asyncio",) * 4 + ("rtde", "dashboard", "ur_rtde", 
 _FIRMWARES = [str(row.since) for row in RELEASES for _ in range(1 if row.since.is_cb2 else 3)]
 #: Share of the worlds of `public` with a mobile robot.
 _MOBILE = 0.12
-#: Of so many worlds in a row, one is a scene that is varied.
+#: Number of consecutive worlds of which one is a varied scene.
 _SCENES = 4
 
 
-#: Actions of `surface` by kind, and how often each kind is drawn.
+#: Actions of `surface` by kind, and the frequency of each kind.
 _ACTIONS = {kind: [name for name, each in ACTIONS.items() if each.kind == kind] for kind in ("motion", "block", "call")}
 _ACTIONS["block"] += ["motion.jog"] * 2
 _ACTION_KINDS = ("motion",) * 4 + ("block",) * 4 + ("call",) * 3
 _SITUATIONS = ("race",) * 3 + ("signal",) * 2 + ("lacks", "busy") + ("any", "held") * 2 + ("sweep",) * 3
-#: Actions that move the arm by messages, each as often as it is drawn.
+#: Actions that move the arm with messages over a link, repeated according to their frequency.
 _LED = (*(name for name in _ACTIONS["block"] if name.startswith("motion")), "motion.jog", "motion.speed_joints")
-#: Actions after which nothing else can be asked for.
+#: Actions that end a client: no further request is possible after them.
 _ENDS = ("robot.close", "realtime.close", "primary.close", "dashboard.power_off", "dashboard.quit", "rtde.close")
-#: What races with what another thread prepares.
+#: Actions that race with a call of another thread.
 _ENDING = ("motion.stop", "motion.stop", "close", "cancel_current", "cancel_current", "dashboard.stop", "robot.close")
 
 
 def draw(seed: int) -> World:
-    """The world of a seed: every other one has trials, one in four is a scene, the others have actions."""
+    """Return the world of a seed: every other world has trials, one in four is a scene, and the others have actions."""
     if seed % 2 == 0:
         return tried(seed)
     is_written = seed % _SCENES == 1 or seed // _SCENES % 3 == 0
@@ -60,7 +60,7 @@ def draw(seed: int) -> World:
 
 
 def tried(seed: int) -> World:
-    """A world with one or two trials, in each of which nobody else does anything."""
+    """Return a world with one or two trials, without other clients or events."""
     chance = random.Random(f"tried {seed}")
     kind = chance.choice(("trials",) * 5 + ("trials in tasks",) * 2 + ("mobile trials",) * 2)
     menus = {"trials": [*TRIALS], "trials in tasks": [*AWAITED], "mobile trials": [*MOBILE_TRIALS]}
@@ -69,13 +69,13 @@ def tried(seed: int) -> World:
     start = chance.choice(("register",) * 6 + ("flags",))
     client = Client(asks, chance.uniform(-1e-4, 1e-4), kind, "never", start)
     latency, lines = chance.choice((5e-5, 5e-4)), chance.choice((0.0,) * 5 + (0.3, 0.3, 1.0))
-    # Fewer states a second make a world cheaper.
+    # Fewer states per second make a world faster.
     firmware = chance.choice(("3.15",) * 4 + ("3.10", "5.9", "5.11", "10.12"))
     return World(seed, firmware, latency, 0.0, (client,), (), lines)
 
 
 def public(seed: int) -> World:
-    """A world whose actions come from `surface`, few of them, in one of five situations."""
+    """Return a world with a few actions of `surface` in a drawn situation."""
     chance = random.Random(f"public {seed}")
     if chance.random() < _MOBILE:
         return _mobile(chance, seed)
@@ -102,12 +102,12 @@ def public(seed: int) -> World:
         other = chance.choice(_ENDING) if chance.random() < 0.7 else _action(chance)
         asks = [asks[0], replace(_public_ask(chance, other, thens, at), thread=1, after=after)]
     elif situation == "held":
-        # In the middle of something that moves by messages of this process.
+        # The event comes during a motion that needs messages of this process.
         asks = [replace(asks[0], what=chance.choice(_LED), then=chance.choice(("leave", "wait")))]
         what = chance.choice(("hold_client", "suspend_client", "cut", "kill_client", "protective_stop"))
         events.append(Event(what, 0.1 + 0.5 * chance.random(), 2.0 + chance.random(), 0, chance.random(), 0))
     elif situation == "lacks":
-        # Not before everything is connected: that takes threads.
+        # Start with a stop, so that everything is connected before threads are lacking.
         asks = [_public_ask(chance, "motion.stop", ("wait",), at), *asks]
         what, after = chance.choice((*LACKS, "no_threads")), chance.choice((0.0, 0.0, 0.01)) * chance.random()
         events.append(Event(what, after, 2.0 * chance.random(), 0, chance.random(), 1))
@@ -119,13 +119,13 @@ def public(seed: int) -> World:
         clients.append(_client(chance, at, _menu(chance)))
     latency, jitter = chance.choice((5e-5, 5e-4, 5e-3)), chance.choice((0.0, 2e-4))
     lines = chance.choice((0.0, at + 0.1 * chance.random())) if situation == "race" else 0.0
-    # Threads that wait look at each state, of which there are fewer on this firmware.
+    # Waiting threads check each state, and this firmware sends fewer states.
     firmware = "3.15" if situation == "busy" else chance.choice(_FIRMWARES)
     return World(seed, firmware, latency, jitter, tuple(clients), tuple(events), lines)
 
 
 def _mobile(chance: random.Random, seed: int) -> World:
-    """A client of a mobile robot; the arm rests."""
+    """Return a world with a client of a mobile robot; the arm stays at rest."""
     menu = [name for name in MOBILE if name.startswith("drive.")] if chance.random() < 0.5 else list(MOBILE)
     menu += ["variables.background", "variables.sync"] * 4
     asks = []
@@ -150,10 +150,10 @@ def _public_ask(chance: random.Random, what: str, thens: Sequence[str], at: floa
 
 
 def written(seed: int) -> World:
-    """The world of a seed from the actions of `asked`: a few kinds of asks and of events, which come again and again.
+    """Return the world of a seed with actions of `asked`: a few kinds of requests and events, which repeat.
 
-    In every other world they meet: threads and clients begin the same few things in the same moment, and what happens
-    happens then. One in four is a scene instead, with other numbers and other motions.
+    In every other world they coincide: threads and clients start the same few actions at the same moment, and the
+    events come then, too. One in four is a scene instead, with other numbers and other motions.
     """
     chance = random.Random(seed)
     if seed % _SCENES == 1:
@@ -170,7 +170,7 @@ def written(seed: int) -> World:
 
 
 def _menu(chance: random.Random) -> tuple[str, ...]:
-    """What a program with a robot asks for. Calls move nothing, so there are fewer of them."""
+    """Draw the requests of a program. Calls are less frequent, because they do not move the arm."""
     return tuple(chance.choice(chance.choice((MOTIONS, MOTIONS, BLOCKS, CALLS))) for _ in range(3))
 
 
@@ -216,7 +216,7 @@ def _event(chance: random.Random, meeting: float, menu: Sequence[str], clients: 
 
 
 def _varied(chance: random.Random, seed: int, scene: World) -> World:
-    """A scene with some of its numbers drawn anew, and some of what is asked for and happens replaced by its like."""
+    """Return a scene with some new numbers, and with some requests and events replaced by similar ones."""
     clients = tuple(
         replace(
             client,
@@ -258,5 +258,5 @@ def _varied_event(chance: random.Random, event: Event) -> Event:
 
 
 def _near(chance: random.Random, seconds: float) -> float:
-    """These seconds, or others near to them; two threads that begin together mostly still do."""
+    """Return these seconds, or a similar number. Two threads that start together mostly still start together."""
     return seconds * chance.choice((1.0, 1.0, chance.uniform(0.5, 1.5)))

@@ -1,6 +1,6 @@
-"""A client that is not the library: raw sockets that speak to a controller's ports, well and badly.
+"""Client without the library: raw sockets that send valid and invalid data to the ports of a controller.
 
-What it has the arm do is done by a program named `FOREIGN`, so that its owner is known.
+Its programs are named `FOREIGN`, so that their owner is known.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _many(host: str, ask: Ask) -> None:
 
 
 def _frame(kind: str, payload: bytes) -> bytes:
-    """A packet of RTDE (docs/protocols/rtde.md)."""
+    """Pack an RTDE package (docs/protocols/rtde.md)."""
     return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
 
 
@@ -109,7 +109,7 @@ def _rtde_partial(host: str, ask: Ask) -> None:
 
 
 def _rtde_claim(host: str, ask: Ask) -> None:
-    """Hold inputs that others want too."""
+    """Claim inputs that other clients also want."""
     with _connected(host, _RTDE) as connection:
         names = ("speed_slider_mask,speed_slider_fraction", ",".join(f"input_int_register_{n}" for n in range(24, 48)))
         connection.sendall(_VERSION + _frame("I", names[ask.size > 0.5].encode()) + _frame("S", b""))

@@ -1,7 +1,7 @@
-"""What a lock guards changes only in a thread that holds it.
+"""Check that guarded attributes change only in a thread that holds their lock.
 
-A lock that is held for a statement less goes unnoticed unless two threads meet between two lines. Here each assignment
-to a guarded attribute, and each call of a guarded method, is compared with the lock itself, in every world.
+A lock that is released one statement too early goes unnoticed unless two threads meet between two lines. In every
+world, each assignment to a guarded attribute and each call of a guarded method is compared with the state of the lock.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .observed import replaced
 
 __all__ = ["ATTRIBUTES", "METHODS", "guards", "watching"]
 
-#: Attributes that are assigned only under a lock once their object was made: by class, the lock and the attributes.
+#: Lock and attributes of each class; after the construction, the attributes are assigned only under the lock.
 ATTRIBUTES: Mapping[type, tuple[str, frozenset[str]]] = {
     FanOut: ("_lock", frozenset({"_offers", "taps"})),
     BoundedQueue: ("_discarding", frozenset({"_discarded"})),
@@ -39,18 +39,18 @@ ATTRIBUTES: Mapping[type, tuple[str, frozenset[str]]] = {
     Rtde: ("_lock", frozenset({"_is_closed", "_open"})),
     _Holding: ("_section", frozenset({"_began", "_duration", "_speeds", "is_over"})),
 }
-#: Methods that are called only under a lock of their object.
+#: Lock and methods of each class; the methods are called only under the lock of their object.
 METHODS: Mapping[type, tuple[str, tuple[str, ...]]] = {
     FanOut: ("_lock", ("_update",)),
     Connection: ("_changed", ("_begin",)),
     Replica: ("lock", ("_note_discarded",)),
 }
-#: Methods of the life of a connection, which are called only under the lock of that connection.
+#: Methods of `ConnectionLife` that are called only under the lock of the connection.
 _OF_LIFE = ("fire", "use", "end", "lose")
 
 
 def is_held(lock: Any) -> bool:
-    """Whether the calling thread holds a lock, as far as the lock knows who does."""
+    """Whether the calling thread holds a lock; for a lock without an owner, whether any thread holds it."""
     if isinstance(lock, Condition):
         return bool(lock._is_owned())  # type: ignore[attr-defined]
     owned: Callable[[], bool] | None = getattr(lock, "_is_owned", None)
@@ -62,7 +62,7 @@ def is_held(lock: Any) -> bool:
 
 @contextlib.contextmanager
 def watching(fault: Callable[[str], object]) -> Iterator[None]:
-    """Compare what is guarded with its lock, for as long as the block lasts."""
+    """Compare guarded attributes and methods with their locks while the block lasts."""
     lives: dict[int, Connection] = {}
 
     def check(owner: Any, lock_name: str, what: str) -> None:
@@ -124,7 +124,7 @@ def watching(fault: Callable[[str], object]) -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def guards() -> Iterator[None]:
-    """Compare what is guarded with its lock in each test of the folder that has this fixture."""
+    """Compare guarded attributes and methods with their locks, in each test of a folder with this fixture."""
     faults: list[str] = []
     with watching(faults.append):
         yield

@@ -1,4 +1,4 @@
-"""What happens in a world beside its clients: to the arm, to its pendant, to cables and to computers."""
+"""Events of a world that are not caused by its clients: to the arm, its pendant, cables and computers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PORTS = (None, "realtime", "primary", "secondary", "rtde")
 
 
 def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int) -> None:
-    """What a person, the arm or the controller does; returns when it is undone. In a thread of its own."""
+    """Perform an event of a person, the arm or the controller; return when it is undone. Runs in its own thread."""
     faults, pendant, call = controller.faults, controller.pendant, controller.call
     port = _PORTS[int(event.size * len(_PORTS)) % len(_PORTS)]
     what = event.what
@@ -52,7 +52,7 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
         watch.is_led = False
         watch.end(number, None)
     elif what == "slider":
-        # At less, a motion of some seconds takes longer than a client has to come to its end.
+        # At a lower speed, a motion of a few seconds would exceed the time limit of a client.
         call(lambda: setattr(controller, "speed_fraction", max(event.size, 0.02)))
     elif what in ("local_control", "teach_button"):
         name, value = ("remote_control", False) if what == "local_control" else ("teach_button", True)
@@ -81,7 +81,7 @@ def at_the_robot(event: Event, controller: Controller, watch: Watch, number: int
 
 
 def _clear(controller: Controller, watch: Watch) -> None:
-    """End the stops there are: a safeguard stop, too, after which the program may go on by itself."""
+    """End all stops, including a safeguard stop, after which the program may resume automatically."""
     resumes = controller._state.resumes
     controller.faults.clear()
     if resumes:
@@ -89,7 +89,7 @@ def _clear(controller: Controller, watch: Watch) -> None:
 
 
 def elsewhere(event: Event, network: Network, client: Computer, robot: Computer) -> Callable[[], object] | None:
-    """What happens to the computer of a client, to that of the robot, or between them; how to undo it."""
+    """Perform an event of a computer or of the network; return a function that undoes it, or None."""
     there, back = network.route(client, robot), network.route(robot, client)
     what = event.what
     if what == "cut":
@@ -127,7 +127,7 @@ def elsewhere(event: Event, network: Network, client: Computer, robot: Computer)
 
 
 def _refused(robot: Computer) -> Callable[[], object]:
-    """Nobody listens on the robot's ports."""
+    """Make the ports of the robot refuse connections; return a function that undoes it."""
     kept: dict[int, Listener] = dict(robot.listeners)
     robot.listeners.clear()
 
@@ -140,7 +140,7 @@ def _refused(robot: Computer) -> Callable[[], object]:
 
 
 def _slow(event: Event, network: Network, client: Computer, robot: Computer) -> Callable[[], object]:
-    """A way of little bandwidth and more latency."""
+    """Give the network a low bandwidth and a higher latency; return a function that undoes it."""
     routes = network.route(client, robot), network.route(robot, client)
     before = [(route.latency, route.bandwidth) for route in routes]
     for route in routes:

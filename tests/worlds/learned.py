@@ -1,9 +1,9 @@
-"""Which locks methods are called with: learned from worlds without a defect, and kept in ``locks.tsv``.
+"""Locks that methods are called with or without, learned from worlds without a defect and stored in ``locks.tsv``.
 
-``python -m tests.worlds.learned`` learns anew, after a change that was meant. A method that was always
-called with a lock of its object is called with it for a reason; and a method that takes steps of its own (it waits,
-sends, takes another lock or calls back) and was never called with a lock is called without it for a reason: who holds
-a lock keeps others waiting. Attributes that are assigned only with a lock are learned too.
+After an intended change, ``python -m tests.worlds.learned`` learns them again. If a method was always called with a
+lock of its object, this is assumed to be intended. If a method takes time (it waits, sends, acquires another lock or
+calls back) and was never called with a lock, this is also assumed to be intended, because a held lock makes other
+threads wait. Attributes that are assigned only with a lock are learned, too.
 """
 
 from __future__ import annotations
@@ -29,25 +29,26 @@ from .observed import replaced
 __all__ = ["KNOWN", "Row", "classes", "found_locks", "watching"]
 
 _FILE = Path(__file__).with_name("locks.tsv")
-#: Packages whose classes are looked at, and those of their modules that are not: they are no part of a client.
+#: Packages whose classes are observed, and parts of module names that are excluded because clients do not use them.
 _PACKAGES = ("linkcore", "urlink", "rhdlink")
 _NOT = ("simul", ".host", ".plugins", ".smrcl", ".cli", ".view", ".acceptance", ".identification", "wire", "enums")
-#: How deep locks of other objects are looked for, and how often a method must have been called.
+#: Depth of the search for locks in other objects, and minimum numbers of calls and of worlds of a method.
 _DEPTH, _CALLS, _WORLDS = 3, 30, 4
-#: Methods that every object has, or that cost too much to look at.
+#: Methods that every object has, or that are too expensive to observe.
 _STRICT = StrictAttributes.__setattr__
 _LEFT_OUT = {"offer", "now", "is_older", "take", "feed"}
 
 
 @dataclass(frozen=True)
 class Row:
-    """What is known of a method, or of an attribute.
+    """Learned rule for a method or an attribute.
 
     Attributes:
-        owner, name: class and method, or attribute.
-        kind: "with" a lock or "without" it, "assigned" with it, or "waits" with it.
-        lock: where the object has the lock: ``_section.lock``.
-        caller: of the function that makes the call; empty for all.
+        owner, name: Names of the class and of its method or attribute.
+        kind: "with" or "without" for a method that is called with or without the lock, "assigned" for an attribute that
+            is assigned with it, or "waits" for a method that may wait with it.
+        lock: Path of the lock from the object, such as ``_section.lock``.
+        caller: Name of the calling function; empty for all callers.
     """
 
     owner: str
@@ -64,18 +65,18 @@ def _read() -> tuple[Row, ...]:
     return tuple(Row(*line.split("\t")) for line in lines if line and not line.startswith("#"))
 
 
-#: What was learned.
+#: Learned rules.
 KNOWN = _read()
 
 
 @functools.cache
 def classes() -> dict[str, type]:
-    """The classes of the packages, by their names, which do not change when a module moves."""
+    """Return the classes of the packages by their names, which do not change if a module moves."""
     return {each.__name__: each for each in every_class()}
 
 
 def every_class() -> Iterator[type]:
-    """The classes of the packages. Several may have the same name."""
+    """Yield the classes of the packages. Several classes may have the same name."""
     for name, module in sorted(sys.modules.items()):
         if module is None or name.partition(".")[0] not in _PACKAGES or any(each in name for each in _NOT):
             continue
@@ -89,7 +90,7 @@ def _is_lock(thing: Any) -> bool:
 
 
 def found_locks(thing: Any, kinds: frozenset[type], depth: int = _DEPTH) -> Iterator[str]:
-    """Where an object has locks, itself or in objects that it has."""
+    """Yield the paths of the locks of an object, including locks of its attributes."""
     for name, value in list(getattr(thing, "__dict__", {}).items()):
         if _is_lock(value):
             yield name
@@ -99,7 +100,7 @@ def found_locks(thing: Any, kinds: frozenset[type], depth: int = _DEPTH) -> Iter
 
 
 def lock_of(thing: Any, path: str) -> Any:
-    """The lock at a place of an object; None where there is none now."""
+    """Return the lock at a path from an object, or None if there is none now."""
     for name in path.split("."):
         thing = getattr(thing, "__dict__", {}).get(name)
         if thing is None:
@@ -109,7 +110,7 @@ def lock_of(thing: Any, path: str) -> Any:
 
 @contextlib.contextmanager
 def watching(fault: Callable[[str], object], rows: tuple[Row, ...] = KNOWN) -> Iterator[None]:
-    """Compare calls and assignments with what was learned, for as long as the block lasts."""
+    """Compare calls and assignments with the learned rules while the block lasts."""
     known = classes()
     methods: dict[tuple[str, str], list[Row]] = {}
     attributes: dict[str, dict[str, list[str]]] = {}
@@ -183,7 +184,7 @@ def watching(fault: Callable[[str], object], rows: tuple[Row, ...] = KNOWN) -> I
 
 
 def held_in_callers(frame: FrameType | None) -> Iterator[tuple[str, str, str]]:
-    """Class, method and lock of each calling method of the packages whose object has a lock that this thread holds."""
+    """Yield class, method and lock for each calling method whose object has a lock that this thread holds."""
     while frame is not None:
         module = frame.f_globals.get("__name__", "")
         if module.partition(".")[0] in _PACKAGES and "simul" not in module:
@@ -196,7 +197,7 @@ def held_in_callers(frame: FrameType | None) -> Iterator[tuple[str, str, str]]:
 
 
 def _is_handler() -> bool:
-    """A signal handler calls, which may come while its own thread holds any lock."""
+    """Whether a signal handler makes the call; it may run while its own thread holds any lock."""
     frame: FrameType | None = sys._getframe(1)
     while frame is not None:
         if frame.f_code.co_name == "handler" and frame.f_globals.get("__name__", "").startswith("tests.worlds"):
@@ -206,12 +207,12 @@ def _is_handler() -> bool:
 
 
 def _plain(setter: Callable[..., None]) -> Callable[..., None]:
-    """The setter of strict attributes asks which module calls it, which is this one."""
+    """Return a setter without the check of strict attributes, which would see this module as the caller."""
     return object.__setattr__ if setter is _STRICT else setter
 
 
 def _counts(lock: Any, is_with: bool) -> bool:
-    """A lock that does not know who holds it may be held by another thread."""
+    """Whether the state of a lock can be checked; a lock without an owner may be held by another thread."""
     return is_with or type(lock).__name__ != "Lock"
 
 
@@ -237,7 +238,7 @@ class _Seen:
 
 
 class Learning:
-    """Notes which locks are held in each call and each assignment."""
+    """Recorder of the locks that are held in each call and each assignment."""
 
     def __init__(self) -> None:
         self.methods: dict[tuple[str, str, str], _Seen] = {}
@@ -315,7 +316,7 @@ class Learning:
         for owner, name, lock in self.waits:
             yield Row(owner, name, "waits", lock)
         known: set[Row] = set()
-        for (owner, name, caller), seen in sorted(self.methods.items()):  # those of all callers come first
+        for (owner, name, caller), seen in sorted(self.methods.items()):  # rows for all callers come first
             if seen.calls < _CALLS or len(seen.worlds) < _WORLDS:
                 continue
             rows = [Row(owner, name, "with", lock, caller) for lock in _shortest(seen.always or set())]
@@ -330,12 +331,12 @@ class Learning:
 
 
 def _shortest(locks: set[str]) -> list[str]:
-    """Two at most: the nearest places say it all."""
+    """Return at most two locks, the ones with the shortest paths."""
     return sorted(locks, key=lambda path: (path.count("."), path))[:2]
 
 
 def learned(seeds: range) -> set[Row]:
-    """What these worlds teach."""
+    """Return the rules learned from these worlds."""
     from .drawn import draw
     from .running import run
 
@@ -348,15 +349,15 @@ def learned(seeds: range) -> set[Row]:
 
 
 def agreed(parts: list[set[Row]]) -> set[Row]:
-    """What each part has learned; and what may wait by any of them."""
+    """Return the rules that all parts have learned, and all rules for waits."""
     every = set().union(*parts)
     return set.intersection(*parts) | {row for row in every if row.kind == "waits"}
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.worlds.learned", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=800, help="how many worlds")
-    parser.add_argument("--jobs", type=int, default=2, help="processes; what is kept is what each of them has learned")
+    parser.add_argument("--seeds", type=int, default=800, help="number of worlds (default: %(default)d)")
+    parser.add_argument("--jobs", type=int, default=2, help="parallel processes; a rule must be learned by all of them")
     given = parser.parse_args()
     _FILE.unlink(missing_ok=True)
     each = given.seeds // given.jobs

@@ -1,7 +1,7 @@
-"""A client of a mobile robot: its variables, the thread that syncs them, `Drive` and the host, by their public methods.
+"""Client of a mobile robot that uses the public methods of variables, the sync thread, `Drive` and the host.
 
-Oracles: the robot moves only while a motion wants it to; a sync thread that was held up does not make up for what it
-missed; each update that came is delivered or counted; calls end in time; nothing is sent after `close`.
+Oracles: the robot moves only while a motion wants it to. A delayed sync thread does not catch up on missed syncs. Each
+received update is delivered or counted. Calls end in time. Nothing is sent after `close`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ __all__ = ["MOBILE", "Base", "lacking"]
 
 ADDRESS, PORT = "192.168.0.200", 24902
 _TIMEOUT = 1.0
-#: s in which a call of the client ends, and in which the robot stands after a motion was ended.
+#: Time limit for a call of the client, and for the robot to come to rest after the end of a motion, in s.
 _ENDS, _STANDS = 6.0, 1.5
-#: m/s above which the robot moves.
+#: Speed above which the robot counts as moving, in m/s.
 _MOVES = 0.02
 
 _DRAWERS: Mapping[str, Callable[[Drawing], Any]] = MappingProxyType(
@@ -75,23 +75,23 @@ def _methods() -> Iterator[tuple[str, Callable[..., Any]]]:
                 yield f"{part}.{name}", method
 
 
-#: Every public method of a drive and of a robot's variables, by name.
+#: Public methods of a drive and of a robot's variables, by name.
 MOBILE: Mapping[str, Callable[..., Any]] = MappingProxyType(dict(_methods()))
 
 
 def lacking() -> list[str]:
-    """Parameters that no drawer is there for."""
+    """Return the parameters without a drawer."""
     parameters = ((name, list(inspect.signature(method).parameters)[1:]) for name, method in MOBILE.items())
     return [f"{name}.{each}" for name, every in parameters for each in every if each not in _DRAWERS]
 
 
 class Base:
-    """The mobile robot of a world.
+    """Mobile robot of a world.
 
     Args:
-        sim: of the world.
-        fault: reports what must not be.
-        is_wheeled: an SMR, rather than one that takes velocities.
+        sim: Simulation of the world.
+        fault: Function that reports a fault.
+        is_wheeled: Whether the robot is an SMR; otherwise it accepts velocities.
     """
 
     def __init__(self, sim: Simulation, fault: Callable[[str], object], *, is_wheeled: bool) -> None:
@@ -108,10 +108,11 @@ class Base:
             self._host.close()
 
     def use(self, asks: tuple[Ask, ...], held: float) -> None:
-        """Connect as a client, and do what it asks for.
+        """Connect as a client, and make its requests.
 
         Args:
-            held: s for which the client's computer may be held up, or its cable cut.
+            asks: Requests of the client.
+            held: Time for which the computer of the client may be suspended or its cable cut, in s.
         """
         begun = time.monotonic()
         kind = rhdlink.robots.Smr if isinstance(self.turtle, SmrTurtle) else rhdlink.robots.VelocityOmega
@@ -135,24 +136,24 @@ class Base:
             self._check_stands("its client was closed")
 
     def _check_values(self, robot: Variables) -> None:
-        """What is set arrives at the plugin, and what the plugin has is read, one sync later."""
+        """Check that set values arrive at the plugin, and that values of the plugin are read, one sync later."""
         name = "speedl" if isinstance(self.turtle, SmrTurtle) else "cmdrotvel"
         robot[name] = 7
         for _ in range(3):
             robot.sync()
         if getattr(self.turtle, name) != 7:
-            self._fault(f"{name} was set to 7 and synced, and the robot has {getattr(self.turtle, name)}")
+            self._fault(f"{name} was set to 7 and synced, but the robot has {getattr(self.turtle, name)}")
         robot[name] = 0
         robot.sync()
         if not robot.fresh("tick") or robot["tick"] <= 0:
-            self._fault("the tick that was synced is not fresh")
+            self._fault("the synced tick is not fresh")
 
     def _check_events(self, robot: Variables, events: list[rhdlink.ConnectionState]) -> None:
-        """Connections that were made again are counted, and each was reported to who subscribed."""
+        """Check that reconnections are counted, and that each was reported to the subscriber."""
         time.sleep(0.1)
         made = sum(state is rhdlink.ConnectionState.CONNECTED for state in events)
         if robot.reconnects != made:
-            self._fault(f"{robot.reconnects} reconnects are counted, and {made} were reported: {events}")
+            self._fault(f"{robot.reconnects} reconnects are counted, but {made} were reported: {events}")
         if any(one is other for one, other in itertools.pairwise(events)):
             self._fault(f"a state of the connection was reported twice: {events}")
 
@@ -187,7 +188,7 @@ class Base:
             self._moved(made, ask, drawn)
 
     def _moved(self, motion: Any, ask: Ask, drawn: Drawing) -> None:
-        """A motion of `Drive`: waited for, or ended before."""
+        """Wait for a motion of `Drive`, or end it earlier, and check that the robot comes to rest."""
         if ask.then in ("wait", "leave"):
             with contextlib.suppress(LinkError):
                 motion.wait(3.0)
@@ -213,7 +214,7 @@ class Base:
         return float(moved / (self._sim.now - at))
 
     def _synced(self, syncing: SyncThread, period: float | None, robot: Variables, ask: Ask) -> None:
-        """Look at the moments in which a thread syncs, while its host is held up once."""
+        """Check the times at which a thread syncs, while its host is suspended once."""
         seen: list[float] = []
         until = self._sim.now + 0.6 + ask.patience
         held_at = self._sim.now + 0.2
@@ -229,7 +230,7 @@ class Base:
         time.sleep(0.3)
         if syncing.syncs != count:
             self._fault("a sync thread syncs after it was closed")
-        # One that was late may be followed at once by the next; then a whole period passes.
+        # A late sync may be followed immediately by the next one. Then a whole period must pass.
         for first, third in zip(seen, itertools.islice(seen, 2, None), strict=False):
             if period is not None and third - first < 0.8 * period - 0.012:
                 self._fault(f"a sync thread of {period:g} s synced three times in {third - first:.4f} s")

@@ -1,12 +1,12 @@
-"""What may move the arm, as a state machine that is explored whole: two clients, one controller, and what goes wrong.
+"""State machine of everything that moves the arm, explored completely: two clients, one controller, and faults.
 
     client       the phases of its handles (the table of `linkcore.handle`), and whether its interlock is closed
     network      texts to the controller and reports to the client, in order within a connection
     controller   the program that waits or moves, the token in the start place, the stop
 
-Each step of `State.steps` is one that the others cannot interrupt, and any of them may come next. So a message is under
-way for any time, and a time-out, a cancel or a fault comes at any moment. A stop comes once, a safety stop or the
-pendant's; a connection is cut once; and one text of that connection arrives late, after those of the next one.
+Each step of `State.steps` is atomic, and any of them may come next. So a message is in transit for any time, and a
+timeout, a cancel or a fault comes at any moment. One stop occurs, which is either a safety stop or a stop at the
+pendant. One connection is cut. One text of this connection arrives late, after texts of the next connection.
 """
 
 from __future__ import annotations
@@ -20,36 +20,40 @@ from linkcore.handle import TRANSITIONS, Event, Phase
 __all__ = ["DEFECTS", "ENDS", "INVARIANTS", "Explored", "State", "begin", "explore", "place"]
 
 T = TypeVar("T")
-#: A text is "program", "grant" or "stop", and a report "asks", "finished", "ended", "expired", "refused", each with its
-#: handle; a report without a handle is "stop" or "clear".
+#: A text is "program", "grant" or "stop"; a report is "asks", "finished", "ended", "expired" or "refused". Each has its
+#: handle. A report without a handle is "stop" or "clear".
 Message = tuple[str, int]
 
-# Phases by their values, since members of an enumeration are slow to hash. What has not been asked for has none.
+# Phases by their values, because members of an enumeration are slow to hash. A handle that was not requested has none.
 _LIVE = (Phase.SENT.value, Phase.RUNNING.value)
 _AFTER = {(before.value, event): after.value for (before, event), after in TRANSITIONS.items()}
-#: Instead of a handle that is over and whose program cannot come any more, or of none.
+#: Replaces a handle that has ended and whose program can no longer arrive, or a missing handle.
 _GONE = -1
 
 
 class State(NamedTuple):
-    """One state of everything. What is a tuple in the order of `owners` has one for each handle, else for each client.
+    """One state of the whole system.
+
+    `owners`, `phases`, `asked_anew` and `granted` have one element for each handle. `is_cut`, `is_closed`, `texts` and
+    `reports` have one element for each client.
 
     Attributes:
-        owners: the client that asks for each handle; the last is a program of the user's own, the others are motions.
-            The user's may not compile, and is refused then.
-        phases: None before it is asked for.
-        asked_anew: its client knew, when it asked, that the stop had come and was over.
-        granted: whether it was wanted when it was granted; None if it was not.
-        unstopped: handles that were cancelled just now, and whose stop has not been sent.
-        left: handles that were cancelled, and whose stop was left to what was sent after them.
-        is_cut: the connection is cut, and the client has not noticed it.
-        is_closed: the interlock is, by a stop.
-        texts, reports: under way to the controller and from it.
-        late: what is left of a connection that was cut.
-        program: the handle whose program is on the controller, and the one whose grant let it go on; None if it waits.
-        token: the handle whose token stands in the start place, while a program waits for its own.
-        stop: "to come", "pendant", "holds" or "over"; the last two are a safety stop's.
-        cut: the client whose connection was.
+        owners: Client that requests each handle. The last handle is a script of the user, the others are motions. The
+            script might not compile, and is refused then.
+        phases: Phase of each handle; None before it is requested.
+        asked_anew: Whether the client knew, at the request, that the stop had come and had ended.
+        granted: Whether the handle was wanted when its program was granted; None if it was not granted.
+        unstopped: Handles that were just cancelled, and whose stop was not sent yet.
+        left: Handles that were cancelled, and whose stop is left to the text that was sent after them.
+        is_cut: Whether the connection is cut, and the client has not noticed it.
+        is_closed: Whether a stop has closed the interlock.
+        texts, reports: Messages in transit to the controller and from it.
+        late: Remaining text of a cut connection.
+        program: Handle whose program is on the controller, and the handle whose grant started it. The second is None
+            while the program waits.
+        token: Handle whose token is in the start place, while a program waits for its own.
+        stop: "to come", "pendant", "holds" or "over"; the last two belong to a safety stop.
+        cut: Client whose connection was cut.
     """
 
     owners: tuple[int, ...]
@@ -69,7 +73,7 @@ class State(NamedTuple):
     cut: int | None = None
 
     def steps(self, defect: str | None = None) -> Iterator[tuple[str, State]]:
-        """Each step that can come next, by who makes it, and the state after it."""
+        """Yield each possible next step, named by its actor, and the state after it."""
         for client in sorted({*self.owners}):
             yield from self._user(client)
             yield from self._client(client, defect)
@@ -111,22 +115,22 @@ class State(NamedTuple):
         for handle in mine:
             if self.phases[handle] == Phase.SENT.value:
                 given_up = self._fire(Event.FAIL, handle)._stop_left(client)
-                yield f"client gives up {handle}, which has not begun in time", given_up
+                yield f"client abandons {handle}, which has not begun in time", given_up
         for handle in self.unstopped:
             if handle in mine:
                 done = self._replace(unstopped=tuple(each for each in self.unstopped if each != handle))
                 is_newest = not any(
                     self.phases[each] in _LIVE or each in self.unstopped for each in mine if each > handle
                 )
-                if self.is_closed[client] or defect == "gives up without a stop":
+                if self.is_closed[client] or defect == "cancels without a stop":
                     yield f"client sends no stop of {handle}", done
-                elif is_newest or defect == "stops what comes next":
+                elif is_newest or defect == "stops the next motion":
                     yield f"client sends the stop of {handle}", done._without_left(client)._send("stop", handle)
-                elif defect == "leaves the motion to what is refused":
-                    yield f"client has sent what stops {handle} anyway", done
+                elif defect == "leaves the motion to a refused script":
+                    yield f"client has sent a text that stops {handle} anyway", done
                 else:
                     left = done._replace(left=(*done.left, handle))
-                    yield f"client has sent what stops {handle} by beginning", left
+                    yield f"client has sent a program whose start stops {handle}", left
         for kind, handle in self.reports[client][:1]:
             rest = self._replace(reports=_with(self.reports, client, self.reports[client][1:]))
             name = kind if handle == _GONE else f"{handle} {kind}"
@@ -146,7 +150,7 @@ class State(NamedTuple):
         if kind == "stop":
             script, begun = len(self.owners) - 1, Phase.RUNNING.value
             ends = [each for each in mine if self.phases[each] != begun or each != script]
-            if defect == "a stop leaves what has not begun":
+            if defect == "a stop keeps motions that have not begun":
                 ends = [each for each in ends if self.phases[each] == begun]
             stopped = self._without_left(client)._fire(Event.FAIL, *ends)
             return stopped._replace(is_closed=_with(self.is_closed, client, True))
@@ -157,7 +161,7 @@ class State(NamedTuple):
         if kind != "asks":
             return self._fire(Event.FINISH if kind == "finished" else Event.FAIL, handle)
         is_wanted = self.phases[handle] in _LIVE
-        if not is_wanted and defect != "grants what was given up":
+        if not is_wanted and defect != "grants an abandoned motion":
             return self
         begun_now = self._without_left(client)._fire(Event.BEGIN, handle)
         begun_now = begun_now._fire(Event.CANCEL, *(each for each in mine if each < handle))
@@ -172,9 +176,9 @@ class State(NamedTuple):
     def _received(self, kind: str, handle: int) -> State:
         if kind == "grant":
             waits = self.program is not None and self.program[1] is None
-            return self._replace(token=handle) if waits else self  # each program clears it first
+            return self._replace(token=handle) if waits else self  # each program clears the token first
         if self.stop == "holds":
-            return self  # programs are refused
+            return self  # the controller refuses programs
         ended = self._without_program("ended")
         return ended if kind == "stop" else ended._begun(handle)
 
@@ -197,7 +201,7 @@ class State(NamedTuple):
             yield "controller: the stop is over", self._replace(stop="over")._report(0, "clear")._report(1, "clear")
 
     def _begun(self, handle: int) -> State:
-        """Its program clears the start place, and asks."""
+        """Start the program of a handle, which clears the start place and asks for its grant."""
         return self._replace(program=(handle, None), token=None)._report(self.owners[handle], "asks", handle)
 
     def _without_program(self, why: str) -> State:
@@ -226,7 +230,7 @@ class State(NamedTuple):
             is_cut=_with(self.is_cut, client, True),
             texts=_with(self.texts, client, ()),
             reports=_with(self.reports, client, ()),
-            unstopped=tuple(each for each in self.unstopped if self.owners[each] != client),  # it cannot be sent
+            unstopped=tuple(each for each in self.unstopped if self.owners[each] != client),  # no stop can be sent
         )
 
     # -- parts ---------------------------------------------------------------------------------------
@@ -238,7 +242,7 @@ class State(NamedTuple):
         return self._replace(left=tuple(each for each in self.left if self.owners[each] != client))
 
     def _stop_left(self, client: int) -> State:
-        """Something has not begun; what was left to it is stopped, unless another was sent that stops it."""
+        """Stop motions that were left to a program that did not begin, unless another sent program stops them."""
         mine = self._handles(client)
         left = [each for each in mine if each in self.left]
         if not left or any(self.phases[each] in _LIVE or each in self.unstopped for each in mine if each > left[0]):
@@ -246,7 +250,7 @@ class State(NamedTuple):
         return self._without_left(client)._send("stop", left[-1])
 
     def _fire(self, event: Event, *handles: int) -> State:
-        """What the table of `linkcore.handle` has for it."""
+        """Apply an event to handles, according to the table of `linkcore.handle`."""
         phases = self.phases
         for handle in handles:
             after = _AFTER.get((phases[handle] or "", event))
@@ -254,7 +258,7 @@ class State(NamedTuple):
         return self._replace(phases=phases)
 
     def essence(self, defect: str | None = None) -> State:
-        """The same without what makes no difference any more: how it ended, and what is left of what is gone."""
+        """Return the state without irrelevant details: how handles ended, and remains of ended handles."""
         is_over = [phase is not None and phase not in _LIVE for phase in self.phases]
         if True not in is_over:
             return self
@@ -267,7 +271,7 @@ class State(NamedTuple):
             return tuple([(kind, _GONE if handle in gone else handle) for kind, handle in texts]) if gone else texts
 
         reports = self.reports
-        if defect != "grants what was given up":  # then they are without effect
+        if defect != "grants an abandoned motion":  # without this defect, these reports have no effect
             reports = tuple([tuple([m for m in some if m[1] == _GONE or not is_over[m[1]]]) for some in reports])
         ended = Phase.FAILED.value
         return self._replace(
@@ -283,7 +287,7 @@ class State(NamedTuple):
 
 
 def begin(*owners: int) -> State:
-    """Nothing has been asked for yet; these clients will, each in this order."""
+    """Return the initial state, without requests; `owners` lists the clients in the order of their requests."""
     return State(owners, (None,) * len(owners), (False,) * len(owners), (None,) * len(owners))
 
 
@@ -291,11 +295,11 @@ def _with(values: tuple[T, ...], place: int, value: T) -> tuple[T, ...]:
     return (*values[:place], value, *values[place + 1 :])
 
 
-# -- what must hold in each state --------------------------------------------------------------------
+# -- invariants of each state ------------------------------------------------------------------------
 
 
 def _moving(state: State) -> tuple[int, int] | None:
-    """The handle whose program moves the arm, and the one whose grant let it."""
+    """Return the handle whose program moves the arm, and the handle whose grant started it."""
     if state.program is None or state.program[1] is None:
         return None
     return state.program[0], state.program[1]
@@ -312,7 +316,7 @@ def _granted_while_wanted(state: State) -> bool:
 
 
 def _ends_with_its_handle(state: State) -> bool:
-    """What moves is not over, or what ends it follows in the same connection; unless that was cut."""
+    """Whether a moving handle has not ended, or its stop follows in the same connection, or this was cut."""
     moving = _moving(state)
     if moving is None:
         return True
@@ -320,7 +324,7 @@ def _ends_with_its_handle(state: State) -> bool:
     if state.phases[handle] in _LIVE or state.cut == client:
         return True
     if any(state.owners[other] == client and other >= handle for other in state.unstopped):
-        return True  # its own stop, or that of what was sent after it
+        return True  # its own stop will be sent, or the stop of a later handle
     under_way = *state.texts[client], *state.reports[client]
     return any(kind == "stop" or (kind in ("program", "refused") and other >= handle) for kind, other in under_way)
 
@@ -341,23 +345,23 @@ def _asked_anew(state: State) -> bool:
 
 
 INVARIANTS: Mapping[str, Callable[[State], bool]] = {
-    "no program is let go by the grant of another": _granted_by_its_own,
-    "what moves was wanted when it was granted": _granted_while_wanted,
-    "what was given up does not go on": _ends_with_its_handle,
+    "no program starts with the grant of another one": _granted_by_its_own,
+    "a moving program was wanted when it was granted": _granted_while_wanted,
+    "an abandoned motion does not continue": _ends_with_its_handle,
     "no stop is sent after the next motion": _stops_in_order,
-    "after a stop moves only what was asked for anew": _asked_anew,
+    "after a stop only newly requested motions move": _asked_anew,
 }
-#: Holds in a state from which clients and controller alone, without users and faults, come to the end of all handles.
+#: Invariant of a state from which clients and controller alone, without users and faults, can end all handles.
 ENDS = "each handle can reach an end"
 
-#: What can be wrong -> who asks, and the invariant that does not hold then.
+#: For each defect, the owners of the handles, and the invariant that it violates.
 DEFECTS: Mapping[str, tuple[tuple[int, ...], str]] = {
-    "one flag for all programs": ((0, 1), "no program is let go by the grant of another"),
-    "grants what was given up": ((0, 1), "what moves was wanted when it was granted"),
-    "gives up without a stop": ((0, 1), "what was given up does not go on"),
-    "leaves the motion to what is refused": ((0, 0), "what was given up does not go on"),
-    "stops what comes next": ((0, 0), "no stop is sent after the next motion"),
-    "a stop leaves what has not begun": ((0, 1), "after a stop moves only what was asked for anew"),
+    "one flag for all programs": ((0, 1), "no program starts with the grant of another one"),
+    "grants an abandoned motion": ((0, 1), "a moving program was wanted when it was granted"),
+    "cancels without a stop": ((0, 1), "an abandoned motion does not continue"),
+    "leaves the motion to a refused script": ((0, 0), "an abandoned motion does not continue"),
+    "stops the next motion": ((0, 0), "no stop is sent after the next motion"),
+    "a stop keeps motions that have not begun": ((0, 1), "after a stop only newly requested motions move"),
     "does not notice a lost connection": ((0,), ENDS),
 }
 
@@ -366,13 +370,13 @@ DEFECTS: Mapping[str, tuple[tuple[int, ...], str]] = {
 
 @dataclass
 class Explored:
-    """What the exploration has found.
+    """Result of the exploration.
 
     Attributes:
-        states, steps: how many; states that differ only in what makes no difference count once.
-        transitions: of handles: the phases before and after.
-        places: of handles: the `place` before and after a step.
-        violated: invariant -> the shortest way to a state in which it does not hold.
+        states, steps: Numbers of states and steps. States that differ only in irrelevant details count once.
+        transitions: Phases of handles before and after each transition.
+        places: `place` of handles before and after each step.
+        violated: Shortest sequence of steps to a state that violates each invariant.
     """
 
     states: int = 0
@@ -383,7 +387,7 @@ class Explored:
 
 
 def place(state: State, handle: int) -> tuple[str, str]:
-    """Where a handle is: its phase, or "over"; and whether its program is on the controller, and waits or moves."""
+    """Return the phase of a handle, or "over", and the state of its program: "none", "waits" or "moves"."""
     phase = state.phases[handle] or ""
     where = "none"
     if state.program is not None and state.program[0] == handle:
@@ -392,12 +396,12 @@ def place(state: State, handle: int) -> tuple[str, str]:
 
 
 def explore(start: State, defect: str | None = None, until: Collection[str] = ()) -> Explored:
-    """Go through all states breadth first, or until all of these invariants have been violated."""
+    """Explore all states breadth first, or until all invariants in `until` have been violated."""
     found = Explored()
     number = {start: 0}
     states = [start]
     came: list[tuple[int, str]] = [(0, "")]
-    before: list[list[int]] = [[]]  # those from which clients and controller alone come here
+    before: list[list[int]] = [[]]  # previous states from which clients and controller alone reach each state
 
     def way(to: int) -> list[str]:
         steps = []
@@ -406,7 +410,7 @@ def explore(start: State, defect: str | None = None, until: Collection[str] = ()
             steps.append(step)
         return steps[::-1]
 
-    for here, state in enumerate(states):  # it grows meanwhile
+    for here, state in enumerate(states):  # the list grows during the loop
         for name, holds in INVARIANTS.items():
             if name not in found.violated and not holds(state):
                 found.violated[name] = way(here)

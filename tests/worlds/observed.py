@@ -1,8 +1,8 @@
-"""What the library and the controller do in a world, step by step, and which of it must not be.
+"""Observation of the library and the controller in a world, step by step, and checks of their actions.
 
-The methods through which programs, permissions and messages leave a client are wrapped while a world runs, and those by
-which the controller begins and ends programs. So for each program is known who sent it, what became of its handle, who
-permitted it, and when it moved the arm. All this is beside the library's own account of it.
+While a world runs, wrappers surround the methods that send programs, permissions and messages of a client, and the
+methods with which the controller starts and ends programs. So the sender of each program is known, the state of its
+handle, the sender of its permission, and the times at which it moved the arm. The library's own records are not used.
 """
 
 from __future__ import annotations
@@ -41,45 +41,45 @@ from urlink.simulator.programs.program_world import ProgramWorld
 
 __all__ = ["ADMITS", "BRAKING", "Observed", "Sent", "here", "replaced"]
 
-#: An error that admits that the arm may go on.
-ADMITS = re.compile(r"may still|may go on|to the end of")
-#: s on the controller's clock in which an arm comes to rest after a stop.
+#: Text of an error that states that the arm might continue.
+ADMITS = re.compile(r"(?:may|might) (?:still|continue|go on|resume)|to the end of")
+#: Time for an arm to come to rest after a stop, in s on the controller's clock.
 BRAKING = 1.0
-#: s on the controller's clock after which an arm gets no faster: by then a watchdog of `asked` is over too.
+#: Time after which an arm must not become faster, in s on the controller's clock. It exceeds a watchdog of `asked`.
 _OBEYING = 0.5
-#: s for which a speed may go on whose client is gone.
+#: Time for which a speed motion may continue after its client has disconnected, in s.
 _SPEED = 0.5
-#: s after the end of a stop in which a client stops what the controller has kept: two states.
+#: Time after the end of a stop in which a client stops the program that the controller has kept, in s: two states.
 _KEPT = 0.3
-#: Seconds after local control within which a stop that it ignored is sent again, while the robot is open.
+#: Time after local control in which an ignored stop is sent again while the robot object is open, in s.
 _RESENT = 0.5
-#: s: how much longer than its timeout a wait may take.
+#: Time that a wait may exceed its timeout, in s.
 _LATE = 1.5
-#: s: the interlock permits nothing on states that are older.
+#: Age of states above which the interlock permits nothing, in s.
 _STALE = 1.0
 
 
 @dataclass(eq=False)
 class Sent:
-    """A program of the library, from both sides.
+    """Program of the library, observed from the client and from the controller. All times are in s.
 
     Attributes:
-        computer: which sent it.
-        wrapped, life: as `Programs.start` was given them.
-        is_stop, is_linked: the same.
-        asked: when its text left, s; before that, when it was asked for.
-        entered: when the call that sent it was entered, s.
-        thread: number of the thread that sent it.
-        abandoned: when that call raised and left no handle; None otherwise.
-        ended, error: when its handle ended, and by what.
-        begun: when the controller began it; None before.
-        over: when the controller ended it.
-        is_finished: it has reported its own end.
-        granted: when the permission that lets it go on came from its client; None without.
-        moved: it has moved the arm.
-        place: the newest of `Observed.places`.
-        rests: cycles in which it may go on to brake, counted from the end of its handle.
-        ignored: s, when the controller was last in local control.
+        computer: Computer that sent it.
+        wrapped, life: Arguments of `Programs.start`.
+        is_stop, is_linked: Arguments of `Programs.start`.
+        asked: Time at which its text was sent; before that, the time of the request.
+        entered: Time at which the call that sent it was entered.
+        thread: Number of the thread that sent it.
+        abandoned: Time at which this call raised and left no handle; None otherwise.
+        ended, error: Time of the end of its handle, and its error.
+        begun: Time at which the controller started it; None before.
+        over: Time at which the controller ended it.
+        is_finished: Whether it has reported its own end.
+        granted: Time at which its start permission arrived from its client; None without a permission.
+        moved: Whether it has moved the arm.
+        place: Newest of `Observed.places`.
+        rests: Number of cycles in which it may continue to brake, since the end of its handle.
+        ignored: Time at which the controller was last in local control.
     """
 
     computer: Computer
@@ -104,28 +104,28 @@ class Sent:
 
     @property
     def unwanted(self) -> float | None:
-        """Since when nobody wants it, s: its handle ended, or the call that was to return one raised."""
+        """Time since which it is unwanted, in s: its handle ended, or the call that should return it raised."""
         times = [each for each in (self.ended, self.abandoned) if each is not None]
         return min(times) if times else None
 
     @property
     def is_admitted(self) -> bool:
-        """Its end says that the arm may go on."""
+        """Whether its error states that the arm might continue."""
         return self.error is not None and ADMITS.search(str(self.error)) is not None
 
     @property
     def grant(self) -> str | None:
-        """The text that permits it."""
+        """Text of its start permission."""
         return None if self.wrapped.permission is None else wrapping.grant(self.wrapped.permission)
 
 
 @dataclass
 class _Known:
-    """What a client knows by the states that it has taken whole: those of the batch before the newest.
+    """Knowledge of a client from completely handled states, which are the states before the newest batch.
 
     Attributes:
-        stopped: cycles in a row in which a stop held.
-        at: when the newest batch came; None while it is not connected.
+        stopped: Number of consecutive cycles with a stop.
+        at: Arrival time of the newest batch; None while the client is not connected.
     """
 
     stopped: int = 0
@@ -135,7 +135,7 @@ class _Known:
 
 @contextlib.contextmanager
 def replaced(owner: Any, name: str, around: Callable[[Any], Any]) -> Iterator[None]:
-    """A method or a property of a class, or a method of one object, is `around(it)` meanwhile."""
+    """Replace a method or property of a class, or a method of an object, by `around(it)` while the block lasts."""
     had = name in vars(owner)
     method = getattr(owner, name)
     setattr(owner, name, around(method))
@@ -149,7 +149,7 @@ def replaced(owner: Any, name: str, around: Callable[[Any], Any]) -> Iterator[No
 
 
 def here() -> Computer:
-    """The computer whose thread runs."""
+    """Return the computer of the running thread."""
     scheduler = current()
     assert scheduler is not None
     return cast("Computer", scheduler.running.computer)
@@ -159,14 +159,14 @@ class Observed:
     """Programs, permissions, messages and ends of one world.
 
     Args:
-        sim: the simulation.
-        controller: that of the world.
-        fault: reports what must not be.
+        sim: Simulation of the world.
+        controller: Controller of the world.
+        fault: Function that reports a fault.
 
     Attributes:
-        programs: by name.
-        transitions: of handles: the phases before and after.
-        places: of programs that wait for permission: handle and controller (`model.place`) before and after each step.
+        programs: Sent programs by name.
+        transitions: Phases of handles before and after each transition.
+        places: `model.place` of programs with a start permission, before and after each step.
     """
 
     def __init__(self, sim: Simulation, controller: Controller, fault: Callable[[str], object]) -> None:
@@ -178,39 +178,39 @@ class Observed:
         self._fault = fault
         self._linked: list[LinkedProgram] = []
         self._farewells: set[int] = set()
-        self._links: list[object] = []  # keeps them, since their id is a key
-        #: when connections of a computer were lost that take programs
+        self._links: list[object] = []  # keeps the links alive, because their ids are keys
+        #: Times at which program connections of a computer were lost.
         self._lost: dict[Computer, list[float]] = {}
         self._known: dict[Computer, _Known] = {}
         self._held: dict[Computer, float] = {}
         self._since: dict[Computer, float] = {}
         self._dead: set[Computer] = set()
-        #: when a robot object of a computer was closed last
+        #: Time at which a robot object of each computer was last closed.
         self._closed: dict[Computer, float] = {}
-        #: of the controller: cycles since it is up in which a stop held
+        #: Cycles of the controller since its boot in which a stop was active.
         self.stops: dict[int, bool] = {}
-        #: (from, to) of each stop; s
+        #: Start and end of each stop, in s.
         self.stopped: list[list[float]] = []
-        #: calls under way: who makes them, by which method, and when it was entered, s
+        #: Running calls: computer, method, and time of entry in s.
         self.calls: list[tuple[Computer, str, float]] = []
-        #: the same by thread
+        #: Time of entry of the running call of each thread.
         self._call_of: dict[int, float] = {}
-        #: stops that a client has asked for and that have returned: when they were entered and when they returned, s
+        #: Stops of a client that have returned: times of entry and of return, in s.
         self._stops: dict[Computer, list[tuple[float, float]]] = {}
-        #: those of the robots whose `close` has returned
+        #: Channels of robots whose `close` has returned.
         self._left: weakref.WeakSet[CommandChannel] = weakref.WeakSet()
-        #: when a person, or a client, let a paused program go on
+        #: Times at which a person or a client resumed a paused program.
         self.played: list[float] = []
         self.stop_holds = False
         self._counted = 0.0
-        #: what the first thread was given that asked
+        #: RTDE client that each robot returned first.
         self._rtdes: weakref.WeakKeyDictionary[Robot, Rtde] = weakref.WeakKeyDictionary()
 
-    # -- what is wrapped -------------------------------------------------------------------------------
+    # -- wrapped methods -------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
-        """Observe, for as long as the block lasts."""
+        """Observe while the block lasts."""
         runner = self._controller._runner
         around: list[tuple[Any, str, Callable[[Any], Any]]] = [
             (Programs, "start", self._start),
@@ -258,11 +258,11 @@ class Observed:
 
     @contextlib.contextmanager
     def calling(self, name: str, *, in_thread: bool = True) -> Iterator[float]:
-        """A client makes a call for as long as the block lasts; gives when it was entered.
+        """Record that a client makes a call while the block lasts; yield the time of its entry.
 
         Args:
-            name: of the method.
-            in_thread: the calling thread makes it, rather than one for a task.
+            name: Name of the method.
+            in_thread: Whether the calling thread makes the call, rather than a worker thread for a task.
         """
         entered, client, ident = self._sim.now, here(), get_ident()
         call = client, name, entered
@@ -279,21 +279,22 @@ class Observed:
                 self._call_of[ident] = before
 
     def _entered(self, name: str) -> float:
-        """When the call was entered that begins a program of this name."""
+        """Return the time of entry of the call that starts a program of this name."""
         found = self._call_of.get(get_ident())
         if found is None:
             found = max((at for who, what, at in self.calls if who is here() and what == name), default=self._sim.now)
         return found
 
     def has_stopped(self, entered: float) -> None:
-        """A stop that was entered then has returned: what was asked for before is not sent any more."""
+        """Record the return of a stop that was entered then: programs requested earlier must not be sent."""
         self._stops.setdefault(here(), []).append((entered, self._sim.now))
 
     def abandon(self, entered: float, name: str | None = None) -> bool:
-        """A call that was entered then has raised and returned no handle: its programs must not go on.
+        """Record that a call which was entered then has raised without a handle: its programs must not continue.
 
         Args:
-            name: of the method, if another thread made the call.
+            entered: Time of entry of the call, in s.
+            name: Name of the method, if another thread made the call.
 
         Returns:
             Whether there is such a program.
@@ -307,13 +308,13 @@ class Observed:
         return has_any
 
     def pause(self, block: Any) -> None:
-        """Nothing of a block is wanted now: what it was asked for was cancelled."""
+        """Record that a block has no wanted motion now, because its request was cancelled."""
         for sent in self._of(here()):
             if sent.life is block._part._life:
                 sent.abandoned = self._sim.now
 
     def resume(self, block: Any) -> None:
-        """It is asked for something again."""
+        """Record that a block gets requests again."""
         for sent in self._of(here()):
             if sent.life is block._part._life:
                 sent.abandoned, sent.rests = None, 0
@@ -328,10 +329,10 @@ class Observed:
         return wrapped
 
     def _overtaken(self, sent: Sent, stops: int) -> str | None:
-        """Why a program must not be sent any more, by the first `stops` stops."""
+        """Return the reason why a program must not be sent after the first `stops` stops, or None."""
         for entered, returned in self._stops.get(sent.computer, [])[:stops]:
             if sent.entered < entered and not sent.is_stop:
-                return f"was asked for at {sent.entered:.6f} s, before the stop that returned at {returned:.6f} s"
+                return f"was requested at {sent.entered:.6f} s, before the stop that returned at {returned:.6f} s"
         return None
 
     def _ended(self, sent: Sent) -> None:
@@ -339,7 +340,7 @@ class Observed:
         self._step(sent)
 
     def _step(self, sent: Sent) -> None:
-        """Something has become of a program that waits for permission."""
+        """Record a change of the place of a program with a start permission."""
         if sent.wrapped.permission is None:
             return
         phase = "over" if sent.life.is_over else sent.life.phase.value
@@ -358,8 +359,8 @@ class Observed:
             is_given_up = call is not None and call.is_given_up
             permitted = [sent for sent in self._of(here()) if is_permission and sent.grant == whole]
             is_wanted = not permitted or any(not sent.life.is_over for sent in permitted)
-            # A signal handler that stops in the middle of this does not take the text back, which moves nothing
-            # without a permission (urlink.commanding.section).
+            # If a signal handler stops the robot during this call, the text is still sent. It moves nothing without a
+            # permission (urlink.command.section).
             stops = len(self._stops.get(here(), ()))
             send(channel, text, decide)
             if was_begun or not text.is_begun:
@@ -375,9 +376,9 @@ class Observed:
             if refusal is not None and (is_permission or whole.startswith("def ")):
                 self._fault(f"{here().name} sent {whole.splitlines()[0]} although {refusal}")
             if is_given_up:
-                self._fault(f"{here().name} sent {whole.splitlines()[0]} for a task that had given it up")
+                self._fault(f"{here().name} sent {whole.splitlines()[0]} for a cancelled task")
             if not is_wanted:
-                self._fault(f"{here().name} permitted {permitted[-1].wrapped.name}, whose handle was over")
+                self._fault(f"{here().name} permitted {permitted[-1].wrapped.name}, whose handle had ended")
 
         return wrapped
 
@@ -437,7 +438,7 @@ class Observed:
             assert rtde.fget is not None
             one: Rtde = rtde.fget(robot)
             if self._rtdes.setdefault(robot, one) is not one:
-                self._fault(f"{here().name}: a robot has two clients of RTDE, of which each claims for itself")
+                self._fault(f"{here().name}: a robot has two RTDE clients with separate claims")
             return one
 
         return property(made)
@@ -451,7 +452,7 @@ class Observed:
                 known.at = self._sim.now
                 for state in states:
                     if state.robot_mode is None:
-                        continue  # 1.5 shows stops on the primary interface alone, ten times a second
+                        continue  # 1.5 reports stops only on the primary interface, ten times per second
                     holds = self.stops.get(round(state.time * self._controller.firmware.rate), False)
                     known.next_stopped = known.next_stopped + 1 if holds else 0
                 if not known.next_stopped:
@@ -469,7 +470,7 @@ class Observed:
         return wrapped
 
     def _refusal(self) -> str | None:
-        """Why the client whose thread runs must not move the arm, by what it knows."""
+        """Return the reason why the client of the running thread must not move the arm, or None."""
         known = self._known.get(here())
         if known is None or known.at is None:
             return None
@@ -506,15 +507,15 @@ class Observed:
         return self._held.get(computer, 0.0) + (0.0 if since is None else self._sim.now - since)
 
     def is_held(self, computer: Computer) -> bool:
-        """It is suspended."""
+        """Whether a computer is suspended."""
         return computer in self._since
 
     def lost_since(self, computer: Computer, moment: float) -> bool:
-        """A connection of a computer was lost after that."""
+        """Whether a connection of a computer was lost after `moment`."""
         return any(at >= moment for at in self._lost.get(computer, ()))
 
     def has_arrived(self, computer: Computer) -> bool:
-        """What it has sent is there."""
+        """Whether all data sent by a computer has arrived."""
         return not any(end.unacknowledged for end in computer.ends)
 
     def _of(self, computer: Computer) -> list[Sent]:
@@ -540,7 +541,10 @@ class Observed:
 
     @staticmethod
     def _permits(text: str, host: str, sent: Sent) -> bool:
-        """From its own client; or on flags, in which two programs can share a token by chance (docs/motion-ends.md)."""
+        """Whether a text permits a program: it comes from its client, or flags are used.
+
+        On flags, two programs can have the same token by chance (docs/motion-ends.md).
+        """
         permission = sent.wrapped.permission
         is_unique = permission is not None and permission.place.register is not None
         return sent.grant == text and (sent.computer.address == host or not is_unique)
@@ -551,14 +555,14 @@ class Observed:
             before = self.programs.get(main.name) if main is not None and main.is_program else None
             match = re.fullmatch(r"urlink_stop_(\w+)_\d+", script.name)
             if match is not None and before is not None and f"_{match[1]}_" in before.wrapped.name:
-                # What was to replace it, and was given up, may have been ignored in local control.
+                # In local control, the controller may have ignored a later program that should have replaced it.
                 is_replaced = any(
                     sent.asked > before.asked and sent.life.is_over and not sent.wrapped.is_secondary
                     for sent in self.programs.values()
                     if f"_{match[1]}_" in sent.wrapped.name
                 )
                 if not (is_replaced or before.life.is_over or self.lost_since(before.computer, before.asked)):
-                    self._fault(f"{script.name} stops {before.wrapped.name}, which nobody has cancelled")
+                    self._fault(f"{script.name} stops {before.wrapped.name}, which was not cancelled")
             sent = self.programs.get(script.name)
             if sent is not None:
                 sent.begun = self._sim.now
@@ -588,7 +592,7 @@ class Observed:
                 if robot is not None and not network.carries(client, robot):
                     self._lost.setdefault(client, []).append(self._sim.now)
 
-            # What has not been acknowledged 0.7 s after `close` has sent its last is discarded.
+            # Data that is not acknowledged within 0.7 s after the last text of `close` is discarded.
             for tenths in range(8):
                 self._sim.at(self._sim.now + tenths / 10, look)
 
@@ -613,43 +617,44 @@ class Observed:
     # -- in each cycle -----------------------------------------------------------------------------------
 
     def count_rests(self) -> None:
-        """Count the cycles for which programs may go on whose handles are over.
+        """Count the cycles in which programs may continue after the end of their handles.
 
-        A controller that was suspended makes up for its cycles before it reads what came meanwhile: they count once.
+        A suspended controller catches up on its cycles before it reads new data, so these cycles count once.
         """
         if self._sim.now - self._counted < 0.5 / self._controller.firmware.rate:
             return
         self._counted = self._sim.now
         for sent in self.programs.values():
             if not self._controller.remote_control:
-                sent.rests, sent.ignored = 0, self._sim.now  # in local control a stop is ignored; it is sent again
+                sent.rests, sent.ignored = 0, self._sim.now  # local control ignores a stop, which is sent again
                 continue
             is_ending = sent.unwanted is not None and not self.is_held(sent.computer)
             if sent.over is None and (sent.computer in self._dead or (is_ending and self.has_arrived(sent.computer))):
                 sent.rests += 1
 
     def waits(self, sent: Sent) -> bool:
-        """It has begun, and must not move the arm before its client permits it. One that is over moves nothing."""
+        """Whether a program has started, has not ended, and must not move the arm before its client permits it."""
         is_under_way = sent.begun is not None and sent.over is None
         return is_under_way and sent.wrapped.permission is not None and sent.granted is None
 
     def why_not(self, sent: Sent, is_faster: bool) -> str | None:
-        """Why this program must not move the arm in this cycle; None if it may.
+        """Return the reason why this program must not move the arm in this cycle, or None.
 
         Args:
-            is_faster: it does not only brake.
+            sent: Program on the controller.
+            is_faster: Whether it does more than braking.
         """
         rate = self._controller.firmware.rate
         braking = (_OBEYING if is_faster else BRAKING) * rate
         now, is_dead = self._sim.now, sent.computer in self._dead
         if self.waits(sent) and (is_faster or now > (sent.begun or 0.0) + BRAKING):
-            return "which has no permission of its own client"
+            return "which has no permission from its own client"
         if self.stopped and not sent.is_stop and is_faster and not any(at > self.stopped[-1][0] for at in self.played):
             begun, over = self.stopped[-1]
             if sent.asked < over:
-                return f"which was asked for at {sent.asked:.3f} s, before the stop at {begun:.3f} s was over"
+                return f"which was requested at {sent.asked:.3f} s, before the stop of {begun:.3f} s had ended"
         if is_dead and (sent.is_linked or sent.life.name.startswith("speed")) and sent.rests > braking + _SPEED * rate:
-            return "whose client is gone"
+            return "whose client has disconnected"
         if is_faster and not sent.moved:
             sent.moved = True
             self._step(sent)
@@ -658,7 +663,7 @@ class Observed:
         if unwanted is None or sent.is_stop or is_gone or sent.is_admitted or sent.rests <= braking:
             return None
         if not sent.is_linked and self.lost_since(sent.computer, unwanted - 1.0):
-            return None  # what stops it may be lost with the connection
+            return None  # its stop may be lost with the connection
         if self._is_kept(sent) or self._closed.get(sent.computer, math.inf) <= sent.ignored + _RESENT:
             return None
         if sent.ended is None:
@@ -666,16 +671,17 @@ class Observed:
         return f"whose handle ended at {sent.ended:.3f} s: {sent.error}"
 
     def _is_kept(self, sent: Sent) -> bool:
-        """Given up during a stop, in which the controller takes no program, and let go on by a person or by its end.
+        """Whether the controller has kept a program that was abandoned during a stop, and has resumed it.
 
-        Its client stops it within `_KEPT` of that, unless it did not stay so long, or has read of the stop and, over a
-        network that was cut, of nothing since; docs/safety.md names this.
+        During a stop, the controller accepts no program. A person or the end of the stop may resume the kept program.
+        Its client stops it within `_KEPT` of that. The client cannot do so if it was closed earlier, or if the network
+        was cut and it has only read about the stop; docs/safety.md describes this.
         """
         ended = sent.unwanted
         assert ended is not None
         closed, known = self._closed.get(sent.computer, math.inf), self._known.get(sent.computer)
         is_unaware = known is not None and known.next_stopped > 0
-        until = ended + _KEPT  # a stop that begins later finds it stopped, but for one just after another
+        until = ended + _KEPT  # at a later stop, the program is stopped already, unless two stops follow each other
         for begun, over in self.stopped:
             if begun <= until and ended <= over + _KEPT:
                 until = max(until, over + _KEPT)
@@ -687,10 +693,10 @@ class Observed:
     # -- at the end --------------------------------------------------------------------------------------
 
     def check_ends(self) -> None:
-        """Each end of a handle agrees with what the controller did."""
+        """Check that the end of each handle agrees with the actions of the controller."""
         for name, sent in self.programs.items():
             phase = sent.life.phase
             if sent.computer.is_running and not sent.life.is_over:
                 self._fault(f"{name} is {phase.value} after the end of its client")
             if phase is Phase.DONE and not (sent.is_finished or sent.is_linked or sent.wrapped.is_secondary):
-                self._fault(f"{name} is done, and the controller has not come to its end")
+                self._fault(f"{name} is done, but the controller has not finished it")

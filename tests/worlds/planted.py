@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Change:
-    """What is different in one function.
+    """Change of one function.
 
     Attributes:
         module: Name of the module, as in an import.
@@ -47,11 +47,11 @@ class Change:
 
     @property
     def path(self) -> str:
-        """The file of the module, relative to the repository."""
+        """File of the module, relative to the repository."""
         return f"src/{self.module.replace('.', '/')}.py"
 
     def applied(self, source: str) -> str:
-        """The source of the module with this change.
+        """Return the source of the module with this change.
 
         Raises:
             LookupError: If the function or the text no longer exists. The message names the entry to edit.
@@ -95,7 +95,7 @@ class Change:
         return found
 
 
-#: Each defect and the changes that inject it.
+#: Changes that inject each defect.
 DEFECTS: Mapping[str, Sequence[Change]] = {
     "cancel-brakes-not": [
         Change("linkcore.handle", "Handle.cancel", 'cancel("cancelled")', before='cancel("cancelled", brake=True)'),
@@ -197,30 +197,30 @@ DEFECTS: Mapping[str, Sequence[Change]] = {
         Change("urlink.simulator.controller", "Controller.is_up", "return self._state.is_up"),
     ],
 }
-#: The names of the defects.
+#: Names of the defects.
 NAMES = tuple(sorted(DEFECTS))
 
-#: With how many seeds a scene is tried, where not with three: which thread goes first is the seed's.
+#: Number of seeds with which a scene is tried, if it is not three. The seed decides which thread runs first.
 _TRIES: Mapping[str, int] = {
     "cancelled-task-moves-the-arm": 20,
     "stop-after-the-next": 40,
     "two-connections-claim-the-same": 100,
     "message-after-the-last": 400,
 }
-#: A small world that shows the defect, and with how many seeds it is tried.
+#: Small world that shows each defect, and the number of seeds with which it is tried.
 SHOWN: Mapping[str, tuple[World, int]] = {name: (SCENES[name], _TRIES.get(name, 3)) for name in NAMES}
 
 
 @contextlib.contextmanager
 def planted(name: str | None) -> Iterator[Path]:
-    """A folder with `src` in which that defect is; without a name, `src` as it is.
+    """Yield a folder with a copy of `src` that contains the defect, or an unchanged copy without a name.
 
     Raises:
         LookupError: If the code that the defect changes no longer exists.
     """
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        # With what is compiled, or each run would compile it all anew.
+        # Copy the compiled files, too, because otherwise each run would compile everything again.
         shutil.copytree(ROOT / "src", root / "src")
         if name is not None:
             apply(name, root)
@@ -239,7 +239,7 @@ def apply(name: str, root: Path) -> None:
 
 
 def worlds(root: Path, arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """``python -m tests.worlds`` with the code of that folder, and what it prints."""
+    """Run ``python -m tests.worlds`` with the code of a folder, and capture its output."""
     env = {**os.environ, "PYTHONPATH": str(root / "src")}
     return subprocess.run(
         [sys.executable, "-m", "tests.worlds", *arguments], cwd=ROOT, env=env, text=True, stdout=subprocess.PIPE

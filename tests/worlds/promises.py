@@ -1,7 +1,7 @@
-"""Oracles, each with the sentence of the documentation that it holds the library to.
+"""Oracles, each with the promise of the documentation that it checks.
 
-`watch` and `observed` look at programs and handles. Here are the promises about what moves the arm in a block, about
-threads that keep a robot in step, and about what a call has done when it returns.
+`watch` and `observed` check programs and handles. This module checks the promises about motions in a block, about
+threads that keep a robot in sync, and about the effect of a call when it returns.
 """
 
 from __future__ import annotations
@@ -24,44 +24,44 @@ from .observed import BRAKING, Observed, replaced
 
 __all__ = ["PROMISES", "Promises"]
 
-#: The oracles of this folder: where the promise is made, and what is promised.
+#: Oracles of this folder: the place of the promise, and the promise.
 PROMISES: Mapping[str, tuple[str, str]] = {
-    "nothing unasked moves": ("docs/safety.md", "the arm moves only while a client wants it to, or brakes"),
-    "a stop overtakes": ("Motions.stop", "a motion that was asked for before a stop is not sent after it has returned"),
-    "a cancelled call leaves nothing": ("docs/asyncio.md", "what a cancelled call has begun on the robot is cancelled"),
-    "a call that raises leaves nothing": ("docs/motion-ends.md", "without a handle nothing goes on"),
-    "after close nothing is sent": ("Robot.close", "closes every connection"),
-    "close is in time": ("AsyncRobot.close", "in `timeout` seconds"),
-    "calls are in time": ("docs/errors.md", "every call that waits has a timeout"),
-    "a speed expires": ("Jog.move", "until others come, or `timeout` seconds are over"),
-    "a frame is that frame": ("Jog.move", "along and about the axes of the frame"),
-    "a watchdog brakes": ("docs/motion-ends.md", "the robot brakes by itself when no set-point comes"),
-    "a motion arrives": ("Motions.move_joints", "it is over when the arm is there"),
-    "confirmed is done": ("IO.set_digital_out", "waits until the controller shows it"),
-    "no burst": ("Variables.background", "a period that was missed is not made up for"),
-    "every wait has an end": ("linkcore.clock.wait", "False if time is up"),
-    "a lock guards": ("linkcore.threads", "no lock is held meanwhile and no robot is kept waiting"),
-    "counters add up": ("docs/statistics.md", "what came is delivered, dropped or waiting"),
+    "only requested motions": ("docs/safety.md", "the arm moves only while a client wants it to, or while it brakes"),
+    "a stop overtakes": ("Motions.stop", "a motion that was requested before a stop is not sent after it has returned"),
+    "a cancelled call leaves no motion": ("docs/asyncio.md", "motions that a cancelled call has started are cancelled"),
+    "a call that raises leaves no motion": ("docs/motion-ends.md", "without a handle no motion continues"),
+    "no data after close": ("Robot.close", "closes every connection"),
+    "close ends in time": ("AsyncRobot.close", "within `timeout` seconds"),
+    "calls end in time": ("docs/errors.md", "every call that waits has a timeout"),
+    "a speed expires": ("Jog.move", "until other speeds are sent, or `timeout` seconds have passed"),
+    "a frame is respected": ("Jog.move", "along and about the axes of the frame"),
+    "a watchdog brakes": ("docs/motion-ends.md", "the robot brakes on its own when no set-point arrives"),
+    "a motion arrives": ("Motions.move_joints", "the motion ends when the arm is at the goal"),
+    "confirmed is done": ("IO.set_digital_out", "waits until the controller shows the value"),
+    "no burst": ("Variables.background", "a missed period is not caught up on"),
+    "every wait has an end": ("linkcore.clock.wait", "False if the time is up"),
+    "a lock guards": ("linkcore.threads", "no lock is held during a callback, and the robot does not wait"),
+    "counters add up": ("docs/statistics.md", "received packets are delivered, dropped or waiting"),
 }
-#: s on top of a watchdog or a timeout: the state that shows it, the way to the robot, and braking.
+#: Time in addition to a watchdog or a timeout, in s: for the state that shows it, the network, and braking.
 _BRAKED = BRAKING + 0.3
-#: s in which a jog comes to rest from the speeds that `surface` draws.
+#: Time for a jog to come to rest from the speeds that `surface` draws, in s.
 _AT_REST = 1.0
-#: The longest watchdog that `surface` draws, s.
+#: Longest watchdog that `surface` draws, in s.
 _WATCHDOG = 0.5
-#: rad/s above which the arm moves.
+#: Joint speed above which the arm counts as moving, in rad/s.
 _MOVES = 0.02
-#: Motions whose program ends with its messages; the others have points in store.
+#: Motions whose program ends with its messages; programs of the other motions have buffered points.
 _LED = ("servo", "jog", "torque", "impedance", "force_mode", "speed_joints", "speed_linear")
 
 
 class Promises:
-    """Looks at what blocks have the arm do.
+    """Checks of the motions of blocks.
 
     Args:
-        sim, controller, observed: of the world.
-        fault: reports what must not be.
-        is_alone: nothing but one thread of one client does anything in this world.
+        sim, controller, observed: Parts of the world.
+        fault: Function that reports a fault.
+        is_alone: Whether only one thread of one client acts in this world.
     """
 
     def __init__(
@@ -78,16 +78,16 @@ class Promises:
         self._observed = observed
         self._fault = fault
         self._is_alone = is_alone
-        #: by life cycle: when a jog was told a speed last, and when that expires; s
+        #: Time at which the last speed of a jog expires, by life cycle, in s.
         self._expires: dict[object, float] = {}
-        #: by life cycle: when its link sent a message last, s
+        #: Time of the last message of a link, by life cycle, in s.
         self._sent: dict[object, float] = {}
         self._life_of: dict[object, object] = {}
         self._moved: dict[object, float] = {}
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
-        """Observe, for as long as the block lasts."""
+        """Observe while the block lasts."""
         with (
             replaced(Jog, "move", self._jogs),
             replaced(LinkedProgram, "say", self._says),
@@ -107,7 +107,7 @@ class Promises:
         return wrapped
 
     def _look_at(self, jog: Jog, speeds: Any) -> None:
-        """The arm moves as it was told, unless it was told something else since."""
+        """Check that the arm moves in the commanded direction, unless another speed was commanded since."""
         state = jog._context.realtime.latest
         told = self._moved.get(jog._life, 0.0)
         is_told_anew = self._sim.now - told < min(0.9 * jog.timeout, 0.28) - 1e-3
@@ -115,7 +115,7 @@ class Promises:
             return
         along = direction(jog, speeds, state)
         if along is not None and along < 0.2:
-            self._fault(f"a jog in frame {jog.frame} moves at {along:.2f} of the direction that it was told")
+            self._fault(f"a jog in frame {jog.frame} moves with a cosine of {along:.2f} to the commanded direction")
 
     def _says(self, say: Callable[..., None]) -> Callable[..., None]:
         def wrapped(program: LinkedProgram, data: bytes) -> None:
@@ -135,7 +135,7 @@ class Promises:
         return wrapped
 
     def look(self, speed: float) -> None:
-        """In each cycle in which the arm moves."""
+        """Check one cycle in which the arm moves."""
         main = self._controller._runner.main
         sent = None if main is None else self._observed.programs.get(main.name)
         if sent is None or sent.ended is not None or speed <= _MOVES:
@@ -148,4 +148,4 @@ class Promises:
         last = self._sent.get(life)
         is_led = sent.is_linked and life.name in _LED and last is not None
         if is_led and now > (last or 0.0) + _WATCHDOG + _BRAKED:
-            self._fault(f"the arm moves by {life.name}, to which nothing was sent since {last:.3f} s")
+            self._fault(f"the arm moves by {life.name}, but no message was sent to it since {last:.3f} s")

@@ -1,4 +1,4 @@
-"""One world, run in simulated time: its controller, its clients and what happens to them."""
+"""Run of one world in simulated time: its controller, its clients, and its events."""
 
 from __future__ import annotations
 
@@ -44,21 +44,21 @@ from .world import AT_THE_ROBOT, Ask, Client, Event, World
 __all__ = ["Outcome", "Run", "run"]
 
 HOST = "192.168.0.100"
-#: s: how much longer than its time-out a call may take.
+#: Time that a call may exceed its timeout, in s.
 LATE = 1.5
-#: s in which a motion has begun or has not, whatever happens, and in which what was given up has come to its end.
+#: Time limits for the start of a motion, and for the end of an abandoned motion, in s.
 BEGUN, ENDED = 20.0, 30.0
-#: s in which a cancelled task ends, in which a robot is closed; each as it is documented.
+#: Documented time limits for the end of a cancelled task, and for closing a robot, in s.
 CANCELLED, CLOSED = 6.0, 2.0
-#: Calls that only wait, which keep all threads of the asyncio face busy.
+#: Number of calls that only wait, which keep all threads of the asyncio interface busy.
 BUSY = 16
-#: s for which `then` waits for a motion, and for a block, which does not end by itself.
+#: Time for which `then` waits for a motion, and for a block, which does not end on its own, in s.
 WAIT, WAIT_IN_BLOCK = 20.0, 0.5
-#: Checks in a row, a tenth of the braking time apart, after which nothing is expected to move any more.
+#: Number of consecutive checks, a tenth of the braking time apart, after which no further motion is expected.
 QUIET = 3
-#: s of simulated time for everything.
+#: Limit of simulated time for a world, in s.
 LIMIT = 400.0
-#: Between whose lines threads yield: of the library, but for what a process keeps from one world for the next.
+#: Modules of the library between whose lines threads yield, without modules that keep state between worlds.
 PREEMPTED = (
     "linkcore.aio",
     "linkcore.event_loop",
@@ -77,9 +77,9 @@ PREEMPTED = (
     "rhdlink",
     "urlink_compat",
 )
-#: Calls that neither move the arm nor keep others from moving it.
+#: Calls that neither move the arm nor prevent motions.
 _HARMLESS = ("output", "analog_output", "payload", "tcp", "registers", "outputs", "subscribe", "iterate", "wait_state")
-#: Calls after which the arm may move with no handle that could tell when it ends.
+#: Calls after which the arm may move without a handle that reports the end.
 _LASTING = ("line", "script.send_line")
 _NO_END = {"servoJ", "speedJ", "jogStart", "forceMode", "freedriveMode", "speedj"}
 
@@ -91,16 +91,16 @@ CALL = {**CALL, **{name: acting.call for name, action in ACTIONS.items() if acti
 
 
 class Interrupted(Exception):
-    """Raised by the program itself, in a block."""
+    """Exception that the program of a client raises in a block."""
 
 
 class _Awaited:
-    """A call that a task awaits, as the methods of an `AsyncRobot` make it, and what comes of it.
+    """Call that a task awaits, as the methods of an `AsyncRobot` make it, with its result.
 
     Attributes:
-        is_making: it is under way in a thread.
-        made: what it has returned.
-        error: or raised.
+        is_making: Whether it is running in a thread.
+        made: Returned object.
+        error: Raised error.
     """
 
     def __init__(self, function: Callable[[Any, Ask], Any], robot: Any, ask: Ask) -> None:
@@ -126,7 +126,7 @@ class _Awaited:
         return self.made
 
     async def _made_publicly(self) -> Any:
-        """By the awaited face itself."""
+        """Make the call with the asyncio interface itself."""
         action, drawn = ACTIONS[self._ask.what], acting.drawing(self._robot, self._ask)
         drawn.on_call = lambda: acting.on_call(self._robot, self._ask)
         positional, named = action.arguments(drawn)
@@ -148,13 +148,13 @@ class _Awaited:
         return made
 
     async def begun(self) -> Any:
-        """What the function returns; `wait=False`."""
+        """Return the result of the function, as with `wait=False`."""
         if self._is_public:
             return await self._made_publicly()
         return await self._robot._workers.make(self._make, awaited._end)
 
     async def done(self) -> None:
-        """As with `wait=True`."""
+        """Make the call and wait for its end, as with `wait=True`."""
         if self._is_public:
             made = await self._made_publicly()
             if self._ask.what in MOTION:
@@ -165,7 +165,7 @@ class _Awaited:
         await self._robot._workers.make(functools.partial(self._make, WAIT), awaited._end)
 
     def block(self) -> Any:
-        """What is entered."""
+        """Return the block to enter."""
         if self._is_public:
             return self._entered_publicly()
         return awaited.Block(self._robot._workers, self._make, lambda made, workers: made)
@@ -178,7 +178,7 @@ class _Awaited:
 
 
 class Run:
-    """The clients and the events of one world."""
+    """Clients and events of one world."""
 
     def __init__(self, world: World, sim: Simulation, outcome: Outcome) -> None:
         self.world = world
@@ -207,16 +207,16 @@ class Run:
         )
         self.computers: list[Computer] = []
         self.gone: set[int] = set()
-        #: by client, the numbers of those of its asks for which the arm may move
+        #: Numbers of the requests of each client for which the arm may move.
         self.owners: list[set[int]] = [set() for _ in world.clients]
         self._numbers = itertools.count()
         self._begun = 0.0
         self._threads_of_robot = 0
-        #: calls of a task that only wait, and keep threads busy
+        #: Waiting calls of tasks that keep threads busy.
         self._busy: dict[int, list[asyncio.Future[Any]]] = {}
-        #: by client, the robot that is not the arm
+        #: Computer of the mobile robot of each client.
         self._peers: dict[int, Computer] = {}
-        #: those who press what is at the pendant
+        #: Threads of persons at the pendant.
         self.hands: list[threading.Thread] = []
 
     def everything(self) -> None:
@@ -244,10 +244,10 @@ class Run:
                 thread.join(1.0)
                 is_paused = self.controller.modes.program_state == ProgramState.PAUSED
                 if is_paused and self.sim.now > self._begun + 1.25 * WAIT:
-                    # `moveJ` of ur_rtde waits for ever for what another client has paused.
+                    # `moveJ` of ur_rtde waits forever for a motion that another client has paused.
                     self.controller.call(self.controller.pendant.stop)
             if thread.is_alive() and number not in self.gone:
-                self.watch.fault(f"client {number} has not come to its end\n{self.sim.stacks()}")
+                self.watch.fault(f"client {number} has not ended\n{self.sim.stacks()}")
         for hand in self.hands:
             hand.join(60.0)
         self._settle()
@@ -263,7 +263,7 @@ class Run:
             self.watch.fault(f"{self.sim.open_sockets} sockets are left")
 
     def _settle(self) -> None:
-        """Watch the arm until nothing can move it any more: for `BRAKING` twice, or until all is at rest and empty."""
+        """Watch the arm until nothing can move it: for twice `BRAKING`, or until everything is at rest and idle."""
         until = self.sim.now + 2 * BRAKING
         quiet = 0
         while self.sim.now < until and quiet < QUIET:
@@ -274,25 +274,25 @@ class Run:
             quiet = quiet + 1 if is_quiet and self.watch.is_at_rest else 0
 
     def _until(self, ask: Ask) -> float:
-        """Seconds until it is asked for."""
+        """Return the seconds until a request is made."""
         return max(self._begun + ask.at - self.sim.now, 0.0) + ask.after
 
-    # -- who wants the arm to move -------------------------------------------------------------------------
+    # -- clients that want the arm to move -----------------------------------------------------------------
 
     def begin(self, client: int) -> int:
-        """A client asks for something that may move the arm; its number."""
+        """Record a request that may move the arm; return its number."""
         owner = next(self._numbers)
         self.owners[client].add(owner)
         self.watch.begin(owner)
         return owner
 
     def end(self, client: int, owner: int, error: BaseException | None) -> None:
-        """The client knows that it is over."""
+        """Record that the client knows the end of its request."""
         self.owners[client].discard(owner)
         self.watch.end(owner, error)
 
     def leave(self, client: int) -> None:
-        """A client is gone: what it has asked for may come to its end."""
+        """Record that a client no longer exists; its motions may continue to their end."""
         self.gone.add(client)
         self.watch.gone(-1)
         for owner in self.owners[client]:
@@ -350,21 +350,21 @@ class Run:
         self._all_over(number, kept)
 
     def _forget(self, number: int, owner: int, motion: Handle, kept: dict[int, Handle]) -> None:
-        """Nobody waits for it; it is over when it is."""
+        """Record a motion that the client does not wait for; it ends at any time."""
         kept[owner] = motion
         motion.add_done_callback(lambda handle: self.end(number, owner, handle.error))
 
     def _all_over(self, number: int, kept: dict[int, Handle]) -> None:
-        """The robot was closed: whatever was left running is over."""
+        """Check that all remaining motions have ended, because the robot was closed."""
         for owner, handle in kept.items():
             if not handle.done:
-                self.watch.fault(f"client {number}: {handle.name} is not over, and the robot was closed")
+                self.watch.fault(f"client {number}: {handle.name} has not ended, although the robot was closed")
             self.end(number, owner, handle.error)
 
     def _ask(self, number: int, client: Client, robot: urlink.Robot, ask: Ask, kept: dict[int, Handle]) -> None:
         error: BaseException | None = None
         owner = None
-        self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
+        self.watch.note(f"client {number} requests {ask.what} ({ask.size:.2f}), then {ask.then}")
         observed, method = self.watch.observed, ask.what.rpartition(".")[2]
         entered = self.sim.now
         try:
@@ -406,19 +406,19 @@ class Run:
                 self.end(number, owner, error)
 
     def _abandoned(self, has_any: bool) -> None:
-        """A call raised: if it left a program behind, see whether that goes on, before the robot is closed."""
+        """Wait after a call that raised and left a program behind, to observe it before the robot is closed."""
         if has_any:
             time.sleep(1.5 * BRAKING)
 
     def _check_effect(self, robot: urlink.Robot, ask: Ask) -> None:
-        """What a call promises to have done when it returns, if nothing else can have undone it."""
+        """Check the promised effect of a call when it returns, unless other actions can have undone it."""
         if self.is_sequence and ask.what in ACTIONS and ask.then != "signal":
             wrong = acting.effect(robot, self.controller, ask)
             if wrong is not None:
                 self.watch.fault(f"{ask.what}: {wrong}")
 
     def _signals(self, robot: urlink.Robot, ask: Ask) -> contextlib.AbstractContextManager[object]:
-        """With `then="signal"`, a signal comes between two lines of the library, in the main thread of a program."""
+        """Return a block in which, for `then="signal"`, a signal comes between two lines of the library."""
         if ask.then != "signal" or ask.thread or self.world.lines:
             return contextlib.nullcontext()
         chance = random.Random(f"signal {ask.size}")
@@ -426,10 +426,10 @@ class Run:
         lines = int(math.exp(chance.uniform(math.log(12.0), math.log(4000.0))))
 
         def handler() -> None:
-            self.watch.note(f"a signal comes, whose handler does: {name}")
+            self.watch.note(f"a signal comes; its handler does: {name}")
             if name == "interrupt":
                 raise KeyboardInterrupt
-            # A stop overtakes no call that has not been entered: the robot may still be making its parts.
+            # A stop does not affect a call that has not been entered yet, because the robot may be making its parts.
             is_entered = current_call() is not None
             with contextlib.suppress(LinkError), self.watch.observed.calling(f"{name} in a handler") as entered:
                 if name == "stop":
@@ -446,11 +446,11 @@ class Run:
         return signalled(PREEMPTED, lines, handler)
 
     def _block(self, number: int, robot: urlink.Robot, ask: Ask) -> BaseException | None:
-        """A motion that lasts as long as a block; what its handle reports in the end."""
+        """Run a motion that lasts as long as a block; return the error of its handle."""
         block = BLOCK[ask.what](robot, ask)
         try:
             with contextlib.ExitStack() as leaving:
-                # What is begun by entering it is asked for then, and not when the block was made.
+                # The request for the motion is the entry of the block, not its construction.
                 with self.watch.observed.calling(ask.what.rpartition(".")[2]):
                     entered = leaving.enter_context(block)
                 DURING[ask.what](robot, entered, ask)
@@ -493,7 +493,7 @@ class Run:
         return self._given_up(number, motion, ask)
 
     def _given_up(self, number: int, motion: Handle, ask: Ask) -> BaseException | None:
-        """End it, if it is not over; what its handle reports."""
+        """End a motion if it has not ended; return the error of its handle."""
         if not motion.done:
             with contextlib.suppress(LinkError):
                 motion.cancel()
@@ -514,7 +514,7 @@ class Run:
                 self.watch.fault(f"{ask.what}: {what} {took:.2f} s, longer than {limit:g} s")
 
     def _held_for(self, number: int) -> float:
-        """s for which a client may be held up by what happens to its computer."""
+        """Return the time for which events may suspend the computer of a client, in s."""
         held = ("suspend_client", "hold_client")
         return sum(each.lasts for each in self.world.events if each.client == number and each.what in held)
 
@@ -543,7 +543,7 @@ class Run:
         self._all_over(number, kept)
 
     async def _ask_async(self, number: int, client: Client, robot: Any, ask: Ask, kept: dict[int, Handle]) -> None:
-        self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}, in a task")
+        self.watch.note(f"client {number} requests {ask.what} ({ask.size:.2f}), then {ask.then}, in a task")
         if ask.what == "busy":
             waits = [asyncio.ensure_future(robot.io.wait_digital_in(7, True, 5.0 + ask.size)) for _ in range(BUSY)]
             self._busy[number] += waits
@@ -588,11 +588,11 @@ class Run:
                 self.end(number, owner, error)
 
     async def _check_cancelled(self, ask: Ask) -> None:
-        """What a cancelled call must not leave behind, if it is the only one that could have done it."""
+        """Check that a cancelled call leaves no program, if no other call could have started it."""
         if ask.what == "dashboard.play" and self.is_alone:
             await asyncio.sleep(2 * BRAKING)
             if self.controller.is_running_program:
-                self.watch.fault("dashboard.play was cancelled, and its program plays")
+                self.watch.fault("dashboard.play was cancelled, but its program runs")
 
     async def _then_async(self, number: int, robot: Any, call: _Awaited, ask: Ask) -> None:
         async def whole() -> None:
@@ -620,7 +620,7 @@ class Run:
                 await (await call.begun())
 
         task = asyncio.ensure_future(whole())
-        if ask.then != "cancel":  # not by `asyncio.wait_for`, which takes other turns of the loop from Python 3.12 on
+        if ask.then != "cancel":  # `asyncio.wait_for` would take other steps of the loop since Python 3.12
             await within(ask.patience if ask.then == "wait_briefly" else _limit(ask) + WAIT, task)
         elif ask.size > 0.5:
             await asyncio.sleep(ask.patience)
@@ -632,7 +632,7 @@ class Run:
             await task
 
     async def _during_async(self, robot: Any, block: Any, ask: Ask) -> None:
-        """Use a block by its awaited methods; some of these calls are cancelled."""
+        """Use a block with its asyncio methods; some of these calls are cancelled."""
         for step, (name, often, rest) in enumerate(acting.steps_awaited(block, ask)):
             chance = random.Random(f"cancelled {ask.size} {step}")
             for _ in range(often):
@@ -647,7 +647,7 @@ class Run:
                 elif name == "replace":
                     await asyncio.sleep(0.3)
                     if block.end != end:
-                        self.watch.fault(f"a cancelled replace was carried out: the stream ends at {block.end:.3f} s")
+                        self.watch.fault(f"a cancelled replace was executed: the stream ends at {block.end:.3f} s")
                 elif name == "execute":
                     self.watch.observed.pause(block)
                     await asyncio.sleep(1.5 * BRAKING)
@@ -658,9 +658,9 @@ class Run:
                 self.watch.observed.resume(block)
 
     async def _ended(self, call: _Awaited, ask: Ask) -> BaseException | None:
-        """Wait until what a call has begun is over, and return what its handle reports."""
+        """Wait for the end of the motion that a call has started, and return the error of its handle."""
         until = self.sim.now + ENDED
-        await asyncio.sleep(0.01)  # by then it has begun, or never will
+        await asyncio.sleep(0.01)  # after this time it has started, or it never will
         while call.is_making and self.sim.now < until:
             await asyncio.sleep(0.01)
         if call.is_making:
@@ -668,7 +668,7 @@ class Run:
         if call.error is not None:
             return call.error
         handle = _handle(call.made)
-        # A block that was not entered has begun nothing, so that nothing ends.
+        # A block that was not entered has not started a motion, so nothing ends.
         if handle is None or not handle._life.happened(LifeEvent.SEND):
             return None
         if ask.what in MOTION:
@@ -697,7 +697,7 @@ class Run:
         for place, ask in enumerate(client.asks):
             time.sleep(self._until(ask))
             self._happen(number, place)
-            self.watch.note(f"client {number} asks for {ask.what} ({ask.size:.2f}), then {ask.then}")
+            self.watch.note(f"client {number} requests {ask.what} ({ask.size:.2f}), then {ask.then}")
             owner, lasts = self.begin(number), ask.then in ("forget", "cancel")
             error: BaseException | None = None
             try:
@@ -712,7 +712,7 @@ class Run:
                 time.sleep(ask.patience)
 
     def _all_end(self, number: int) -> None:
-        """The client has disconnected, which ends what it began."""
+        """Record the end of all motions of a client, because it has disconnected."""
         for owner in sorted(self.owners[number]):
             self.end(number, owner, RemoteError("the arm may still move"))
 
@@ -744,7 +744,7 @@ class Run:
 
     @contextlib.contextmanager
     def _trying(self, number: int, ask: Ask) -> Iterator[None]:
-        """What is tried may move the arm meanwhile; whatever it raises is a fault."""
+        """Record a trial, during which the arm may move; an error of the trial is a fault."""
         self.watch.note(f"client {number}: {ask.what} ({ask.size:.4f})")
         owner = self.begin(number)
         error: BaseException | None = None
@@ -779,7 +779,7 @@ class Run:
     # -- events ------------------------------------------------------------------------------------------
 
     def _happen(self, client: int, ask: int | None) -> None:
-        """Plan what is to happen after an ask, or after the beginning."""
+        """Plan the events after a request, or after the start."""
         for event in self.world.events:
             if event.client == client and event.ask == ask:
                 self._plan(event)
@@ -797,7 +797,7 @@ class Run:
             if event.what in ("kill_client", "power_client"):
                 self.leave(event.client)
             if undo is not None:
-                # A client that was killed meanwhile does not go on; the robot and the network do.
+                # A client that was killed meanwhile is not resumed, but the robot and the network are.
                 is_its_own = event.what in ("suspend_client", "hold_client")
                 self.sim.at(self.sim.now + event.lasts, lambda: (is_its_own and event.client in self.gone) or undo())
 
@@ -810,11 +810,11 @@ class Run:
 
 
 class _Errors(logging.Handler):
-    """Exceptions that nobody expected: in threads, and those that are logged with a traceback."""
+    """Handler that reports unexpected exceptions: uncaught ones in threads, and logged ones with a traceback."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
-        #: None at the end, when those threads are ended that a killed computer has left
+        #: Function that reports a fault. None at the end, when remaining threads of killed computers are ended.
         self.fault: Callable[[str], object] | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -829,7 +829,7 @@ class _Errors(logging.Handler):
 
 
 def _handle(entered: Any) -> Handle | None:
-    """The handle of what was begun; that of teaching is its freedrive; None if it is no motion."""
+    """Return the handle of an entered object (for teaching, its freedrive), or None if it is not a motion."""
     if isinstance(entered, Handle):
         return entered
     freedrive: Handle | None = getattr(entered, "freedrive", None)
@@ -837,13 +837,13 @@ def _handle(entered: Any) -> Handle | None:
 
 
 def _is_quiet(world: World) -> bool:
-    """Nothing happens beside clients that move the arm, or do no harm: nothing may be said to have stopped it."""
+    """Whether the world only has clients that move the arm or do no harm, so no call may report a stop."""
     moves = {*MOTION, *BLOCK, *_HARMLESS} - ACTIONS.keys()
     return not world.events and all(ask.what in moves for client in world.clients for ask in client.asks)
 
 
 def _rest(robot: urlink.Robot, ask: Ask, seconds: float | None = None) -> None:
-    """Let time pass; half of the asks go on when a state comes, as a loop does: in the same moment as other threads."""
+    """Wait; half of the requests then wait for a state, as a loop does, so they resume together with other threads."""
     time.sleep(ask.patience if seconds is None else seconds)
     if ask.size > 0.5:
         with contextlib.suppress(LinkError):
@@ -851,7 +851,7 @@ def _rest(robot: urlink.Robot, ask: Ask, seconds: float | None = None) -> None:
 
 
 def _limit(ask: Ask) -> float:
-    """s that the call of an ask may take."""
+    """Return the time limit for the call of a request, in s."""
     return acting.limit(ask) if ask.what in ACTIONS else BEGUN if ask.what in MOTION else WAIT + BEGUN
 
 
@@ -881,5 +881,5 @@ def run(world: World) -> Outcome:
         threading.excepthook = hook
         root.removeHandler(errors)
     if world.events:
-        gc.collect()  # what a client has left that was killed or held is not to be found in another world
+        gc.collect()  # so that objects of killed or suspended clients do not appear in another world
     return outcome

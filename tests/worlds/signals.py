@@ -1,4 +1,4 @@
-"""A signal between two lines of the library: its handler runs in the thread that executes them."""
+"""Signals between two lines of the library: the handler runs in the thread that executes the lines."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from linkcore.simulated.scheduler import current
 
 __all__ = ["signalled"]
 
-#: Modules whose functions run as one step: the simulation itself, and what keeps a lock of the interpreter.
+#: Modules whose functions run as one step: the simulation itself, and modules that hold a lock of the interpreter.
 _WHOLE = ("linkcore.simulated", "importlib", "logging", "functools", "weakref")
 _FIRST = "_take_part"
 
 
 @contextlib.contextmanager
 def signalled(packages: tuple[str, ...], lines: int, handler: Callable[[], object]) -> Iterator[None]:
-    """Have `handler` run in this thread, before the line of that number of these packages that the block executes.
+    """Run `handler` in this thread, before the n-th line of these packages that the block executes.
 
-    The line is counted from the beginning of the block. The handler may raise, as that of SIGINT does, and may wait.
+    Lines are counted from the start of the block. The handler may raise, as the handler of SIGINT does, and may wait.
     """
     left = [lines]
 

@@ -1,8 +1,8 @@
-"""The public surface of a robot, found by introspection, with arguments that are drawn for every parameter.
+"""Public methods of a robot, found by introspection, with drawn arguments for every parameter.
 
 An action is named by the attribute of the robot and the method: ``motion.jog``, ``io.set_digital_out``,
-``robot.set_payload``. What a block gives is used as well, by the methods of its class: ``Jog.move``. A new method is
-tried without being added anywhere. A new parameter needs a row in `DRAWERS`; `test_surface.py` names those without one.
+``robot.set_payload``. The methods of an entered block are used as well, such as ``Jog.move``. A new method is tried
+automatically. A new parameter needs a row in `DRAWERS`; `test_surface.py` lists parameters without a row.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ PARTS: Mapping[str, type] = {
 }
 #: Attributes of a robot that have no methods to try: values, and the simulator itself.
 VALUES = {"clock", "controller", "firmware", "identity", "kinematics", "model"}
-#: What a block gives, by the action that opens it.
+#: Class of the entered block, by the action that opens it.
 BLOCKS: Mapping[str, type] = {
     "motion.servo": Servo,
     "motion.stream": PointStream,
@@ -77,7 +77,7 @@ BLOCKS: Mapping[str, type] = {
 }
 #: Blocks in which the arm may move.
 MOVING_BLOCKS = tuple(name for name in BLOCKS if not name.startswith("rtde"))
-#: Actions that are not tried, and why.
+#: Actions that are not tried, with the reason.
 LEFT_OUT: Mapping[str, str] = {
     "robot.view": "it opens a web server and windows",
     "robot.record": "it writes files; tests of recordings cover it",
@@ -87,7 +87,7 @@ LEFT_OUT: Mapping[str, str] = {
     "realtime.join": "it waits until the stream is closed",
     "primary.join": "it waits until the stream is closed",
     "secondary.join": "it waits until the stream is closed",
-    "dashboard.shutdown": "the controller does not start again by itself",
+    "dashboard.shutdown": "the controller does not start again on its own",
     "dashboard.download_program": "it needs a program of PolyScope X",
     "dashboard.upload_program": "it needs a file of PolyScope X",
     "dashboard.send": "it takes any text; the other methods send every command",
@@ -97,12 +97,12 @@ LEFT_OUT: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Action:
-    """One public method.
+    """Public method.
 
     Attributes:
-        name: "part.method".
-        kind: "motion" for what returns a handle, "block" for what is entered, "call" for everything else.
-        method: the function, of the class of the part.
+        name: Name as "part.method".
+        kind: "motion" if it returns a handle, "block" if its result is entered, "call" otherwise.
+        method: Function of the class of the part.
     """
 
     name: str
@@ -114,18 +114,18 @@ class Action:
         return self.name.partition(".")[0]
 
     def parameters(self) -> Iterator[inspect.Parameter]:
-        """Its parameters without the first, `self`."""
+        """Yield its parameters without `self`."""
         yield from list(inspect.signature(self.method).parameters.values())[1:]
 
     def arguments(self, drawing: Drawing) -> tuple[list[Any], dict[str, Any]]:
-        """Drawn arguments: each that is required, and some that have a default."""
+        """Draw arguments for all required parameters, and for some parameters with a default."""
         return drawn_arguments(self.name, self.parameters(), drawing)
 
     def of(self, robot: Any) -> Callable[..., Any]:
-        """The bound method, of a robot of either face.
+        """Return the bound method of a robot, or of an asyncio robot.
 
         Raises:
-            AttributeError: this face does not have it.
+            AttributeError: If the robot does not have the method.
         """
         method = self.name.partition(".")[2]
         part = robot if self.part == "robot" else getattr(robot, self.part)
@@ -135,19 +135,19 @@ class Action:
 
 @dataclass
 class Drawing:
-    """What drawers choose by.
+    """Source of drawn arguments.
 
     Attributes:
-        chance: decides.
-        q, pose: where the arm is told to be and where its tool is.
-        on_call: is called, when a callback that was drawn is called; may raise.
+        chance: Random generator.
+        q, pose: Target joint positions and pose of the tool.
+        on_call: Function that drawn callbacks call; it may raise.
     """
 
     chance: random.Random
     q: np.ndarray = field(default_factory=lambda: np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]))
     pose: np.ndarray = field(default_factory=lambda: np.array([-0.3, -0.1, 0.4, 0.0, 3.1, 0.0]))
     on_call: Callable[[], object] = lambda: None
-    #: s on the clock of a stream of points after which the next one comes
+    #: Time on the clock of a point stream after which the next point comes, in s.
     end: float = 0.0
 
     def between(self, least: float, most: float) -> float:
@@ -157,11 +157,11 @@ class Drawing:
         return self.chance.choice(values)
 
     def near(self, radians: float = 0.3) -> list[float]:
-        """Joint positions near the present ones."""
+        """Return joint positions near the current ones."""
         return [float(each + self.between(-radians, radians)) for each in self.q]
 
     def raised(self) -> list[float]:
-        """A pose near the present one."""
+        """Return a pose near the current one."""
         offset = [self.between(-0.04, 0.04) for _ in range(3)]
         return [*(float(a + b) for a, b in zip(self.pose[:3], offset, strict=True)), *map(float, self.pose[3:])]
 
@@ -172,7 +172,7 @@ class Drawing:
         return [self.between(-most, most) for _ in range(6)]
 
     def one_of_six(self, most: float) -> list[float]:
-        """A speed along or about one axis."""
+        """Return a speed along or about one axis."""
         values = [0.0] * 6
         values[self.chance.randrange(6)] = self.chosen(-1, 1) * self.between(0.2 * most, most)
         return values
@@ -188,7 +188,7 @@ _LINKS = ("reverse", "rtde")
 
 
 def _waypoints(d: Drawing) -> list[Any]:
-    """Through joint positions and poses, ending in joint positions."""
+    """Draw waypoints with joint positions and poses, ending in joint positions."""
     ways: list[Any] = [urlink.Joint(d.near(0.15), blend=d.chosen(0.0, 0.02))]
     if d.chance.random() < 0.5:
         ways.append(urlink.Linear(d.raised()))
@@ -227,7 +227,7 @@ def _statement(d: Drawing) -> str:
     )
 
 
-#: How arguments are drawn: by "part.method.parameter" or "Class.method.parameter", else by "parameter".
+#: Functions that draw arguments, by "part.method.parameter", "Class.method.parameter", "part.parameter" or "parameter".
 DRAWERS: Mapping[str, Drawer] = MappingProxyType(
     {
         # motions
@@ -299,7 +299,7 @@ DRAWERS: Mapping[str, Drawer] = MappingProxyType(
         "bank": lambda d: "standard",
         "button": lambda d: d.chosen(False, True),
         "on_point": lambda d: d.callback(),
-        # what blocks give
+        # methods of blocks
         "Servo.send.q": lambda d: d.near(0.01),
         "target": lambda d: d.near(0.05),
         "Impedance.send.target": lambda d: d.near(0.02),
@@ -313,7 +313,7 @@ DRAWERS: Mapping[str, Drawer] = MappingProxyType(
         "statement": _statement,
         # programs, inputs and outputs
         "source": _source,
-        # A detached program keeps running after the end: nothing could tell it from one that was forgotten.
+        # A detached program keeps running after the end, and could not be distinguished from a forgotten one.
         "detached": lambda d: False,
         "on_text": lambda d: d.callback(),
         "line": lambda d: d.chosen("set_digital_out(2, True)", f"movej({d.near(0.1)}, v=0.5)"),
@@ -390,7 +390,7 @@ DRAWERS: Mapping[str, Drawer] = MappingProxyType(
 
 
 def drawer_of(owner: str, parameter: str) -> Drawer | None:
-    """How an argument of "part.method" is drawn; None without a row in `DRAWERS`."""
+    """Return the drawer for an argument of "part.method", or None without a row in `DRAWERS`."""
     part = owner.partition(".")[0]
     for key in (f"{owner}.{parameter}", f"{part}.{parameter}", parameter):
         if key in DRAWERS:
@@ -401,7 +401,7 @@ def drawer_of(owner: str, parameter: str) -> Drawer | None:
 def drawn_arguments(
     owner: str, parameters: Iterator[inspect.Parameter], drawing: Drawing
 ) -> tuple[list[Any], dict[str, Any]]:
-    """Arguments for these parameters."""
+    """Draw positional and named arguments for these parameters."""
     positional: list[Any] = []
     named: dict[str, Any] = {}
     for each in parameters:
@@ -420,7 +420,7 @@ def drawn_arguments(
 
 
 def public_methods(cls: type) -> dict[str, Callable[..., Any]]:
-    """Methods of a class by name, without those that begin with an underscore."""
+    """Return the methods of a class by name, without names that begin with an underscore."""
     found: dict[str, Callable[..., Any]] = {}
     for name in sorted(dir(cls)):
         member = inspect.getattr_static(cls, name)
@@ -430,7 +430,7 @@ def public_methods(cls: type) -> dict[str, Callable[..., Any]]:
 
 
 def kind_of(name: str, method: Callable[..., Any]) -> str:
-    """Whether it returns a handle, is entered, or neither."""
+    """Return the kind of an action: "motion", "block" or "call"."""
     if name in MOVING_BLOCKS:
         return "block"
     returned = str(inspect.signature(method).return_annotation)
@@ -445,9 +445,9 @@ def _actions() -> Iterator[Action]:
                 yield Action(path, kind_of(path, method), method)
 
 
-#: Every action, by name.
+#: Actions by name.
 ACTIONS: Mapping[str, Action] = MappingProxyType({each.name: each for each in _actions()})
-#: Methods specific to each class of block; the methods that every handle has are tested elsewhere.
+#: Methods of blocks by class, without the methods of every handle, which are used in other ways.
 OF_BLOCKS: Mapping[type, Mapping[str, Callable[..., Any]]] = MappingProxyType(
     {
         cls: {
@@ -458,12 +458,12 @@ OF_BLOCKS: Mapping[type, Mapping[str, Callable[..., Any]]] = MappingProxyType(
         for cls in BLOCKS.values()
     }
 )
-#: Results that are closed.
+#: Classes of results that must be closed.
 CLOSED = (Subscription, Recorder)
 
 
 def lacking() -> list[str]:
-    """Parameters that no drawer is there for."""
+    """Return the parameters without a drawer."""
     found = []
     for action in ACTIONS.values():
         found += [f"{action.name}.{each.name}" for each in action.parameters() if not drawer_of(action.name, each.name)]
@@ -476,6 +476,6 @@ def lacking() -> list[str]:
 
 
 def missing_parts() -> list[str]:
-    """Attributes of a robot that are neither parts nor known to be values."""
+    """Return the attributes of a robot that are neither in `PARTS` nor in `VALUES`."""
     properties = {name for name in dir(Robot) if isinstance(inspect.getattr_static(Robot, name), property)}
     return sorted(name for name in properties if not name.startswith("_") and name not in PARTS.keys() | VALUES)

@@ -1,4 +1,4 @@
-"""All states of the model, the defects that it finds, and the handles of simulated worlds beside it."""
+"""All states of the model, the defects that it finds, and a comparison with the handles of simulated worlds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.worlds.drawn import draw
 from tests.worlds.model import DEFECTS, ENDS, Explored, begin, explore
 from tests.worlds.running import run
 
-# A client that is killed closes nothing.
+# A killed client does not close its sockets, so ignore the warnings.
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"),
@@ -27,7 +27,7 @@ def whole(*owners: int) -> Explored:
 
 
 @pytest.mark.parametrize("owners", [(0, 1), (0, 0)], ids=["two clients", "one client asks twice"])
-def test_every_invariant_holds_in_every_state(
+def test_invariants_hold_in_every_state(
     owners: tuple[int, ...], record_property: Callable[[str, object], None]
 ) -> None:
     begun = time.perf_counter()
@@ -41,15 +41,15 @@ def test_every_invariant_holds_in_every_state(
 
 
 @pytest.mark.parametrize("defect", DEFECTS)
-def test_a_defect_is_found(defect: str) -> None:
+def test_model_finds_each_defect(defect: str) -> None:
     owners, invariant = DEFECTS[defect]
     found = explore(begin(*owners), defect, until=() if invariant == ENDS else (invariant,))
     way = found.violated[invariant]
-    print(f"{defect}: not so: {invariant}\n  " + "\n  ".join(way))
-    assert len(way) <= 10  # a person can read it
+    print(f"{defect}: violated: {invariant}\n  " + "\n  ".join(way))
+    assert len(way) <= 10  # short enough for a person to read
 
 
-def test_handles_of_worlds_do_what_those_of_the_model_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_handles_of_worlds_behave_like_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: set[tuple[str, str]] = set()
     fire = Lifecycle.fire
 
@@ -66,7 +66,7 @@ def test_handles_of_worlds_do_what_those_of_the_model_do(monkeypatch: pytest.Mon
         outcome = run(draw(seed))
         assert outcome.faults == []
         places |= outcome.places
-    # Permission: nothing moves that its client has not heard ask, and let go on.
+    # A program moves the arm only after its client has read its request and has permitted it.
     assert places <= whole(0, 1).places | whole(0, 0).places
     assert any(after == ("running", "moves") for _, after in places)
     modelled = whole(0, 1).transitions | whole(0, 0).transitions

@@ -1,4 +1,4 @@
-"""The defects of `planted`: each can be injected into the code, and shows in its world; without it the world passes."""
+"""The defects of `planted`: each can be injected and shows in its world; without it, the world has no fault."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from tests.worlds.planted import DEFECTS, NAMES, ROOT, SHOWN, Change, planted, worlds
 from tests.worlds.running import run
 
-# A client that is killed closes nothing.
+# A killed client does not close its sockets, so ignore the warnings.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 
 
@@ -40,7 +40,7 @@ def test_change_replaces_the_body_and_keeps_the_docstring() -> None:
     assert changed.count('"""Whether it is open."""\n        return True\n\n    def close') == 1
 
 
-def test_change_replaces_text_whatever_its_line_breaks() -> None:
+def test_change_replaces_text_across_line_breaks() -> None:
     changed = Change("door", "Door.is_open", "self.angle > 1", before="bool( self.angle )").applied(SOURCE)
     assert "        return self.angle > 1\n" in changed
 
@@ -66,7 +66,7 @@ def test_change_names_the_entry_to_edit_when_the_code_differs(change: Change, me
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHOWN)
 @pytest.mark.real_time
-def test_a_defect_shows_in_its_world(name: str) -> None:
+def test_defect_shows_in_its_world(name: str) -> None:
     with planted(name) as root:
         found = worlds(root, ["--shown", name])
     assert found.returncode == 1
@@ -75,7 +75,7 @@ def test_a_defect_shows_in_its_world(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SHOWN)
-def test_without_the_defect_nothing_is_wrong_in_that_world(name: str) -> None:
+def test_world_has_no_fault_without_the_defect(name: str) -> None:
     world, _ = SHOWN[name]
     outcome = run(replace(world, seed=1))
     assert outcome.faults == [], "\n".join(outcome.log)

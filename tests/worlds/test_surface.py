@@ -1,4 +1,4 @@
-"""Worlds can draw every public method of a robot, with an argument for each of its parameters."""
+"""Worlds can draw every public method of a robot, with arguments for all of its parameters."""
 
 from __future__ import annotations
 

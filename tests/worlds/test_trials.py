@@ -1,4 +1,4 @@
-"""Each trial passes on the library as it is, and what is looked at beside the trials is seen when it is broken."""
+"""Each trial passes with the unchanged library, and the additional checks detect violations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EVERY = [(kind, name) for kind, trials in KINDS.items() for name in trials]
 
 
 @pytest.mark.parametrize(("kind", "name"), EVERY)
-def test_a_trial_passes(kind: str, name: str) -> None:
+def test_trial_passes(kind: str, name: str) -> None:
     for number, firmware in enumerate(("3.15", "5.11")):
         ask = Ask(name, "wait", 0.0, 0.3 * number + 0.05, 0.0)
         outcome = run(World(number, firmware, 1e-4, 0.0, (Client((ask,), 0.0, kind),), ()))
@@ -31,11 +31,11 @@ def test_a_trial_passes(kind: str, name: str) -> None:
 
 
 @pytest.mark.parametrize(("kind", "name"), EVERY)
-def test_a_trial_names_its_promise(kind: str, name: str) -> None:
+def test_trial_states_its_promise(kind: str, name: str) -> None:
     assert KINDS[kind][name].__doc__
 
 
-def test_a_wait_is_a_fault_when_its_timeout_was_lost() -> None:
+def test_wait_with_a_lost_timeout_is_a_fault() -> None:
     faults: list[str] = []
     with waits.watching(faults.append):
         clock.wait(lambda seconds: True, 60.0)
@@ -44,7 +44,7 @@ def test_a_wait_is_a_fault_when_its_timeout_was_lost() -> None:
     assert len(faults) > 0
 
 
-def test_a_timer_is_a_fault_when_its_timeout_was_lost() -> None:
+def test_timer_with_a_lost_timeout_is_a_fault() -> None:
     faults: list[str] = []
 
     async def begin() -> None:
@@ -55,7 +55,7 @@ def test_a_timer_is_a_fault_when_its_timeout_was_lost() -> None:
     assert len(faults) == 1
 
 
-def test_a_change_without_its_lock_is_a_fault() -> None:
+def test_assignment_without_its_lock_is_a_fault() -> None:
     faults: list[str] = []
     row = learned.Row("PacketQueue", "_discarded", "assigned", "_discarding")
     assert row in learned.KNOWN
@@ -69,7 +69,7 @@ def test_a_change_without_its_lock_is_a_fault() -> None:
 
 
 @pytest.mark.parametrize(("kind", "is_held"), [("with", False), ("without", True)])
-def test_a_call_is_a_fault_unless_its_lock_is_as_learned(kind: str, is_held: bool) -> None:
+def test_call_with_another_lock_state_than_learned_is_a_fault(kind: str, is_held: bool) -> None:
     faults: list[str] = []
     row = learned.Row("BoundedQueue", "end", kind, "_discarding")
     with simulated_time(1), learned.watching(faults.append, (row,)):
@@ -79,14 +79,14 @@ def test_a_call_is_a_fault_unless_its_lock_is_as_learned(kind: str, is_held: boo
                 queue.close if kind == "with" else queue.end()
         if not is_held:
             queue.end()
-    assert len(faults) == (kind == "with")  # a plain lock does not know who holds it
+    assert len(faults) == (kind == "with")  # a plain lock does not know its owner
 
 
-def test_what_was_learned_is_still_there() -> None:
+def test_learned_methods_still_exist() -> None:
     named = [(each.__name__, each) for each in learned.every_class()]
     lost = [
         row
         for row in learned.KNOWN
         if row.kind != "assigned" and not any(name == row.owner and hasattr(each, row.name) for name, each in named)
     ]
-    assert lost == [], "learn anew: python -m tests.worlds.learned"
+    assert lost == [], "these methods no longer exist; learn again: python -m tests.worlds.learned"

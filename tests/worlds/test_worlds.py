@@ -1,4 +1,4 @@
-"""Worlds in simulated time: 300 of them here, as many as wanted by `nox -f nightly.py -s simulate`."""
+"""Worlds in simulated time: 300 in these tests, and any number with `nox -f nightly.py -s simulate`."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from tests.worlds.scenes import SCENES
 from tests.worlds.world import Ask, Client, Event, World
 from urlink.command.programs import Programs
 
-# A client that is killed closes nothing.
+# A killed client does not close its sockets, so ignore the warnings.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 
-#: Seeds of `written` that have shown a defect of the library, and what it was.
+#: Seeds of `written` that have shown a defect of the library, with a description.
 OF_THE_LIBRARY = {
     15_114: "a connection for a setting outlived its robot",
-    16_722: "a task that gave up its motion had another one stopped",
+    16_722: "cancelling the task of a motion stopped another motion",
     29_855: "close did not wait until the stop of a cancelled program was sent again",
     30_459: "a connection for a setting outlived its robot",
-    31_502: "a stream that ended in its first moment raised in its thread",
-    58_908: "two motions had one link",
-    59_665: "a speed began without permission",
+    31_502: "a stream that ended immediately after its start raised in its thread",
+    58_908: "two motions shared one link",
+    59_665: "a speed motion started without permission",
     59_800: "a cancelled program ran for 18 ms when it was played",
     66_459: "a handle never ended",
-    127_182: "an unknown safety mode kept close from sending a stop",
+    127_182: "an unknown safety mode prevented close from sending a stop",
     170_528: "close left a thread",
 }
-#: Seeds that have shown a defect of the simulator, of an oracle, or one that nobody wrote down.
+#: Seeds that have shown a defect of the simulator or of an oracle, or an unrecorded defect.
 OF_OTHERS = [1010, 1389, 2786, 5233, 6725, 10_052, 11_072, 26_852, 34_459, 65_347, 82_445]
 OF_OTHERS += [103_700, 115_143, 120_411, 166_641, 171_407]
 FAILED = [*OF_THE_LIBRARY, *OF_OTHERS]
@@ -46,22 +46,22 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("seeds", [range(first, first + 10) for first in range(0, 300, 10)], ids=str)
-def test_nothing_moves_unasked(seeds: range) -> None:
+def test_arm_moves_only_when_requested(seeds: range) -> None:
     for seed in seeds:
         outcome = run(draw(seed))
         assert outcome.faults == [], "\n".join([f"python -m tests.worlds --seed {seed}", *outcome.log])
 
 
 @pytest.mark.parametrize("seed", [*FAILED, pytest.param(159_034, marks=pytest.mark.slow)])
-def test_a_seed_that_has_failed(seed: int) -> None:
+def test_previously_failed_seed_passes(seed: int) -> None:
     outcome = run(written(seed))
     assert outcome.faults == [], "\n".join(outcome.log)
 
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_the_same_seed_is_the_same_world_in_every_process() -> None:
-    """With other hashes and addresses; here these worlds come after others, there they are the first."""
+def test_seed_gives_the_same_world_in_every_process() -> None:
+    """The other process has other hashes and addresses, and these worlds are its first ones."""
     program = (
         "from tests.worlds.drawn import draw\nfrom tests.worlds.running import run\n"
         "print([run(draw(seed)).trace for seed in (3, 17)])"
@@ -74,7 +74,7 @@ def test_the_same_seed_is_the_same_world_in_every_process() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(SCENES.keys() - set(NAMES)))
-def test_a_scene_whose_defect_is_mended(name: str) -> None:
+def test_scene_of_a_fixed_defect_passes(name: str) -> None:
     for seed in range(3):
         outcome = run(replace(SCENES[name], seed=seed))
         assert outcome.faults == [], "\n".join(outcome.log)
@@ -82,7 +82,7 @@ def test_a_scene_whose_defect_is_mended(name: str) -> None:
 
 @pytest.fixture
 def forgets_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A registry of programs that reports a cancelled motion as over, and stops nothing."""
+    """Make `Programs` report a cancelled motion as ended without stopping it."""
 
     def stop(programs: Programs, life: Lifecycle) -> None:
         life.fail(Cancelled("planted"))
@@ -92,7 +92,7 @@ def forgets_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("forgets_to_stop")
-def test_a_motion_that_goes_on_after_its_end_is_found_and_made_smaller() -> None:
+def test_motion_after_its_end_is_found_and_shrunk() -> None:
     cancelled = Ask("move_joints", "cancel", after=0.0, size=1.0, patience=0.1)
     harmless = Ask("output", "wait", after=0.0, size=1.0, patience=0.0)
     clients = (Client((harmless, cancelled), 0.0), Client((harmless,), 0.0))

@@ -1,8 +1,8 @@
-"""Trials: short programs that use one part of the public interface, and compare what it says with the truth.
+"""Trials: short programs that use one part of the public interface, and compare its results with the true state.
 
-A trial is a function whose docstring is the promise that it holds the library to. Its numbers are drawn. What it may
-expect it knows, since nobody else acts in its world: it makes the network silent, holds the input or sets the stop
-itself, and asks the simulated controller what is true. A world has several trials in a row on one robot.
+A trial is a function whose docstring is the promise that it checks. Its numbers are drawn. No other client acts in its
+world, so the trial knows the expected results: it makes the network silent, sets the input or causes the stop itself,
+and reads the true state from the simulated controller. A world has several trials in a row on one robot.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ from urlink.simulator import Controller
 
 __all__ = ["AWAITED", "MOBILE", "NEAR", "TRIALS", "Bench", "awaited", "mobile", "trial"]
 
-#: s by which something may be later than it is promised: the way there and back, a cycle, and threads that take turns.
+#: Allowed delay after a promised time, in s: for a round trip, a cycle, and threads that take turns.
 NEAR = 0.05
 
 
 class Bench:
-    """What a trial works with.
+    """Tools of a trial.
 
     Args:
-        sim, controller: of the world.
-        host: where the controller is.
-        robot: connected: `urlink.Robot`, `AsyncRobot`, or what a mobile robot's program has.
-        there: the computer of the controller, or of the mobile robot.
-        chance: draws numbers.
-        fault: reports what must not be.
-        name: of the trial.
+        sim, controller: Parts of the world.
+        host: Address of the controller.
+        robot: Connected robot: `urlink.Robot` or `AsyncRobot`, or None for trials of mobile robots.
+        here: Computer of the client.
+        there: Computer of the controller, or of the mobile robot.
+        chance: Random generator.
+        fault: Function that reports a fault.
+        name: Name of the trial.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class Bench:
 
     @property
     def cycle(self) -> float:
-        """s between two states."""
+        """Time between two states, in s."""
         return 1.0 / self.controller.firmware.rate
 
     def check(self, is_right: Any, text: str) -> None:
@@ -69,7 +70,7 @@ class Bench:
 
     @contextlib.contextmanager
     def silence(self) -> Iterator[None]:
-        """Nothing comes from the robot, for as long as the block lasts."""
+        """Let no data arrive from the robot while the block lasts."""
         back = self.sim.network.route(self.there, self.here)
         back.is_silent = True
         try:
@@ -78,12 +79,12 @@ class Bench:
             self.sim.network.mend(self.here, self.there)
 
     def reset(self) -> None:
-        """Every connection is lost, and can be made again at once."""
+        """Reset every connection; new ones can be made immediately."""
         self.sim.network.reset(self.here, self.there)
 
     @contextlib.contextmanager
     def raises(self, *kinds: type[BaseException], after: float = 0.0, within: float = NEAR) -> Iterator[None]:
-        """The block raises one of these, after so many seconds, and not much later."""
+        """Check that the block raises one of these errors, `after` seconds and at most `within` seconds later."""
         begun = self.now
         try:
             yield
@@ -95,7 +96,7 @@ class Bench:
 
     @contextlib.contextmanager
     def quiet(self) -> Iterator[None]:
-        """What is logged in the block is expected."""
+        """Disable logging in the block, because its log messages are expected."""
         before = logging.root.manager.disable
         logging.disable(logging.CRITICAL)
         try:
@@ -104,23 +105,23 @@ class Bench:
             logging.disable(before)
 
     def thread(self, call: Callable[[], object]) -> threading.Thread:
-        """Call something in another thread."""
+        """Call a function in another thread."""
         thread = threading.Thread(target=call, name="trial", daemon=True)
         thread.start()
         return thread
 
     def joined(self, thread: threading.Thread, within: float) -> bool:
-        """Whether a thread ends in time."""
+        """Check that a thread ends in time; return whether it did."""
         thread.join(within)
         self.check(not thread.is_alive(), f"a call has not ended within {within:g} s")
         return not thread.is_alive()
 
     def call(self, change: Callable[[], object]) -> None:
-        """Change something of the controller, in its own thread."""
+        """Change the controller, in its own thread."""
         self.controller.call(change)
 
     def ended(self, call: Callable[[], object]) -> tuple[threading.Thread, list[Any]]:
-        """A call in another thread, and what comes of it: the result or the error, and when."""
+        """Call a function in another thread; return the thread, and a list for its result or error and the time."""
         outcome: list[Any] = []
 
         def make() -> None:
@@ -134,32 +135,32 @@ class Bench:
 
 
 Trial = Callable[[Bench], object]
-#: With a robot for threads, with one for asyncio, and with a mobile robot; by name.
+#: Trials by name: with a robot for threads, with an asyncio robot, and with a mobile robot.
 TRIALS: dict[str, Trial] = {}
 AWAITED: dict[str, Callable[[Bench], Awaitable[object]]] = {}
 MOBILE: dict[str, Trial] = {}
 
 
 def trial(function: Trial) -> Trial:
-    """A trial with a robot for threads."""
+    """Register a trial with a robot for threads."""
     TRIALS[f"try {function.__name__}"] = function
     return function
 
 
 def awaited(function: Callable[[Bench], Awaitable[object]]) -> Callable[[Bench], Awaitable[object]]:
-    """A trial with a robot for asyncio."""
+    """Register a trial with a robot for asyncio."""
     AWAITED[f"try {function.__name__} in a task"] = function
     return function
 
 
 def mobile(function: Trial) -> Trial:
-    """A trial with a mobile robot."""
+    """Register a trial with a mobile robot."""
     MOBILE[f"try {function.__name__} of a mobile robot"] = function
     return function
 
 
 async def ended(bench: Bench, call: Awaitable[Any]) -> tuple[Any, float]:
-    """What comes of an awaitable, and when."""
+    """Await an awaitable; return its result or error, and the time."""
     try:
         made = await call
     except (LinkError, asyncio.TimeoutError) as error:
@@ -167,7 +168,7 @@ async def ended(bench: Bench, call: Awaitable[Any]) -> tuple[Any, float]:
     return made, bench.now
 
 
-# Which have the trials, and need the above.
+# These modules contain the trials, and need the names above.
 from . import (  # noqa: E402
     trials_in_tasks,
     trials_of_commands,

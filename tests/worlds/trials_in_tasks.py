@@ -28,7 +28,7 @@ def _stream(bench: Bench) -> tuple[Any, float]:
 
 
 async def _in_time(bench: Bench, call: Any, within: float, what: str) -> tuple[Any, float]:
-    """What comes of an awaitable, which must end in time."""
+    """Await an awaitable that must end in time; return its result or error, and the time."""
     task = asyncio.ensure_future(ended(bench, call))
     done, _ = await asyncio.wait({task}, timeout=within)
     if not done:
@@ -43,7 +43,7 @@ async def _raises(
 ) -> None:
     begun = bench.now
     made, at = await _in_time(bench, call, after + within + 5.0, "a call")
-    bench.check(isinstance(made, kinds), f"it gave {made!r}, expected {' or '.join(kind.__name__ for kind in kinds)}")
+    bench.check(isinstance(made, kinds), f"it gave {made!r}; expected {' or '.join(kind.__name__ for kind in kinds)}")
     bench.check(
         after - 2e-3 <= at - begun <= after + within, f"{made!r} after {at - begun:.3f} s, promised {after:.3f}"
     )
@@ -51,7 +51,7 @@ async def _raises(
 
 @awaited
 async def iterating(bench: Bench) -> None:
-    """A loop gets states in order; a slow one the newest, or all by `block`; what it lost is counted."""
+    """A loop gets states in order. A slow loop gets the newest, or all with `block`. Dropped states are counted."""
     policy = bench.chance.choice((None, urlink.latest, urlink.drop_oldest(4), urlink.block))
     rest = bench.chance.choice((0.0, 0.0, 5 * bench.cycle))
     times = []
@@ -70,16 +70,16 @@ async def iterating(bench: Bench) -> None:
     bench.check(stats.offered == stats.delivered + stats.dropped + stats.waiting, f"{stats}")
     bench.check(stats.delivered == len(times), f"{len(times)} were delivered: {stats}")
     if policy is urlink.block:
-        bench.check(np.all(cycles == 1), f"states are left out: {cycles.tolist()}")
+        bench.check(np.all(cycles == 1), f"states are missing: {cycles.tolist()}")
     elif rest:
         lost = int(cycles.sum()) - len(cycles)
-        bench.check(stats.dropped >= lost - 2, f"{lost} were left out: {stats}")
-        bench.check(policy is not urlink.latest or cycles.max() > 1, "nothing is left out by a slow loop")
+        bench.check(stats.dropped >= lost - 2, f"{lost} states were dropped: {stats}")
+        bench.check(policy is not urlink.latest or cycles.max() > 1, "a slow loop drops no states")
 
 
 @awaited
 async def a_lifespan(bench: Bench) -> None:
-    """What is older than its lifespan when its turn comes is dropped and counted as expired."""
+    """States older than their lifespan when taken are dropped and counted as expired."""
     packets = bench.robot.realtime.iterate(policy=urlink.drop_oldest(1000), timeout=2.0, lifespan=0.1)
     ages = []
     async for state in packets:
@@ -94,7 +94,7 @@ async def a_lifespan(bench: Bench) -> None:
 
 @awaited
 async def waiting_in_vain(bench: Bench) -> None:
-    """A wait ends with `LinkTimeout` after the seconds that were given."""
+    """A wait ends with `LinkTimeout` after its timeout."""
     stream, _period = _stream(bench)
     seconds = 0.15 + bench.chance.random()
     await stream.wait(2.0)
@@ -115,7 +115,7 @@ async def waiting_in_vain(bench: Bench) -> None:
 
 @awaited
 async def waiting_for(bench: Bench) -> None:
-    """`wait_until` returns the first state for which the condition holds, as soon as it comes."""
+    """`wait_until` returns the first state that meets the condition, when this state arrives."""
     at = bench.now + 0.1 + 0.2 * bench.chance.random()
     number = bench.chance.randrange(7)
     signals = bench.controller.signals
@@ -128,12 +128,12 @@ async def waiting_for(bench: Bench) -> None:
     else:
         await bench.robot.io.wait_digital_in(number, not has, 5.0)
     bench.check(at <= bench.now <= at + 3 * bench.cycle + NEAR, f"it took {bench.now - at:.3f} s")
-    bench.check(await bench.robot.io.digital_in(number) is not has, "the input is not what was waited for")
+    bench.check(await bench.robot.io.digital_in(number) is not has, "the input does not have the awaited value")
 
 
 @awaited
 async def a_deadline(bench: Bench) -> None:
-    """`on_deadline` is called once for each silence that lasts longer, in the thread of the loop."""
+    """`on_deadline` is called once for each longer silence, in the thread of the loop."""
     stream, period = _stream(bench)
     deadline = period + 0.02 + 0.1 * bench.chance.random()
     late: list[tuple[float, float, str]] = []
@@ -153,17 +153,17 @@ async def a_deadline(bench: Bench) -> None:
     else:
         subscription = await stream.subscribe(lambda state: came.append(bench.now), **how)
     await asyncio.sleep(0.35)
-    bench.check(not late and len(came) > 1, f"{len(came)} came, and a deadline of {deadline:.3f} s was missed: {late}")
+    bench.check(not late and len(came) > 1, f"{len(came)} came, but a deadline of {deadline:.3f} s was missed: {late}")
     with bench.silence():
         await asyncio.sleep(2 * deadline + 3 * NEAR)
         bench.check(subscription.stats.missed_deadlines == 1, f"{subscription.stats}")
         bench.check(len(late) == 1, f"on_deadline was called {len(late)} times in one silence")
         for age, _at, thread in late:
-            bench.check(deadline <= age <= deadline + NEAR, f"on_deadline was told {age:.3f} s of {deadline:.3f}")
+            bench.check(deadline <= age <= deadline + NEAR, f"on_deadline got {age:.3f} s; deadline {deadline:.3f} s")
             bench.check(thread == here, f"on_deadline was called in {thread}")
     count = len(came)
     await asyncio.sleep(0.5)
-    bench.check(len(came) > count, "nothing came after the silence")
+    bench.check(len(came) > count, "no state arrived after the silence")
     subscription.close()
     count = len(came)
     await asyncio.sleep(0.2)
@@ -172,7 +172,7 @@ async def a_deadline(bench: Bench) -> None:
 
 @awaited
 async def a_lost_connection(bench: Bench) -> None:
-    """A stream connects again by itself, keeps its loops and subscriptions, tells of it in order and counts it."""
+    """A stream reconnects on its own, keeps loops and subscriptions, and reports and counts reconnections."""
     stream, period = _stream(bench)
     events: list[ConnectionEvent] = []
     states: list[float] = []
@@ -192,17 +192,17 @@ async def a_lost_connection(bench: Bench) -> None:
     else:
         with bench.silence():
             await asyncio.sleep(2.5)
-            bench.check(stream.connection is not ConnectionState.CONNECTED, "2.5 s of silence go unnoticed")
-            bench.check(stream.latest is None, "an old state is given as the latest")
+            bench.check(stream.connection is not ConnectionState.CONNECTED, "2.5 s of silence are not detected")
+            bench.check(stream.latest is None, "an old state is returned as the latest")
     await asyncio.sleep(3.0)
     await stream.wait(2.0)
     await asyncio.sleep(NEAR)
     told = [event.state for event in events]
-    bench.check(states[-1] > bench.now - period - NEAR, "the subscription gets nothing any more")
-    bench.check(looped[-1] > bench.now - period - NEAR, "the loop gets nothing any more")
-    bench.check(ConnectionState.LOST in told and told[-1] is ConnectionState.CONNECTED, f"it was told {told}")
+    bench.check(states[-1] > bench.now - period - NEAR, "the subscription gets no more states")
+    bench.check(looped[-1] > bench.now - period - NEAR, "the loop gets no more states")
+    bench.check(ConnectionState.LOST in told and told[-1] is ConnectionState.CONNECTED, f"the events were {told}")
     count = told.count(ConnectionState.CONNECTED)
-    bench.check(stream.stats.reconnects == count, f"{count} connections, {stream.stats.reconnects} counted")
+    bench.check(stream.stats.reconnects == count, f"{count} connections, but {stream.stats.reconnects} counted")
     lost = next((event for event in events if event.state is ConnectionState.LOST), None)
     bench.check(lost is not None and isinstance(lost.error, RemoteError), f"it was lost because of {lost}")
     begun = bench.now
@@ -213,7 +213,7 @@ async def a_lost_connection(bench: Bench) -> None:
 
 @awaited
 async def closing_a_stream(bench: Bench) -> None:
-    """`close` ends every loop and wakes who waits, at once; what is used then raises `Closed`."""
+    """`close` ends every loop and every wait immediately; later uses raise `Closed`."""
     stream, _period = _stream(bench)
     await stream.wait(2.0)
     calls: list[int] = []
@@ -250,7 +250,7 @@ async def closing_a_stream(bench: Bench) -> None:
 
 @awaited
 async def history(bench: Bench) -> None:
-    """A history has the states of the last seconds; `join` in vain gives False in time."""
+    """A history has the states of the last seconds; `join` of an open stream returns False after its timeout."""
     with await bench.robot.realtime.history(0.2) as kept:
         await asyncio.sleep(0.5)
         times = kept["time"]
@@ -270,7 +270,7 @@ async def history(bench: Bench) -> None:
 
 @awaited
 async def motions(bench: Bench) -> None:
-    """A motion that is awaited is over when the arm is there; one whose task is cancelled brakes."""
+    """An awaited motion ends when the arm is at the goal; a motion whose task is cancelled brakes."""
     robot, chance = bench.robot, bench.chance
     state = await robot.realtime.wait(2.0)
     goal = state.q_target + 0.15 * chance.choice((-1, 1))
@@ -279,7 +279,7 @@ async def motions(bench: Bench) -> None:
     motion.add_done_callback(done.append)
     await motion
     await asyncio.sleep(0.05)
-    bench.check(np.allclose((await robot.realtime.wait(2.0)).q_actual, goal, atol=0.01), "it is not there")
+    bench.check(np.allclose((await robot.realtime.wait(2.0)).q_actual, goal, atol=0.01), "it is not at the goal")
     bench.check(len(done) == 1 and motion.phase is Phase.DONE, f"{done}, {motion.phase}")
     how = chance.choice(("task", "cancel", "stop", "call"))
     if how == "call":
@@ -310,7 +310,7 @@ async def motions(bench: Bench) -> None:
         bench.check(at - begun < 2.0, f"{how}: it took {at - begun:.2f} s")
     await asyncio.sleep(0.8)
     bench.check(np.abs((await robot.realtime.wait(2.0)).qd_actual).max() < 0.02, f"it moves after {how}")
-    bench.check(robot.motion.current is None, f"{how}: a motion is left")
+    bench.check(robot.motion.current is None, f"{how}: a motion is still the current one")
 
 
 async def _awaiting(handle: Any) -> None:
@@ -319,7 +319,7 @@ async def _awaiting(handle: Any) -> None:
 
 @awaited
 async def blocks(bench: Bench) -> None:
-    """What is entered is over when its block is left, however it is left, and the arm brakes."""
+    """A motion ends when its block is left in any way, and the arm brakes."""
     robot, chance = bench.robot, bench.chance
     q = (await robot.realtime.wait(2.0)).q_target
     kind = chance.choice(("servo", "jog", "stream", "force", "freedrive"))
@@ -346,7 +346,10 @@ async def blocks(bench: Bench) -> None:
             elif kind == "stream":
                 await block.append([urlink.TrajectoryPoint(q + 0.05, block.end + 0.5, [0.0] * 6)], wait=False)
                 await block.wait_until_dry(5.0)
-                bench.check(np.allclose((await robot.realtime.wait(2.0)).q_target, q + 0.05, atol=0.005), "not there")
+                bench.check(
+                    np.allclose((await robot.realtime.wait(2.0)).q_target, q + 0.05, atol=0.005),
+                    "it is not at the point",
+                )
                 await block.append([urlink.TrajectoryPoint(q - 0.05, block.end + 1.5, [0.0] * 6)], wait=False)
                 await asyncio.sleep(0.3)
             else:
@@ -361,19 +364,19 @@ async def blocks(bench: Bench) -> None:
         await asyncio.sleep(2.0)
         task.cancel()
     await asyncio.wait({task}, timeout=8.0)
-    bench.check(task.done(), f"a block of {kind} is not over")
+    bench.check(task.done(), f"a block of {kind} has not ended")
     if task.done() and not task.cancelled():
         bench.check(isinstance(task.exception(), ZeroDivisionError) or how == "end", f"{how}: {task.exception()!r}")
-    bench.check(kept and kept[0].done, f"{kind} goes on after its block")
+    bench.check(kept and kept[0].done, f"{kind} continues after its block")
     await asyncio.sleep(0.8)
     bench.check(np.abs((await robot.realtime.wait(2.0)).qd_actual).max() < 0.02, f"it moves after {kind}")
     await asyncio.sleep(0.2)
-    bench.check(not bench.controller.is_running_program, f"the program of {kind} goes on")
+    bench.check(not bench.controller.is_running_program, f"the program of {kind} keeps running")
 
 
 @awaited
 async def commands(bench: Bench) -> None:
-    """What was set and confirmed is what the controller has; programs and statements are carried out."""
+    """Confirmed settings are the values of the controller; programs and statements are executed."""
     robot, controller, chance = bench.robot, bench.controller, bench.chance
     number, on = chance.randrange(8), chance.random() < 0.5
     await robot.io.set_digital_out(number, on)
@@ -399,8 +402,8 @@ async def commands(bench: Bench) -> None:
     at = bench.now
     controller.faults.protective_stop()
     done, _ = await asyncio.wait({task}, timeout=1.5)
-    bench.check(done and task.result()[0] is not None, "wait_for_stop tells of no stop")
-    bench.check(done and task.result()[1] - at < 0.3, "wait_for_stop tells late of a stop")
+    bench.check(done and task.result()[0] is not None, "wait_for_stop does not report the stop")
+    bench.check(done and task.result()[1] - at < 0.3, "wait_for_stop reports the stop late")
     await asyncio.sleep(0.2)
     bench.check(len(told) == 1, f"on_stop was called {len(told)} times")
     controller.faults.clear()
@@ -427,7 +430,7 @@ async def commands(bench: Bench) -> None:
 
 @awaited
 async def statements(bench: Bench) -> None:
-    """Statements are executed in order; one whose task was cancelled before it was sent is not."""
+    """Statements are executed in order, until they are aborted."""
     from urlink.protocol.firmware import Firmware
 
     if bench.controller.firmware < Firmware.parse("5.10"):
@@ -441,12 +444,12 @@ async def statements(bench: Bench) -> None:
         await mode.execute("sleep(2)")
         await _raises(bench, mode.wait_executed(0.3), LinkTimeout, after=0.3, within=0.3)
         await mode.abort()
-    bench.check(mode.done, "it goes on after its block")
+    bench.check(mode.done, "it continues after its block")
 
 
 @awaited
 async def a_robot_that_is_away(bench: Bench) -> None:
-    """Connecting to nobody fails in time; a connect that is cancelled leaves nothing."""
+    """Connecting without a controller fails in time; a cancelled connect leaves no sockets."""
     sockets = bench.sim.open_sockets
     seconds = 0.3 + bench.chance.random()
 
@@ -462,14 +465,14 @@ async def a_robot_that_is_away(bench: Bench) -> None:
     await asyncio.sleep(0.002 * bench.chance.random())
     task.cancel()
     await asyncio.wait({task}, timeout=4.0)
-    bench.check(task.done(), "a connect that was cancelled goes on")
+    bench.check(task.done(), "a cancelled connect continues")
     await asyncio.sleep(1.0)
     bench.check(bench.sim.open_sockets <= sockets + 2, f"{bench.sim.open_sockets - sockets} sockets are left")
 
 
 @awaited
 async def a_closed_robot(bench: Bench) -> None:
-    """`close` is in time, wakes every call that waits, and what is used then raises."""
+    """`close` ends in time and ends every waiting call; later uses raise an error."""
     robot = await urlink.connect_async(bench.host, timeout=3.0)
     await robot.realtime.wait(2.0)
     waits = [
@@ -484,7 +487,7 @@ async def a_closed_robot(bench: Bench) -> None:
     await robot.close(with_timeout)
     bench.check(bench.now - begun < 2.0 + NEAR, f"close took {bench.now - begun:.2f} s")
     done, pending = await asyncio.wait(tasks, timeout=2.0)
-    bench.check(not pending, f"{len(pending)} calls go on after close")
+    bench.check(not pending, f"{len(pending)} calls continue after close")
     for task in done:
         bench.check(isinstance(task.result()[0], LinkError), f"a call ended with {task.result()[0]!r}")
     for call in (lambda: robot.realtime.wait(1.0), lambda: robot.motion.stop(), lambda: robot.script.run("sleep(0)")):
@@ -496,7 +499,7 @@ async def a_closed_robot(bench: Bench) -> None:
 
 @awaited
 async def a_lost_block(bench: Bench) -> None:
-    """A task that is in a block is told when its program is stopped."""
+    """A task in a block gets an error when its program is stopped."""
     robot = bench.robot
     async with robot.motion.jog("joints", timeout=5.0) as jog:
         jog.move([0.1] * 6)
@@ -521,7 +524,9 @@ async def a_group(bench: Bench) -> None:
             await motion
             bench.check(0.95 < bench.now - begun < 2.0, f"a motion of 1 s took {bench.now - begun:.2f} s")
             for robot, goal in zip((bench.robot, other), goals, strict=True):
-                bench.check(np.allclose((await robot.realtime.wait(2.0)).q_actual, goal, atol=0.01), "one is not there")
+                bench.check(
+                    np.allclose((await robot.realtime.wait(2.0)).q_actual, goal, atol=0.01), "an arm is not at its goal"
+                )
             motion = await both.move_joints([goal - 0.3 for goal in goals], time=3.0, wait=False)
             await asyncio.sleep(0.6)
             motion.cancel()
@@ -529,6 +534,8 @@ async def a_group(bench: Bench) -> None:
             bench.check(isinstance(made, Cancelled), f"it ended with {made!r}")
             await asyncio.sleep(0.8)
             for robot in (bench.robot, other):
-                bench.check(np.abs((await robot.realtime.wait(2.0)).qd_actual).max() < 0.02, "one moves after cancel")
+                bench.check(
+                    np.abs((await robot.realtime.wait(2.0)).qd_actual).max() < 0.02, "an arm moves after cancel"
+                )
     del both, motion, made
-    gc.collect()  # a group is not closed: its thread ends when nobody holds it
+    gc.collect()  # a group has no close: its thread ends when the group is collected

@@ -1,4 +1,4 @@
-"""Trials of what is commanded and asked: outputs, settings, stops, programs, statements, RTDE, dashboard, gripper."""
+"""Trials of commands and queries: outputs, settings, stops, programs, statements, RTDE, dashboard and gripper."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _has_rtde(bench: Bench) -> bool:
 
 @trial
 def outputs(bench: Bench) -> None:
-    """What was set and confirmed is what the controller has, and what is read is what it has."""
+    """Confirmed outputs and read inputs equal the values of the controller."""
     signals, io = bench.controller.signals, bench.robot.io
     if bench.chance.random() < 0.5:
         other = urlink.connect(bench.host, timeout=3.0, commands_via="script")
@@ -49,12 +49,12 @@ def outputs(bench: Bench) -> None:
         shown = io.analog_out(number)
         has, domain = signals.analog_outputs[number], signals.analog_output_domains[number]
         bench.check(
-            abs(shown.value - has) < 1e-3 * max(abs(has), 1e-3), f"analog_out({number}) {shown}, and it has {has}"
+            abs(shown.value - has) < 1e-3 * max(abs(has), 1e-3), f"analog_out({number}) {shown}, but it has {has}"
         )
-        bench.check(shown.domain == domain, f"analog_out({number}) {shown}, and its domain is {domain}")
+        bench.check(shown.domain == domain, f"analog_out({number}) {shown}, but its domain is {domain}")
         full = 10.0 if domain else 0.016
         least = 0.0 if domain else 0.004
-        bench.check(abs((has - least) / full - fraction) < 0.01, f"{fraction:.3f} was set, and it is {has}")
+        bench.check(abs((has - least) / full - fraction) < 0.01, f"{fraction:.3f} was set, but it is {has}")
     values = [0.004 + 0.01 * bench.chance.random() for _ in range(4)]
     for number, value in enumerate(values):
         signals.analog_inputs[number] = value
@@ -77,7 +77,7 @@ def outputs(bench: Bench) -> None:
 
 @trial
 def unconfirmed(bench: Bench) -> None:
-    """A setting that the controller does not show within `confirm` seconds raises, and with None it does not wait."""
+    """A setting raises if the controller does not show it within `confirm` seconds."""
     io, robot = bench.robot.io, bench.robot
     io.set_digital_out(0, False)
     seconds = 0.2 + 0.3 * bench.chance.random()
@@ -104,7 +104,7 @@ def unconfirmed(bench: Bench) -> None:
 
 @trial
 def settings(bench: Bench) -> None:
-    """A setting that was confirmed is the controller's."""
+    """Confirmed settings are the values of the controller."""
     robot, controller, chance = bench.robot, bench.controller, bench.chance
     mass = round(2.0 * chance.random(), 3)
     cog = [0.0, 0.01, round(0.1 * chance.random(), 3)]
@@ -116,10 +116,10 @@ def settings(bench: Bench) -> None:
     bench.check(abs(controller.speed_fraction - fraction) < 0.01, f"the slider is at {controller.speed_fraction}")
     state = robot.realtime.wait(2.0)
     if state.payload_mass is not None:
-        bench.check(abs(state.payload_mass - mass) < 1e-3, f"{mass} kg was set, and it says {state.payload_mass}")
-        bench.check(np.allclose(state.payload_cog, cog, atol=1e-3), f"{cog} was set, and it says {state.payload_cog}")
+        bench.check(abs(state.payload_mass - mass) < 1e-3, f"{mass} kg was set, but it reports {state.payload_mass}")
+        bench.check(np.allclose(state.payload_cog, cog, atol=1e-3), f"{cog} was set, but it has {state.payload_cog}")
     expected = robot.kinematics.forward(state.q_actual, tcp=tcp)
-    bench.check(np.allclose(expected[:3], state.tool_vector_actual[:3], atol=0.01), "the TCP is another one")
+    bench.check(np.allclose(expected[:3], state.tool_vector_actual[:3], atol=0.01), "the TCP has another value")
     with bench.raises(BadValue):
         robot.set_payload(-1.0)
     number = chance.randrange(32)
@@ -130,7 +130,7 @@ def settings(bench: Bench) -> None:
 
 @trial
 def policies(bench: Bench) -> None:
-    """With "on_startup" motions are let through after `enable` once, with "always" again after every stop."""
+    """With "on_startup", motions need `enable` once; with "always", they need it again after every stop."""
     policy: Any = bench.chance.choice(("on_startup", "always"))
     with urlink.connect(bench.host, timeout=3.0, require_enable=policy) as robot:
         safety = robot.safety
@@ -168,21 +168,21 @@ def policies(bench: Bench) -> None:
         is_enabled = safety.is_enabled
         time.sleep(0.3)
         if policy == "always":
-            bench.check(is_enabled and not motion.done, "the same policy again stops a motion")
+            bench.check(is_enabled and not motion.done, "setting the same policy again stops a motion")
         motion.cancel()
         safety.policy = "never"
-        bench.check(safety.is_enabled, "the policy never asks for enable()")
+        bench.check(safety.is_enabled, 'the policy "never" requires enable()')
 
 
 @trial
 def stops(bench: Bench) -> None:
-    """A stop is told once to each callback and to who waits for it; it ends motions, and its end is told too."""
+    """A stop is reported once to each callback and to waiting calls, and ends motions; its end is reported, too."""
     robot, faults = bench.robot, bench.controller.faults
     told: list[LinkError] = []
     others: list[LinkError] = []
     end = robot.safety.on_stop(told.append)
     robot.safety.on_stop(others.append)
-    bench.check(robot.safety.wait_for_stop(0.1) is None, "a stop that is not there")
+    bench.check(robot.safety.wait_for_stop(0.1) is None, "a stop is reported without a stop")
     bench.check(robot.safety.cause is None and robot.safety.refusal is None, f"{robot.safety.cause}")
     motion = robot.motion.move_joints(_READY + 0.3, speed=0.1)
     time.sleep(0.2)
@@ -209,7 +209,7 @@ def stops(bench: Bench) -> None:
     bench.check(len(told) == 1 and len(others) == 1, f"{kind}: on_stop was called {len(told)} and {len(others)} times")
     bench.check(robot.safety.cause is not None, "no cause")
     bench.check(kind.split("_")[0] in str(robot.safety.cause).lower(), f"{kind}: the cause is {robot.safety.cause}")
-    bench.check(robot.motion.current is None, "a motion that was stopped is the current one")
+    bench.check(robot.motion.current is None, "a stopped motion is the current one")
     end()
     with bench.raises(LinkTimeout, after=0.2):
         robot.safety.wait_until_clear(0.2)
@@ -227,7 +227,7 @@ def stops(bench: Bench) -> None:
     time.sleep(0.3)
     faults.protective_stop()
     time.sleep(0.4)
-    bench.check(len(told) == 1, "a callback that was taken back was called")
+    bench.check(len(told) == 1, "a removed callback was called")
     bench.check(len(others) == 2, f"on_stop was called {len(others)} times at the second stop")
     faults.clear()
     robot.safety.wait_until_clear(5.0)
@@ -236,7 +236,7 @@ def stops(bench: Bench) -> None:
 
 @trial
 def a_silent_robot(bench: Bench) -> None:
-    """After `stale_after` seconds without a packet motions end, and new ones are refused."""
+    """After `stale_after` seconds without a packet, motions end and new motions are refused."""
     seconds = 0.4 + 0.3 * bench.chance.random()
     with urlink.connect(bench.host, timeout=3.0, stale_after=seconds) as robot:
         motion = robot.motion.move_joints(_READY + 0.5, speed=0.1)
@@ -248,7 +248,7 @@ def a_silent_robot(bench: Bench) -> None:
             bench.check(motion.done and motion.phase is Phase.FAILED, f"{motion.phase}")
             with bench.raises(LinkError, within=4.0):
                 robot.motion.move_joints(_READY)
-            bench.check(bench.now - begun < 6.0, "it took long")
+            bench.check(bench.now - begun < 6.0, f"it took {bench.now - begun:.2f} s")
             with bench.raises(LinkTimeout, after=0.2, within=0.5):
                 robot.safety.wait_until_clear(0.2)
         time.sleep(4.0)
@@ -258,7 +258,7 @@ def a_silent_robot(bench: Bench) -> None:
 
 @trial
 def scripts(bench: Bench) -> None:
-    """A program reports its texts in order, its end and its error; what it did is done."""
+    """A program reports its texts in order, its end and its error; its actions take effect."""
     robot, controller = bench.robot, bench.controller
     texts: list[str] = []
     number = bench.chance.randrange(8)
@@ -271,7 +271,7 @@ def scripts(bench: Bench) -> None:
     done: list[Any] = []
     program = robot.script.run(source, on_text=texts.append)
     program.add_done_callback(done.append)
-    bench.check(not program.done, "it is done at once")
+    bench.check(not program.done, "it is done immediately")
     program.wait(5.0)
     took = bench.now - begun
     bench.check(0.2 <= took < 1.0, f"a program of 0.2 s took {took:.2f} s")
@@ -293,18 +293,18 @@ def scripts(bench: Bench) -> None:
     with bench.raises(Cancelled, within=1.0):
         long.wait(2.0)
     time.sleep(0.5)
-    bench.check(not controller.is_running_program, "a program goes on that was cancelled")
+    bench.check(not controller.is_running_program, "a cancelled program keeps running")
     robot.script.run("sec s():\n  set_flag(3, True)\nend", wait=5.0)
-    bench.check(controller.flags[3], "a secondary program did nothing")
+    bench.check(controller.flags[3], "a secondary program had no effect")
     on = bench.chance.random() < 0.5
     robot.script.send_line(f"set_digital_out(2, {on})")
     time.sleep(0.2)
-    bench.check(bool(controller.signals.digital_outputs >> 2 & 1) is on, "a line did nothing")
+    bench.check(bool(controller.signals.digital_outputs >> 2 & 1) is on, "a line had no effect")
 
 
 @trial
 def interpreter(bench: Bench) -> None:
-    """Statements are executed in order and numbered; what is skipped or aborted is not executed."""
+    """Statements are executed in order and numbered; skipped or aborted statements are not executed."""
     from urlink.protocol.firmware import Firmware
 
     if bench.controller.firmware < Firmware.parse("5.10"):
@@ -337,7 +337,7 @@ def interpreter(bench: Bench) -> None:
         mode.abort()
         time.sleep(0.3)
         if how == "skip":
-            bench.check(controller.signals.digital_outputs == before, "a statement that was skipped was executed")
+            bench.check(controller.signals.digital_outputs == before, "a skipped statement was executed")
         with bench.raises(LinkError, within=2.0):
             mode.execute("movj(1)", wait=2.0)
         count = mode.clear()
@@ -345,14 +345,14 @@ def interpreter(bench: Bench) -> None:
     bench.check(mode.done and mode.phase is Phase.DONE, f"{mode.phase}: {mode.error!r}")
     bench.check(texts == ["here"], f"its texts: {texts}")
     time.sleep(0.3)
-    bench.check(not controller.is_running_program, "its program goes on after its block")
+    bench.check(not controller.is_running_program, "its program keeps running after its block")
     with bench.raises(LinkError):
         mode.execute("sleep(0)")
 
 
 @trial
 def registers(bench: Bench) -> None:
-    """What is written is what a program finds, what is read is what it wrote; two clients cannot claim the same."""
+    """Written and read registers equal the values of the controller; two clients cannot claim the same register."""
     if not _has_rtde(bench):
         return
     robot, banks, chance = bench.robot, bench.controller.registers, bench.chance
@@ -363,7 +363,7 @@ def registers(bench: Bench) -> None:
     robot.registers.write_bit(bit, values[2])
     time.sleep(0.1)
     has = banks.inputs.integers[number], banks.inputs.floats[number], bool(banks.inputs.bits >> bit & 1)
-    bench.check(has == values, f"{values} were written, and it has {has}")
+    bench.check(has == values, f"{values} were written, but it has {has}")
     banks.outputs.integers[number], banks.outputs.floats[number] = chance.randrange(1000), chance.random()
     time.sleep(0.1)
     bench.check(robot.registers.read_integer(number) == banks.outputs.integers[number], "read_integer")
@@ -384,12 +384,12 @@ def registers(bench: Bench) -> None:
         time.sleep(3.0)
     robot.registers.write_integer(number, 7)
     time.sleep(0.1)
-    bench.check(banks.inputs.integers[number] == 7, "nothing is written after the connection was lost")
+    bench.check(banks.inputs.integers[number] == 7, "no register is written after the connection was lost")
     robot.rtde.close()
     time.sleep(0.2)
     other.registers.write_integer(number, 5)
     time.sleep(0.1)
-    bench.check(banks.inputs.integers[number] == 5, "what was closed is still claimed")
+    bench.check(banks.inputs.integers[number] == 5, "a register of a closed client is still claimed")
     with bench.raises(LinkError):
         robot.registers.write_integer(number, 1)
     other.close()
@@ -397,7 +397,7 @@ def registers(bench: Bench) -> None:
 
 @trial
 def rtde_outputs(bench: Bench) -> None:
-    """A stream of RTDE has the variables that were asked for, as often as asked, also after a reconnect."""
+    """An RTDE stream has the requested variables at the requested frequency, even after a reconnection."""
     if not _has_rtde(bench):
         return
     robot, chance, controller = bench.robot, bench.chance, bench.controller
@@ -420,7 +420,7 @@ def rtde_outputs(bench: Bench) -> None:
         before = len(seen)
         bench.reset()
         time.sleep(2.0)
-        bench.check(len(seen) > before + 10, "nothing comes after the connection was lost")
+        bench.check(len(seen) > before + 10, "no rows arrive after the connection was lost")
         bench.check(stream.stats.reconnects == 1, f"{stream.stats}")
         periods = np.diff([state.timestamp for state in seen[-10:]])
         bench.check(np.allclose(periods, 1.0 / frequency, atol=1e-3), f"{frequency} Hz after it: {periods.tolist()}")
@@ -435,8 +435,7 @@ def rtde_outputs(bench: Bench) -> None:
 
 @trial
 def rtde_inputs(bench: Bench) -> None:
-    """The controller receives the inputs that were sent. They are released at the end of the block, and claimed again
-    after a reconnection."""
+    """Sent inputs are the values of the controller; claims are released, and renewed after a reconnection."""
     if not _has_rtde(bench):
         return
     robot, chance, controller = bench.robot, bench.chance, bench.controller
@@ -451,29 +450,29 @@ def rtde_inputs(bench: Bench) -> None:
             with bench.raises(urlink.InputInUse, within=2.0):
                 other.rtde.inputs("speed_slider_fraction").send(speed_slider_fraction=0.5)
             bench.check("speed_slider_fraction" in other.rtde.who_holds(), f"{other.rtde.who_holds()}")
-            other.set_speed_slider(0.77)  # by script, since another holds it
-            bench.check(abs(controller.speed_fraction - 0.77) < 0.01, "set_speed_slider beside a claim")
+            other.set_speed_slider(0.77)  # uses a script, because another client holds the input
+            bench.check(abs(controller.speed_fraction - 0.77) < 0.01, "set_speed_slider despite a claim")
         bench.reset()
         time.sleep(2.0)
         inputs.send(speed_slider_fraction=0.9)
         time.sleep(0.1)
-        bench.check(abs(controller.speed_fraction - 0.9) < 1e-3, "nothing is set after the connection was lost")
+        bench.check(abs(controller.speed_fraction - 0.9) < 1e-3, "no input is set after the connection was lost")
         for wrong in ({"speed_slider_fraction": 7.0}, {"nothing": 1}):
             with bench.raises(LinkError):
                 inputs.send(**wrong)
     with bench.raises(LinkError):
         inputs.send(speed_slider_fraction=0.5)
-    bench.check(inputs.is_over, "it is not over after close")
+    bench.check(inputs.is_over, "it has not ended after close")
     again = robot.rtde.inputs("speed_slider_fraction")
     again.send(speed_slider_fraction=0.6)
     time.sleep(0.1)
-    bench.check(abs(controller.speed_fraction - 0.6) < 1e-3, "what was given back cannot be claimed")
+    bench.check(abs(controller.speed_fraction - 0.6) < 1e-3, "a released input cannot be claimed")
     again.close()
 
 
 @trial
 def dashboard(bench: Bench) -> None:
-    """What the dashboard says is what the controller is, and what it commands is done."""
+    """Replies of the dashboard match the controller, and its commands take effect."""
     robot, controller = bench.robot, bench.controller
     dash = robot.dashboard
     with bench.raises(LinkError):
@@ -516,22 +515,22 @@ def dashboard(bench: Bench) -> None:
 
 @trial
 def gripper(bench: Bench) -> None:
-    """The gripper moves where it is told to, and says where it is."""
+    """The gripper moves to the commanded position, and reports its position."""
     gripper, truth = bench.robot.gripper, bench.controller.gripper
     gripper.activate()
     for _ in range(2):
         position = bench.chance.randrange(256)
         status = gripper.move(position)
-        bench.check(abs(gripper.position() - position) <= 2, f"{position} was told, and it is at {gripper.position()}")
+        bench.check(abs(gripper.position() - position) <= 2, f"commanded {position}, but it is at {gripper.position()}")
         bench.check(abs(status.position - position) <= 2, f"{status}")
-        bench.check(not gripper.object_detected(), "an object that is not there")
+        bench.check(not gripper.object_detected(), "an object is detected without an object")
     gripper.move(0)
     gripper.move(255, speed=1, wait=False)
     begun = bench.now
     with bench.raises(LinkTimeout, after=0.2, within=0.3):
         gripper.wait(0.2)
     gripper.stop()
-    bench.check(bench.now - begun < 1.0, "stop takes long")
+    bench.check(bench.now - begun < 1.0, f"stop took {bench.now - begun:.2f} s")
     at = gripper.position()
     time.sleep(0.3)
     bench.check(abs(gripper.position() - at) < 12, "it moves after stop")
@@ -544,7 +543,7 @@ def gripper(bench: Bench) -> None:
 
 @trial
 def a_slow_network(bench: Bench) -> None:
-    """Texts that leave in parts arrive whole, whoever sends meanwhile; what does not leave in time fails."""
+    """Texts sent in parts arrive whole, even if other texts are sent meanwhile; texts not sent in time fail."""
     route = bench.sim.network.route(bench.here, bench.there)
     before, signals = route.bandwidth, bench.controller.signals
     signals.digital_outputs = 0
@@ -569,14 +568,14 @@ def a_slow_network(bench: Bench) -> None:
     for number, (_, outcome) in enumerate(outcomes):
         is_refused = outcome and isinstance(outcome[0], LinkError)
         done = (signals.digital_outputs >> 1 & 1, bench.controller.flags[5], signals.digital_outputs >> 3 & 1)[number]
-        bench.check(is_refused or bool(done), f"text {number} was sent and is not carried out: {outcome}")
+        bench.check(is_refused or bool(done), f"text {number} was sent but not executed: {outcome}")
         bench.check(outcome and outcome[-1] > 0.0, f"text {number}: {outcome}")
     bench.check(bench.controller.counters.refused_programs == 0, "the controller has refused a text")
 
 
 @trial
 def a_held_process(bench: Bench) -> None:
-    """A process that was held up does not command on states of the past: what came meanwhile counts first."""
+    """A process that was suspended does not command based on old states: it first handles the newer ones."""
     robot, chance = bench.robot, bench.chance
     robot.motion.move_joints(_READY, wait=True)
     how = chance.choice(("stop that is over", "stop that holds", "nothing"))
@@ -608,8 +607,8 @@ def a_held_process(bench: Bench) -> None:
     except LinkError as error:
         outcome = error
     if how == "stop that holds":
-        bench.check(outcome is not None, f"{led}: a stop that holds is not told")
-        bench.check(not bench.controller.is_running_program or led is not None, "a program was begun in a stop")
+        bench.check(outcome is not None, f"{led}: an active stop is not reported")
+        bench.check(not bench.controller.is_running_program or led is not None, "a program was started during a stop")
         bench.controller.faults.clear()
     elif how == "nothing" and led is None:
         bench.check(outcome is None, f"a motion after a pause failed: {outcome!r}")

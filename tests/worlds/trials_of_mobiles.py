@@ -1,4 +1,4 @@
-"""Trials of mobile robots: variables, their subscribers, recordings, `Drive`, and what a simulated one sees."""
+"""Trials of mobile robots: variables, subscribers, recordings, `Drive`, and the sensors of a simulated robot."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PORT = 24902
 
 @contextlib.contextmanager
 def _host(bench: Bench, plugin: Any) -> Iterator[str]:
-    """A host of the mobile robot, and its address."""
+    """Run a host of the mobile robot, and yield its address."""
     address = bench.there.address
     with bench.sim.on(bench.there):
         host = rhdlink.Host([plugin], port=_PORT, address=address).start()
@@ -40,7 +40,7 @@ def _host(bench: Bench, plugin: Any) -> Iterator[str]:
 
 @contextlib.contextmanager
 def _connected(bench: Bench, **options: Any) -> Iterator[tuple[Any, Any]]:
-    """A robot that takes speeds of its wheels, and its plugin."""
+    """Connect to a robot that accepts speeds of its wheels; yield the robot and its plugin."""
     plugin = SmrTurtle()
     with _host(bench, plugin) as address:
         options = {"access": "w", "timeout": 1.0, **options}
@@ -55,12 +55,12 @@ def _synced(robot: Any, times: int = 3) -> None:
 
 @mobile
 def values(bench: Bench) -> None:
-    """What is set and synced is the robot's; what the robot has is read; flags tell what is new."""
+    """Synced values arrive at the robot, values of the robot are read, and flags show new values."""
     chance = bench.chance
     with _connected(bench) as (robot, plugin):
         left, right = chance.randrange(-50, 50), chance.randrange(-50, 50)
         robot.speedl, robot["speedr"] = left, right
-        bench.check(robot.speedl == left, "a value that was set is not read")
+        bench.check(robot.speedl == left, "a set value is not read")
         _synced(robot)
         bench.check(
             (plugin.speedl, plugin.speedr) == (left, right), f"{left}, {right}: {plugin.speedl} {plugin.speedr}"
@@ -69,16 +69,16 @@ def values(bench: Bench) -> None:
         time.sleep(0.05)
         robot.sync()
         robot.sync()
-        bench.check(robot.tick > before, "the tick stands")
+        bench.check(robot.tick > before, "the tick does not advance")
         bench.check(robot.updated("tick") and robot.fresh("tick") and robot.changed("tick"), "the tick is not new")
-        bench.check(not robot.changed("speedl") or robot.speedl != left, "what did not change is changed")
+        bench.check(not robot.changed("speedl") or robot.speedl != left, "an unchanged value is marked as changed")
         rows = {row.name: row for row in robot.variables}
         bench.check(rows["tick"].value == robot.tick and rows["tick"].direction.startswith("r"), f"{rows['tick']}")
         bench.check("tick" in robot and "nothing" not in robot and "speedl" in set(robot), "names")
         bench.check(
             robot.access == "w" and robot.connection is rhdlink.ConnectionState.CONNECTED, f"{robot.connection}"
         )
-        bench.check(robot.received.age < NEAR, f"it came {robot.received.age:.3f} s ago")
+        bench.check(robot.received.age < NEAR, f"it arrived {robot.received.age:.3f} s ago")
         with bench.raises(LinkError):
             robot["nothing"]
         with bench.raises(LinkError):
@@ -96,7 +96,7 @@ def values(bench: Bench) -> None:
 
 @mobile
 def masters(bench: Bench) -> None:
-    """A robot has one master: a second one is denied, or makes do with reading; the next one gets it."""
+    """A robot has one master: a second one is refused, or falls back to reading; the next one is accepted."""
     with _connected(bench) as (robot, _plugin):
         address = robot.address
         with bench.raises(LinkError, within=1.5):
@@ -114,12 +114,12 @@ def masters(bench: Bench) -> None:
         robot.close()
         time.sleep(0.1)
         with rhdlink.connect(address, access="w", timeout=1.0) as third:
-            bench.check(third.access == "w", "a master that has gone keeps others away")
+            bench.check(third.access == "w", "a disconnected master blocks other clients")
 
 
 @mobile
 def syncing_in_vain(bench: Bench) -> None:
-    """A sync ends with its timeout; what was set meanwhile is discarded, or sent by the next one, as was chosen."""
+    """A sync ends after its timeout; unsent values are discarded or sent by the next sync, depending on `unsent`."""
     unsent = bench.chance.choice(("discard", "send"))
     seconds = 0.3 + 0.4 * bench.chance.random()
     with _connected(bench, unsent=unsent) as (robot, plugin):
@@ -133,7 +133,7 @@ def syncing_in_vain(bench: Bench) -> None:
             with bench.raises(LinkError, after=0.0, within=seconds + 0.3):
                 robot.sync(seconds)
             bench.check(
-                bench.now - begun > 0.5 * seconds, f"it gave up after {bench.now - begun:.2f} s of {seconds:.2f}"
+                bench.now - begun > 0.5 * seconds, f"it timed out after {bench.now - begun:.2f} s of {seconds:.2f}"
             )
             thread, outcome = bench.ended(lambda: robot.sync(seconds))
             time.sleep(0.05)
@@ -150,18 +150,18 @@ def syncing_in_vain(bench: Bench) -> None:
         robot.sync()
         bench.check(robot.connection is rhdlink.ConnectionState.CONNECTED, f"{robot.connection}")
         told = events
-        bench.check(told[-1:] == [rhdlink.ConnectionState.CONNECTED], f"it was told {told}")
+        bench.check(told[-1:] == [rhdlink.ConnectionState.CONNECTED], f"the events were {told}")
         bench.check(robot.reconnects == told.count(rhdlink.ConnectionState.CONNECTED), f"{robot.reconnects} {told}")
         if unsent == "send":
-            bench.check(plugin.speedr == 12, f"what was kept was not sent: {plugin.speedr}")
+            bench.check(plugin.speedr == 12, f"the kept value was not sent: {plugin.speedr}")
         robot.speedl = 7
         _synced(robot)
-        bench.check(plugin.speedl == 7, "nothing is set after the connection was lost")
+        bench.check(plugin.speedl == 7, "no value is set after the connection was lost")
 
 
 @mobile
 def subscribers(bench: Bench) -> None:
-    """A subscriber gets each update of its names once, in order; what is too much, or too old, is counted."""
+    """A subscriber gets each update of its names once, in order; dropped and expired updates are counted."""
     chance = bench.chance
     with _connected(bench) as (robot, _plugin):
         seen: list[Any] = []
@@ -185,7 +185,7 @@ def subscribers(bench: Bench) -> None:
             time.sleep(0.01)
         time.sleep(0.05)
         bench.check(late == [], f"a deadline was missed: {late}")
-        bench.check(all(set(update.changes) == {"encl"} for update in seen), "other names than were wanted")
+        bench.check(all(set(update.changes) == {"encl"} for update in seen), "updates of other names are delivered")
         values = [update.changes["encl"].value for update in seen]
         bench.check(len(values) > 5 and len({*map(str, seen)}) == len(seen), f"{len(values)} updates")
         moments = [update.received.monotonic for update in every]
@@ -203,18 +203,18 @@ def subscribers(bench: Bench) -> None:
         count = len(seen)
         _synced(robot, 5)
         time.sleep(0.05)
-        bench.check(len(seen) == count, "a subscription that was closed gets updates")
+        bench.check(len(seen) == count, "a closed subscription gets updates")
         with bench.raises(LinkError):
             robot.subscribe(print, "nothing")
         count = len(every)
         robot.sync()
-    bench.check(len(every) > count, "what waited was not delivered by close")
-    bench.check(all_of.join(0.5) and limited.join(0.5), "subscriptions are not over after close")
+    bench.check(len(every) > count, "queued updates were not delivered by close")
+    bench.check(all_of.join(0.5) and limited.join(0.5), "subscriptions have not ended after close")
 
 
 @mobile
 def background(bench: Bench) -> None:
-    """A thread keeps a robot in sync, connects again by itself, and is closed with it."""
+    """A thread keeps a robot in sync, reconnects on its own, and is closed with the robot."""
     chance = bench.chance
     period = chance.choice((None, 0.05, 0.1))
     with _connected(bench) as (robot, plugin):
@@ -228,7 +228,7 @@ def background(bench: Bench) -> None:
             robot.background()
         robot.speedl = 9
         time.sleep(0.3)
-        bench.check(plugin.speedl == 9, "what is set is not sent")
+        bench.check(plugin.speedl == 9, "a set value is not sent")
         bench.sim.network.reset(bench.here, bench.there)
         time.sleep(2.0)
         before = syncing.syncs
@@ -236,7 +236,7 @@ def background(bench: Bench) -> None:
         bench.check(syncing.syncs > before, "it does not sync after the connection was lost")
         robot.speedl = 10
         time.sleep(0.3)
-        bench.check(plugin.speedl == 10, "what is set is not sent after the connection was lost")
+        bench.check(plugin.speedl == 10, "a set value is not sent after the connection was lost")
         bench.check(robot.reconnects == 1, f"{robot.reconnects} reconnects")
         if chance.random() < 0.5:
             syncing.close()
@@ -255,7 +255,7 @@ def background(bench: Bench) -> None:
 
 @mobile
 def a_recording(bench: Bench) -> None:
-    """A recording has each batch: its columns are what was read."""
+    """A recording has each batch; its columns equal the read values."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drive.urlog"
         ticks = []
@@ -277,8 +277,8 @@ def a_recording(bench: Bench) -> None:
         table = rhdlink.load(path, rhdlink.robots.Smr)
         column = [int(value) for value in table["tick"]]
         bench.check(set(ticks) <= set(column), f"{sorted(set(ticks) - set(column))} are not in the recording")
-        bench.check(np.all(np.diff(table.time) >= 0.0), "its times go back")
-        bench.check(len(table["linesensor"][0]) == 8, "a variable of eight words")
+        bench.check(np.all(np.diff(table.time) >= 0.0), "its times go backwards")
+        bench.check(len(table["linesensor"][0]) == 8, "a variable does not have its eight words")
         plain = rhdlink.load(path)
         bench.check([int(value) for value in plain["tick"]] == column, "without a class it has other values")
         bench.check(lost is bool(table.missing), f"{table.missing}")
@@ -289,7 +289,7 @@ def a_recording(bench: Bench) -> None:
 
 @mobile
 def nobody(bench: Bench) -> None:
-    """Connecting to nobody, to a silent one or to another kind of robot fails in time, and leaves nothing."""
+    """Connecting to no robot, a silent robot or another kind of robot fails in time, and leaves no sockets."""
     sockets = bench.sim.open_sockets
     seconds = 0.3 + bench.chance.random()
     with bench.raises(LinkError, within=seconds + 0.5):
@@ -307,7 +307,7 @@ def nobody(bench: Bench) -> None:
 
 @mobile
 def closing(bench: Bench) -> None:
-    """`close` wakes who syncs, is the last event of the connection, and may be called twice."""
+    """`close` ends a waiting sync, is the last event of the connection, and may be called twice."""
     with _connected(bench) as (robot, _plugin):
         events: list[Any] = []
         robot.subscribe_connection(lambda event: events.append(event.state))
@@ -329,7 +329,7 @@ def closing(bench: Bench) -> None:
 
 @mobile
 def tasks(bench: Bench) -> None:
-    """The interface for asyncio: syncs wait for each other, updates follow each other, `close` ends them."""
+    """Waiting syncs, ordered updates, and the end of both by `close`, in the asyncio interface."""
 
     async def use(address: str, plugin: Any) -> None:
         async with rhdlink.connect_async(address, rhdlink.robots.Smr, access="w", timeout=1.0) as robot:
@@ -351,11 +351,11 @@ def tasks(bench: Bench) -> None:
                 if bench.chance.random() < 0.5:
                     task.cancel()
                     await asyncio.wait({task}, timeout=1.0)
-                    bench.check(task.cancelled(), "a sync that was cancelled is not over")
+                    bench.check(task.cancelled(), "a cancelled sync has not ended")
                 await robot.close()
                 bench.check(bench.now - begun < 2.2, f"close took {bench.now - begun:.2f} s")
                 await asyncio.wait({task}, timeout=1.0)
-                bench.check(task.done(), "a sync is not over after close")
+                bench.check(task.done(), "a sync has not ended after close")
                 if task.done() and not task.cancelled():
                     bench.check(isinstance(task.exception(), LinkError), f"it ended with {task.exception()!r}")
             with bench.raises(Closed):
@@ -370,7 +370,7 @@ def tasks(bench: Bench) -> None:
 
 @mobile
 def driving(bench: Bench) -> None:
-    """A motion is over when the robot has gone its way; one that is cancelled or replaced ends, and it stands."""
+    """A motion ends after its distance; when it is cancelled or replaced, it ends and the robot comes to rest."""
     chance = bench.chance
     plugin: Any = chance.choice((SmrTurtle, Turtle))()
     kind = rhdlink.robots.Smr if isinstance(plugin, SmrTurtle) else rhdlink.robots.VelocityOmega
@@ -482,24 +482,24 @@ def reaching(bench: Bench) -> None:
             time.sleep(5.0)
             pose = drive.pose
             bench.check(not motion.done and pose.x > 0.5, f"along() is at {pose}")
-            bench.check(abs(pose.y - 0.3) < 0.1, f"it is {pose.y:.2f} m aside, 0.3 were told")
+            bench.check(abs(pose.y - 0.3) < 0.1, f"it is {pose.y:.2f} m aside; commanded 0.3 m")
             motion.cancel()
         drive.stop().wait(5.0)
 
 
 @mobile
 def floors(bench: Bench) -> None:
-    """A scene is seen where it was drawn, and its picture can be read again."""
+    """Sensors see a scene at its drawn position, and saved pictures can be read again."""
     chance = bench.chance
     x, y = 2.0 + 5.0 * chance.random(), 2.0 + 5.0 * chance.random()
     far = 1.0 + chance.random()
     scene = Scene([Tape(((x - 1, y), (x + 1, y)), 0.05, 0.0)], [((x, y + far), (x + 2, y + far))])
     on, off = scene.brightness(np.array([[x, y], [x, y + 0.5]]))
-    bench.check(on < 0.1 and off > 0.9, f"tape is {on:.2f} bright, floor {off:.2f}")
+    bench.check(on < 0.1 and off > 0.9, f"the tape has brightness {on:.2f}, and the floor {off:.2f}")
     bench.check(
         abs(scene.wall(x + 1, y, math.pi / 2) - far) < 1e-6, f"the wall is {scene.wall(x + 1, y, 1.5708)} m away"
     )
-    bench.check(math.isinf(scene.wall(x + 1, y, -math.pi / 2)), "a wall that is not there")
+    bench.check(math.isinf(scene.wall(x + 1, y, -math.pi / 2)), "a wall is seen without a wall")
     commands = chance.choice(
         (
             f"M {x} {11 - y} L {x + 1} {11 - y} L {x + 1} {11 - y - 1}",
@@ -525,8 +525,8 @@ def floors(bench: Bench) -> None:
         path.write_text(text, encoding="utf-8")
         drawn = Scene.from_svg(path)
         seen = drawn.brightness(np.array([[x + 0.5, y], [x + 1, y + 0.5], [x + 0.5, y + 0.3], [x - 0.5, y]]))
-        bench.check(seen[0] < 0.2 and seen[1] < 0.2, f"tape that was drawn is {seen[:2]} bright: {commands}")
-        bench.check((seen[2] > 0.8 and seen[3] > 0.8) or "z" in commands, f"the floor beside it is {seen[2:]} bright")
+        bench.check(seen[0] < 0.2 and seen[1] < 0.2, f"drawn tape has brightness {seen[:2]}: {commands}")
+        bench.check((seen[2] > 0.8 and seen[3] > 0.8) or "z" in commands, f"the floor has brightness {seen[2:]}")
         bench.check(abs(drawn.wall(x + 0.5, y + 1, math.pi / 2) - 1.0) < 1e-6, f"the wall: {drawn.walls}")
         for wrong in ("<html></html>", "<svg"):
             path.write_text(wrong, encoding="utf-8")

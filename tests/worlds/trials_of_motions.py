@@ -1,4 +1,4 @@
-"""Trials of motions, blocks and groups: where the arm goes, when, and what the handle says of it."""
+"""Trials of motions, blocks and groups: positions and times of the arm, and the states of handles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from urlink.simulator import Controller
 from .trials import Bench, trial
 
 _READY = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])
-#: s in which an arm that moves as trials have it comes to rest.
+#: Time for an arm to come to rest from the motions of the trials, in s.
 _RESTS = 1.0
 
 
@@ -42,7 +42,7 @@ def _brakes(bench: Bench, within: float, why: str) -> None:
 
 
 def _follows(handle: Any, bench: Bench) -> tuple[list[Any], list[float]]:
-    """Phases in the order in which they are seen, and what `progress` says, until it is over."""
+    """Return the phases of a handle in order, and the values of `progress`, until it has ended."""
     phases, parts = [handle.phase], [handle.progress]
     until = bench.now + 20.0
     while not handle.done and bench.now < until:
@@ -55,7 +55,7 @@ def _follows(handle: Any, bench: Bench) -> tuple[list[Any], list[float]]:
 
 @trial
 def a_move(bench: Bench) -> None:
-    """A motion is over when the arm is there; its callbacks are called once, its phases follow the table."""
+    """A motion ends when the arm is at the goal; its callbacks are called once, and its phases follow the table."""
     robot, chance = bench.robot, bench.chance
     state = robot.realtime.wait(2.0)
     goal, pose = _goal(bench), state.tool_vector_actual.copy()
@@ -88,19 +88,19 @@ def a_move(bench: Bench) -> None:
     there = robot.realtime.wait(2.0)
     if name.startswith("move_l") or name.startswith("move_c"):
         expected = pose if name == "move_linear" else to
-        bench.check(np.allclose(there.tool_vector_actual[:3], expected[:3], atol=0.003), f"{name} is not there")
+        bench.check(np.allclose(there.tool_vector_actual[:3], expected[:3], atol=0.003), f"{name} missed its goal")
     else:
-        bench.check(np.allclose(there.q_actual, goal, atol=0.01), f"{name} is not there: {there.q_actual - goal}")
-    bench.check(_rests(bench), "the arm moves when the motion is over")
+        bench.check(np.allclose(there.q_actual, goal, atol=0.01), f"{name} missed its goal: {there.q_actual - goal}")
+    bench.check(_rests(bench), "the arm moves after the end of the motion")
     bench.check(done == [handle], f"done callbacks: {done}")
     late: list[Any] = []
     handle.add_done_callback(late.append)
     time.sleep(0.05)
-    bench.check(late == [handle], "a callback that was added after the end")
+    bench.check(late == [handle], "a callback that was added after the end was not called")
     bench.check(phases[-1] is Phase.DONE and len(set(phases)) == len(phases), f"phases {phases}")
     known = [part for part in parts if part is not None]
     bench.check(all(0.0 <= part <= 1.0 for part in known), f"progress {known}")
-    bench.check(all(b >= a - 1e-3 for a, b in itertools.pairwise(known)), f"progress goes back: {known}")
+    bench.check(all(b >= a - 1e-3 for a, b in itertools.pairwise(known)), f"progress decreases: {known}")
     bench.check(not known or known[-1] > 0.95, f"progress {known[-1:]} at the end")
     bench.check(robot.motion.current is None, "it is the current one after its end")
     if name == "timed":
@@ -109,7 +109,7 @@ def a_move(bench: Bench) -> None:
 
 @trial
 def ended_motions(bench: Bench) -> None:
-    """A motion that is cancelled, left, or replaced brakes, and says so; the next one goes to its end."""
+    """A cancelled, left or replaced motion brakes and has an error; the next motion reaches its goal."""
     robot, chance = bench.robot, bench.chance
     goal = _goal(bench, 0.5)
     handle = robot.motion.move_joints(goal, speed=0.2)
@@ -130,17 +130,17 @@ def ended_motions(bench: Bench) -> None:
     if how == "replace":
         other = _goal(bench, 0.1)
         robot.motion.move_joints(other, speed=0.5, wait=10.0)
-        bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, other, atol=0.01), "the next one is not there")
+        bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, other, atol=0.01), "the next one missed its goal")
     with bench.raises(Cancelled if how != "pendant" else LinkError, within=1.0):
         handle.wait(5.0)
     expected = {"pendant": (Phase.FAILED, Phase.CANCELLED)}.get(how, (Phase.CANCELLED,))
     bench.check(handle.phase in expected and handle.error is not None, f"{how}: {handle.phase}, {handle.error!r}")
     _brakes(bench, _RESTS, how)
     bench.check(done == [handle], f"{how}: done callbacks {done}")
-    bench.check(not np.allclose(robot.realtime.wait(2.0).q_actual, goal, atol=0.01), f"{how}: it went to its end")
+    bench.check(not np.allclose(robot.realtime.wait(2.0).q_actual, goal, atol=0.01), f"{how}: it reached its goal")
     again = _goal(bench, 0.1)
     robot.motion.move_joints(again, speed=0.5, wait=True)
-    bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, again, atol=0.01), "the next one is not there")
+    bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, again, atol=0.01), "the next one missed its goal")
     for wrong in ([9.0] * 6, [0.0] * 5, [float("nan")] * 6):
         with bench.raises(BadValue):
             robot.motion.move_joints(wrong)
@@ -148,7 +148,7 @@ def ended_motions(bench: Bench) -> None:
 
 @trial
 def speeds(bench: Bench) -> None:
-    """A speed is held for its duration, in its frame, and the arm rests then."""
+    """A speed lasts for its duration in its frame, and then the arm is at rest."""
     robot, chance = bench.robot, bench.chance
     axis, sign = chance.randrange(3), chance.choice((-1.0, 1.0))
     duration = chance.choice((0.4, 1.0))
@@ -162,7 +162,7 @@ def speeds(bench: Bench) -> None:
     time.sleep(0.35)
     state = robot.realtime.wait(2.0)
     found = state.qd_actual if is_joints else state.tcp_speed_actual
-    bench.check(abs(found[axis] - values[axis]) < 0.4 * abs(values[axis]), f"{values} were told, it moves at {found}")
+    bench.check(abs(found[axis] - values[axis]) < 0.4 * abs(values[axis]), f"commanded {values}, it moves at {found}")
     handle.wait(5.0)
     took = bench.now - begun
     bench.check(duration - 0.02 <= took < duration + 1.0, f"{duration} s took {took:.2f} s")
@@ -179,7 +179,7 @@ def speeds(bench: Bench) -> None:
 
 @trial
 def jogging(bench: Bench) -> None:
-    """A jog moves along the axes of its frame until others come or its timeout is over; leaving the block stops it."""
+    """A jog moves along the axes of its frame until the next speeds or its timeout; leaving the block stops it."""
     robot, chance = bench.robot, bench.chance
     frame = chance.choice(("joints", "base", "tool"))
     link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
@@ -213,12 +213,12 @@ def jogging(bench: Bench) -> None:
     _brakes(bench, 0.6, "a jog was left")
     with bench.raises(LinkError):
         jog.move(values)
-    bench.check(jog.done, "it is not over after its block")
+    bench.check(jog.done, "it has not ended after its block")
 
 
 @trial
 def servoing(bench: Bench) -> None:
-    """The arm follows what is sent, brakes when nothing comes within the watchdog, and after the block."""
+    """The arm follows the set-points, and brakes if none arrives within the watchdog, and after the block."""
     robot, chance = bench.robot, bench.chance
     link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
     kind = chance.choice(("send", "filter", "schedule"))
@@ -236,11 +236,11 @@ def servoing(bench: Bench) -> None:
             at = robot.realtime.wait(2.0).time + 0.8
             reached = servo.schedule(q + far, at)
             bench.check(reached is not None and reached >= at - 1e-6, f"scheduled for {at}, reached at {reached}")
-            bench.check(servo.schedule(q, at - 5.0) is None, "a time that is past")
+            bench.check(servo.schedule(q, at - 5.0) is None, "a time in the past is accepted")
             with bench.raises(LocalError):
                 servo.send(q)
             state = robot.realtime.wait_until(lambda state: state.time >= (reached or at) + 0.15, 5.0)
-            bench.check(np.allclose(state.q_target, q + far, atol=0.005), "it is not there at its time")
+            bench.check(np.allclose(state.q_target, q + far, atol=0.005), "it is not at the target at its time")
             time.sleep(0.3)
         else:
             count = int(0.6 / bench.cycle)
@@ -261,7 +261,7 @@ def servoing(bench: Bench) -> None:
             for step in range(int(0.3 / bench.cycle)):
                 servo.send(q + far - 0.3 * step * bench.cycle)
                 robot.realtime.wait(2.0)
-            # Now nothing is sent: the robot goes on for a moment, and brakes by its watchdog.
+            # Without further set-points, the robot continues for a moment, and then its watchdog brakes it.
             time.sleep(watchdog + 0.5)
             bench.check(_rests(bench), f"{watchdog + 0.5:.2f} s after the last set-point it moves")
     _brakes(bench, 0.5, "a servo was left")
@@ -280,14 +280,14 @@ def _points(bench: Bench, q: np.ndarray, begin: float, count: int = 4) -> list[u
 
 @trial
 def a_stream_of_points(bench: Bench) -> None:
-    """The arm is at each point at its time by the clock of the stream; what was cleared or replaced is not driven."""
+    """The arm reaches each point at its time on the stream's clock; cleared or replaced points are not executed."""
     robot, chance = bench.robot, bench.chance
     link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
     q = robot.realtime.wait(2.0).q_target
     with robot.motion.stream(buffer=chance.uniform(0.2, 0.8), link=link) as stream:
         points = _points(bench, q, stream.end)
         room = stream.append(points, wait=chance.choice((True, False, 3.0)))
-        bench.check(abs(room - stream.room) < 0.5, f"append gave {room}, and there is room for {stream.room}")
+        bench.check(abs(room - stream.room) < 0.5, f"append returned {room}, but there is room for {stream.room}")
         bench.check(abs(stream.end - points[-1].time) < 1e-6, f"it ends at {stream.end}, not {points[-1].time}")
         for point in [each for each in points[:3] if each.time > stream.time + 0.05]:
             until = bench.now + 5.0
@@ -315,12 +315,12 @@ def a_stream_of_points(bench: Bench) -> None:
                 abs(end - stream.end) < 1e-6 and end <= more[-1].time, f"cleared until {end}, ends {stream.end}"
             )
             stream.wait_until_dry(3.0)
-            bench.check(bench.now and stream.time < more[-1].time, "what was cleared was driven")
+            bench.check(bench.now and stream.time < more[-1].time, "a cleared point was executed")
         elif how == "replace":
             since = stream.time + 0.3
             others = [urlink.TrajectoryPoint(q + 0.02, since + 1.0, [0.0] * 6)]
             begins = stream.replace(since, others)
-            bench.check(begins >= since - 1e-6, f"replaced from {begins}, asked for {since}")
+            bench.check(begins >= since - 1e-6, f"replaced from {begins}, requested {since}")
             bench.check(abs(stream.end - others[0].time) < 0.5, f"it ends at {stream.end}, not {others[0].time}")
             stream.wait_until_dry(5.0)
             bench.check(
@@ -351,7 +351,7 @@ def _paths(q: np.ndarray, seconds: float, far: float) -> urlink.Trajectory:
 
 @trial
 def a_trajectory(bench: Bench) -> None:
-    """A trajectory is followed in its time, as slow as the slider says; who is led too far away is told."""
+    """A trajectory is followed in its time, scaled by the slider; exceeding the tolerance raises an error."""
     robot, chance = bench.robot, bench.chance
     q = robot.realtime.wait(2.0).q_target
     seconds, far = 1.0, 0.15 * chance.choice((-1, 1))
@@ -372,14 +372,14 @@ def a_trajectory(bench: Bench) -> None:
     )
     bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, q + far, atol=0.02), "it is not at the end")
     known = [part for part in parts if part is not None]
-    bench.check(all(b >= a - 1e-3 for a, b in itertools.pairwise(known)), f"progress goes back: {known}")
+    bench.check(all(b >= a - 1e-3 for a, b in itertools.pairwise(known)), f"progress decreases: {known}")
     if seen:
         times = [each.trajectory_time for each in seen]
-        bench.check(all(b >= a for a, b in itertools.pairwise(times)), "feedback goes back in time")
+        bench.check(all(b >= a for a, b in itertools.pairwise(times)), "feedback goes backwards in time")
         wrong = max(
             float(np.abs(each.q_desired - path.at(min(each.trajectory_time, seconds))[0]).max()) for each in seen
         )
-        bench.check(wrong < 0.01, f"feedback desires {wrong:.3f} rad from the trajectory")
+        bench.check(wrong < 0.01, f"q_desired of the feedback is {wrong:.3f} rad from the trajectory")
         apart = max(float(np.abs(each.q_desired - each.q_actual - each.error).max()) for each in seen)
         bench.check(apart < 1e-6, "the error is not the difference")
     robot.set_speed_slider(1.0)
@@ -393,7 +393,7 @@ def a_trajectory(bench: Bench) -> None:
 
 @trial
 def paused(bench: Bench) -> None:
-    """A motion that is paused at the pendant stands, and goes on to its end when it is played."""
+    """A motion that is paused at the pendant is at rest, and continues to its end when it is played."""
     robot, chance = bench.robot, bench.chance
     q = robot.realtime.wait(2.0).q_target
     goal = q + 0.2 * chance.choice((-1, 1))
@@ -427,7 +427,7 @@ def paused(bench: Bench) -> None:
 
 @trial
 def soft(bench: Bench) -> None:
-    """Force mode, freedrive and impedance are over after their block, and keep what they were told."""
+    """Force mode, freedrive and impedance end after their block, and report their settings."""
     robot, chance = bench.robot, bench.chance
     link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
     kind = chance.choice(("force", "freedrive", "impedance", "torque"))
@@ -469,15 +469,15 @@ def soft(bench: Bench) -> None:
     bench.check(block.done, f"{block.phase} after the block")
     _brakes(bench, 0.6, f"{kind} was left")
     time.sleep(0.3)
-    bench.check(not bench.controller.is_running_program, "its program goes on")
+    bench.check(not bench.controller.is_running_program, "its program keeps running")
     goal = _goal(bench, 0.05)
     robot.motion.move_joints(goal, wait=True)
-    bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, goal, atol=0.01), "the next motion is not there")
+    bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, goal, atol=0.01), "the next motion missed its goal")
 
 
 @trial
 def teaching(bench: Bench) -> None:
-    """Points are recorded where the arm is, by calls and by the input, each once; loaded they are the same."""
+    """Points are recorded at the arm's position, once for each call and input edge; loaded points are the same."""
     robot, chance = bench.robot, bench.chance
     signals = bench.controller.signals
     signals.digital_inputs &= ~0b1111
@@ -511,21 +511,24 @@ def teaching(bench: Bench) -> None:
     for one, other in zip(made, loaded, strict=True):
         bench.check(np.allclose(one.q, other.q) and np.allclose(one.pose, other.pose), f"{one} was loaded as {other}")
     for at in (0.0, 0.33, 1.0):
-        bench.check(np.allclose(path.at(at)[0], again.at(at)[0], atol=1e-6), "the trajectory is another one")
-        bench.check(np.allclose(path.at(at)[1], again.at(at)[1], atol=1e-5), "its speeds are others")
+        bench.check(
+            np.allclose(path.at(at)[0], again.at(at)[0], atol=1e-6), "the loaded trajectory has other positions"
+        )
+        bench.check(np.allclose(path.at(at)[1], again.at(at)[1], atol=1e-5), "the loaded trajectory has other speeds")
     slow = path.retimed(0.5, 1.0)
-    bench.check(np.allclose(slow.at(slow.duration)[0], path.at(1.0)[0], atol=1e-3), "retimed it ends elsewhere")
+    bench.check(np.allclose(slow.at(slow.duration)[0], path.at(1.0)[0], atol=1e-3), "the retimed one ends elsewhere")
     moments = np.linspace(0.0, slow.duration, 50)
     bench.check(
-        np.abs(slow.at(moments)[1]).max() < 0.55, f"retimed it has {np.abs(slow.at(moments)[1]).max():.2f} rad/s"
+        np.abs(slow.at(moments)[1]).max() < 0.55,
+        f"the retimed one has {np.abs(slow.at(moments)[1]).max():.2f} rad/s",
     )
     loaded.play(robot).wait(10.0)
-    bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, q, atol=0.01), "played it is not at the last point")
+    bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, q, atol=0.01), "play does not end at the last point")
 
 
 @trial
 def contact(bench: Bench) -> None:
-    """Without contact `until_contact` ends where its distance is over, and says so."""
+    """Without contact, `until_contact` ends after its distance with `NoContact`."""
     robot = bench.robot
     distance = 0.02 + 0.03 * bench.chance.random()
     begin = robot.realtime.wait(2.0).tool_vector_actual
@@ -536,14 +539,14 @@ def contact(bench: Bench) -> None:
         pass
     except LinkError as error:
         bench.check(False, f"it ended with {error!r}")
-    _brakes(bench, 0.6, "until_contact is over")
+    _brakes(bench, 0.6, "the end of until_contact")
     moved = begin[2] - robot.realtime.wait(2.0).tool_vector_actual[2]
-    bench.check(-0.005 < moved < distance + 0.02, f"{distance:.3f} m, and it has moved {moved:.3f}")
+    bench.check(-0.005 < moved < distance + 0.02, f"distance {distance:.3f} m, but it has moved {moved:.3f} m")
 
 
 @contextlib.contextmanager
 def second_controller(bench: Bench) -> Iterator[Controller]:
-    """Another arm, on a computer of its own."""
+    """Run the controller of another arm, on its own computer."""
     computer = bench.sim.computer("robot2", "192.168.0.101")
     computer.rate += bench.chance.uniform(-1e-4, 1e-4)
     with bench.sim.on(computer):
@@ -559,7 +562,7 @@ def second_controller(bench: Bench) -> Iterator[Controller]:
 
 @trial
 def a_group(bench: Bench) -> None:
-    """Arms of a group begin and end together, stop together, and their states are of the same moment."""
+    """Arms of a group start, end and stop together, and their states belong to the same moment."""
     chance = bench.chance
     with second_controller(bench) as controller, urlink.connect(controller.host, timeout=3.0) as other:
         both = urlink.Group(bench.robot, other)
@@ -581,7 +584,7 @@ def a_group(bench: Bench) -> None:
         bench.check(abs(moves[0][-1] - moves[1][-1]) < 0.05, f"they end {abs(moves[0][-1] - moves[1][-1]):.3f} s apart")
         for robot, goal in zip(both.robots, goals, strict=True):
             bench.check(
-                np.allclose(robot.realtime.wait(2.0).q_actual, goal, atol=0.01), f"{robot.address} is not there"
+                np.allclose(robot.realtime.wait(2.0).q_actual, goal, atol=0.01), f"{robot.address} missed its goal"
             )
         for count, states in enumerate(both.states(2.0)):
             local = [robot.clock.to_local(state.time) for robot, state in zip(both.robots, states, strict=True)]
@@ -598,11 +601,11 @@ def a_group(bench: Bench) -> None:
         if how == "pause":
             bench.call(bench.controller.pendant.pause)
             time.sleep(0.8)
-            bench.check(_rests(bench) and _rests(bench, other), "one moves while the other is paused")
+            bench.check(_rests(bench) and _rests(bench, other), "an arm moves while the other is paused")
             bench.call(bench.controller.pendant.play)
             motion.wait(10.0)
             for robot, goal in zip(both.robots, back, strict=True):
-                bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, goal, atol=0.02), "one is not there")
+                bench.check(np.allclose(robot.realtime.wait(2.0).q_actual, goal, atol=0.02), "an arm missed its goal")
             return
         if how == "cancel":
             motion.cancel()
@@ -615,8 +618,8 @@ def a_group(bench: Bench) -> None:
         with bench.raises(LinkError, within=1.0):
             motion.wait(5.0)
         time.sleep(_RESTS)
-        bench.check(_rests(bench) and _rests(bench, other), f"one moves after {how}")
-        bench.check(all(robot.motion.current is None for robot in both.robots), f"{how}: a motion is left")
+        bench.check(_rests(bench) and _rests(bench, other), f"an arm moves after {how}")
+        bench.check(all(robot.motion.current is None for robot in both.robots), f"{how}: a motion is still current")
         with bench.raises(BadValue):
             both.move_joints(goals[:1])
 
@@ -633,7 +636,7 @@ def _stream_of_both(bench: Bench, both: urlink.Group, starts: list[Any]) -> None
         bench.check(abs(stream.end - begin - 1.8) < 1e-6, f"it ends at {stream.end}")
         stream.wait_until_dry(8.0)
         for robot, q in zip(both.robots, starts, strict=True):
-            bench.check(np.allclose(robot.realtime.wait(2.0).q_target, q - 0.05, atol=0.005), "one is not there")
+            bench.check(np.allclose(robot.realtime.wait(2.0).q_target, q - 0.05, atol=0.005), "an arm missed its point")
         bench.check(stream.is_dry, "it is not dry")
         stream.append(points(0.1, stream.end + 2.0), wait=False)
         time.sleep(0.5)
@@ -649,16 +652,16 @@ def _stream_of_both(bench: Bench, both: urlink.Group, starts: list[Any]) -> None
             stream.clear()
             stream.wait_until_dry(5.0)
         time.sleep(0.1)
-        bench.check(all(_rests(bench, robot) for robot in both.robots), "one moves when it is dry")
+        bench.check(all(_rests(bench, robot) for robot in both.robots), "an arm moves when the stream is dry")
         stream.append(points(0.1, stream.end + 2.0), wait=False)
         time.sleep(0.5)
     time.sleep(0.8)
-    bench.check(all(_rests(bench, robot) for robot in both.robots), "one moves after the block")
+    bench.check(all(_rests(bench, robot) for robot in both.robots), "an arm moves after the block")
 
 
 @trial
 def a_lost_program(bench: Bench) -> None:
-    """A block whose connection is lost is over, says so, and the arm brakes."""
+    """A block whose program is stopped ends with an error, and the arm brakes."""
     robot, chance = bench.robot, bench.chance
     q = robot.realtime.wait(2.0).q_target
     link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
@@ -701,7 +704,7 @@ def a_lost_program(bench: Bench) -> None:
 
 @trial
 def watchdogs(bench: Bench) -> None:
-    """The robot brakes by itself when no message comes within the watchdog: while this process is held up, too."""
+    """The robot brakes on its own when no message arrives within the watchdog, even if this process is suspended."""
     robot, chance = bench.robot, bench.chance
     link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
     watchdog = 0.15 + 0.2 * chance.random()
@@ -757,7 +760,7 @@ def watchdogs(bench: Bench) -> None:
         speeds[-1] < 0.02, f"{kind}: it moves at {speeds[-1]:.3f} rad/s long after its watchdog of {watchdog:.2f} s"
     )
     time.sleep(1.0)
-    time.sleep(4.0)  # it may have to connect again
+    time.sleep(4.0)  # the robot object may have to reconnect
     robot.safety.wait_until_clear(10.0)
     bench.check(_rests(bench), "it moves after the block")
     robot.motion.move_joints(q, wait=True)
@@ -765,7 +768,7 @@ def watchdogs(bench: Bench) -> None:
 
 @trial
 def changes_of_a_stream(bench: Bench) -> None:
-    """Whatever is appended, replaced, cleared or paused: the arm ends at the last point, the clock never goes back."""
+    """After any append, replace, clear or pause, the arm ends at the last point; the clock never goes backwards."""
     robot, chance = bench.robot, bench.chance
     link = chance.choice(("reverse", "rtde")) if bench.controller.firmware.major >= 3 else "reverse"
     q = robot.realtime.wait(2.0).q_target
@@ -787,7 +790,7 @@ def changes_of_a_stream(bench: Bench) -> None:
                 with contextlib.suppress(BadValue):
                     stream.replace(since, [urlink.TrajectoryPoint(q + far, since + 1.0, [0.0] * 6)])
                     last = q + far
-                    bench.check(stream.end >= since, f"replaced from {since}, and it ends at {stream.end}")
+                    bench.check(stream.end >= since, f"replaced from {since}, but it ends at {stream.end}")
             elif what == "clear":
                 stream.clear()
                 stream.wait_until_dry(5.0)
@@ -800,7 +803,7 @@ def changes_of_a_stream(bench: Bench) -> None:
                 robot.set_speed_slider(chance.choice((0.5, 1.0)))
             time.sleep(chance.uniform(0.0, 0.6))
             now = stream.time
-            bench.check(now >= clock - 1e-6, f"the clock of the stream goes back from {clock:.3f} to {now:.3f}")
+            bench.check(now >= clock - 1e-6, f"the clock of the stream went backwards from {clock:.3f} to {now:.3f}")
             clock = now
         stream.wait_until_dry(15.0)
         time.sleep(0.1)

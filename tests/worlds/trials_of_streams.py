@@ -1,4 +1,4 @@
-"""Trials of streams: states that come, that are late, that nobody takes, and connections that are lost."""
+"""Trials of streams: delivered, late and dropped states, and lost connections."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from .trials import NEAR, Bench, trial
 
 
 def _stream(bench: Bench) -> tuple[Any, float]:
-    """A stream, and the seconds between two of its packets."""
+    """Choose a stream; return it with the time between its packets, in s."""
     return bench.chance.choice(((bench.robot.realtime, bench.cycle), (bench.robot.primary, 0.1)))
 
 
 @trial
 def every_state(bench: Bench) -> None:
-    """A callback that keeps up gets each state once, in order, and none after `close`."""
+    """A fast callback gets each state once, in order, and none after `close`."""
     robot, chance = bench.robot, bench.chance
     seen: list[float] = []
     inline = chance.random() < 0.5
@@ -39,22 +39,22 @@ def every_state(bench: Bench) -> None:
         subscription.close()
         count = len(seen)
     else:
-        bench.check(subscription.finish(), "finish() did not deliver what waits")
+        bench.check(subscription.finish(), "finish() did not deliver the queued states")
         count = len(seen)
     time.sleep(0.05)
     bench.check(len(seen) == count, "the callback was called after its subscription was closed")
     cycles = np.round(np.diff(seen) / bench.cycle)
     bench.check(count > 0.15 / bench.cycle, f"{count} states in 0.2 s")
-    bench.check(np.all(cycles == 1), f"states were left out or came twice: {cycles.tolist()}")
+    bench.check(np.all(cycles == 1), f"states were missing or duplicate: {cycles.tolist()}")
     stats = subscription.stats
     bench.check(stats.delivered == count and stats.raised == 0, f"{count} calls are counted as {stats}")
     bench.check(stats.offered == stats.delivered + stats.dropped + stats.waiting, f"{stats}")
-    bench.check(subscription.join(1.0), "a subscription that was closed is not over")
+    bench.check(subscription.join(1.0), "a closed subscription has not ended")
 
 
 @trial
 def a_slow_callback(bench: Bench) -> None:
-    """What a policy keeps is the newest; everything else is dropped and counted."""
+    """A policy keeps the newest states; all others are dropped and counted."""
     limit = bench.chance.randint(1, 4)
     policy = urlink.latest if limit == 1 else urlink.drop_oldest(limit)
     seen: list[tuple[float, float]] = []
@@ -74,14 +74,14 @@ def a_slow_callback(bench: Bench) -> None:
     left_out = round(first / bench.cycle) - 1
     bench.check(
         abs(stats.dropped - left_out) <= 2 * NEAR / bench.cycle,
-        f"{left_out} states were left out, and {stats.dropped} are counted",
+        f"{left_out} states were dropped, but {stats.dropped} are counted",
     )
     bench.check(stats.offered == stats.delivered + stats.dropped + stats.waiting, f"{stats}")
 
 
 @trial
 def a_lifespan(bench: Bench) -> None:
-    """What is older than its lifespan when its turn comes is dropped and counted as expired."""
+    """States older than their lifespan when taken are dropped and counted as expired."""
     lifespan = 0.05 + 0.1 * bench.chance.random()
     ages: list[float] = []
 
@@ -94,7 +94,7 @@ def a_lifespan(bench: Bench) -> None:
         time.sleep(lifespan + 0.3)
         stats = subscription.stats
     bench.check(
-        max(ages) <= lifespan + 1e-3, f"a state of {max(ages):.3f} s was delivered, its lifespan {lifespan:.3f}"
+        max(ages) <= lifespan + 1e-3, f"a state of {max(ages):.3f} s was delivered; its lifespan is {lifespan:.3f} s"
     )
     bench.check(stats.expired > 0.1 / bench.cycle, f"{stats.expired} have expired in a call of {lifespan + 0.2:.2f} s")
     bench.check(stats.expired <= stats.dropped, f"{stats}")
@@ -102,7 +102,7 @@ def a_lifespan(bench: Bench) -> None:
 
 @trial
 def a_deadline(bench: Bench) -> None:
-    """`on_deadline` is called once for each silence that lasts longer, with the seconds since the last packet."""
+    """`on_deadline` is called once for each longer silence, with the seconds since the last packet."""
     stream, period = _stream(bench)
     deadline = period + 0.02 + 0.1 * bench.chance.random()
     late: list[tuple[float, float]] = []
@@ -127,11 +127,11 @@ def a_deadline(bench: Bench) -> None:
         if on_deadline is not None:
             bench.check(len(late) == 1, f"on_deadline was called {len(late)} times in one silence")
             for age, at in late:
-                bench.check(deadline <= age <= deadline + NEAR, f"on_deadline was told {age:.3f} s of {deadline:.3f}")
-                bench.check(abs(at - came[-1] - age) < NEAR, "on_deadline was called at another time than it was told")
+                bench.check(deadline <= age <= deadline + NEAR, f"on_deadline got {age:.3f} s; deadline {deadline:.3f}")
+                bench.check(abs(at - came[-1] - age) < NEAR, "on_deadline got a time that does not match its call")
     begun = len(came)
     time.sleep(0.4)
-    bench.check(len(came) > begun, "nothing came after the silence")
+    bench.check(len(came) > begun, "no packet arrived after the silence")
     subscription.close()
     count = len(late)
     with bench.silence():
@@ -141,7 +141,7 @@ def a_deadline(bench: Bench) -> None:
 
 @trial
 def waiting_in_vain(bench: Bench) -> None:
-    """A wait ends with `LinkTimeout` after the seconds that were given."""
+    """A wait ends with `LinkTimeout` after its timeout."""
     stream, period = _stream(bench)
     seconds = 0.15 + bench.chance.random()
     stream.wait(2.0)
@@ -161,7 +161,7 @@ def waiting_in_vain(bench: Bench) -> None:
 
 @trial
 def waiting_for(bench: Bench) -> None:
-    """`wait_until` returns the first state for which the condition holds, as soon as it comes."""
+    """`wait_until` returns the first state that meets the condition, when this state arrives."""
     at = bench.now + 0.1 + 0.2 * bench.chance.random()
     number = bench.chance.randrange(8)
     signals = bench.controller.signals
@@ -171,18 +171,18 @@ def waiting_for(bench: Bench) -> None:
         state = bench.robot.realtime.wait_until(
             lambda state: bool(state.digital_input_bits >> number & 1) is not has, 5.0
         )
-        bench.check(bool(state.digital_input_bits >> number & 1) is not has, "the state is not what was waited for")
+        bench.check(bool(state.digital_input_bits >> number & 1) is not has, "the state does not meet the condition")
     else:
         bench.robot.io.wait_digital_in(number, not has, 5.0)
     bench.check(at <= bench.now <= at + 3 * bench.cycle + NEAR, f"it took {bench.now - at:.3f} s")
-    bench.check(bench.robot.io.digital_in(number) is not has, "the input is not what was waited for")
+    bench.check(bench.robot.io.digital_in(number) is not has, "the input does not have the awaited value")
     with bench.raises(LinkTimeout, after=0.2):
         bench.robot.io.wait_digital_in(number, has, 0.2)
 
 
 @trial
 def a_lost_connection(bench: Bench) -> None:
-    """A stream connects again by itself, keeps its subscriptions, tells of it in order and counts it."""
+    """A stream reconnects on its own, keeps its subscriptions, and reports and counts reconnections."""
     stream, period = _stream(bench)
     events: list[ConnectionEvent] = []
     states: list[float] = []
@@ -197,22 +197,22 @@ def a_lost_connection(bench: Bench) -> None:
         else:
             with bench.silence():
                 time.sleep(2.5)
-                bench.check(stream.connection is not ConnectionState.CONNECTED, "2.5 s of silence go unnoticed")
-                bench.check(stream.latest is None, "an old state is given as the latest")
+                bench.check(stream.connection is not ConnectionState.CONNECTED, "2.5 s of silence are not detected")
+                bench.check(stream.latest is None, "an old state is returned as the latest")
         time.sleep(3.0)
         stream.wait(2.0)
         time.sleep(NEAR)
         after = stream.stats
         told = [event.state for event in events]
-        bench.check(states[-1] > bench.now - period - NEAR, "the subscription gets nothing any more")
+        bench.check(states[-1] > bench.now - period - NEAR, "the subscription gets no more states")
         bench.check(stream.connection is ConnectionState.CONNECTED, f"it is {stream.connection}")
-        bench.check(told[-1:] == [ConnectionState.CONNECTED], f"it was told {told}")
-        bench.check(ConnectionState.LOST in told, f"it was told {told}")
-        bench.check(all(a is not b for a, b in itertools.pairwise(told)), f"a state was told twice: {told}")
-        bench.check(all(event.stream == stream.name for event in events), f"of whom? {events}")
+        bench.check(told[-1:] == [ConnectionState.CONNECTED], f"the events were {told}")
+        bench.check(ConnectionState.LOST in told, f"the events were {told}")
+        bench.check(all(a is not b for a, b in itertools.pairwise(told)), f"a state was reported twice: {told}")
+        bench.check(all(event.stream == stream.name for event in events), f"an event names another stream: {events}")
         count = told.count(ConnectionState.CONNECTED)
         bench.check(after.reconnects - before.reconnects == count, f"{count} connections, counted {after.reconnects}")
-        bench.check(events[0].received.monotonic is not None and bench.now > at, "no time")
+        bench.check(events[0].received.monotonic is not None and bench.now > at, "an event has no time")
         lost = next(event for event in events if event.state is ConnectionState.LOST)
         bench.check(isinstance(lost.error, RemoteError), f"it was lost because of {lost.error!r}")
 
@@ -232,12 +232,12 @@ def history(bench: Bench) -> None:
         rows = kept.array("q_actual")
         bench.check(len(rows) >= len(times) - 1, "the array has fewer rows")
     time.sleep(0.05)
-    bench.check(abs(len(kept) - count) <= 3, "it goes on after it was closed")
+    bench.check(abs(len(kept) - count) <= 3, "it continues after it was closed")
 
 
 @trial
 def closing_a_stream(bench: Bench) -> None:
-    """`close` ends every loop and wakes who waits, at once; what is used then raises `Closed`."""
+    """`close` ends every loop and every wait immediately; later uses raise `Closed`."""
     stream, _period = _stream(bench)
     stream.wait(2.0)
     calls = [0]
@@ -269,12 +269,12 @@ def closing_a_stream(bench: Bench) -> None:
     ):
         with bench.raises(Closed):
             use()
-    bench.check(subscription.join(0.5), "its subscription is not over")
+    bench.check(subscription.join(0.5), "its subscription has not ended")
 
 
 @trial
 def a_robot_that_is_away(bench: Bench) -> None:
-    """Connecting to nobody fails in time, with what connected sockets have to say, and leaves nothing."""
+    """Connecting without a controller fails in time, and leaves no sockets or threads."""
     sockets, threads = bench.sim.open_sockets, len(bench.sim.threads)
     seconds = 0.3 + bench.chance.random()
     case = bench.chance.choice(("nobody", "silent", "cut"))
@@ -292,12 +292,12 @@ def a_robot_that_is_away(bench: Bench) -> None:
 
 @trial
 def the_truth(bench: Bench) -> None:
-    """What a state says is what the controller has."""
+    """The values of a state equal the values of the controller."""
     controller, state = bench.controller, bench.robot.realtime.wait(2.0)
     bench.check(np.allclose(state.q_target, controller.arm.setpoint.q, atol=0.02), "q_target")
     bench.check(state.digital_input_bits == controller.signals.digital_inputs, "digital inputs")
     bench.check(abs(controller.time - state.time) < NEAR + 2 * bench.cycle, f"time {state.time} {controller.time}")
-    bench.check(0.0 <= state.received.age < NEAR, f"it came {state.received.age:.3f} s ago")
+    bench.check(0.0 <= state.received.age < NEAR, f"it arrived {state.received.age:.3f} s ago")
     board = bench.robot.primary.wait(2.0).masterboard_data
     if board is not None:
         bench.check(board.digital_output_bits == controller.signals.digital_outputs, "digital outputs")
@@ -310,7 +310,7 @@ def the_truth(bench: Bench) -> None:
 
 @trial
 def ports(bench: Bench) -> None:
-    """Each interface is a connection of its own: one that is cut leaves the others."""
+    """Each interface has its own connection: cutting one does not affect the others."""
     names = ("realtime", "primary", "secondary")
     told: dict[str, list[Any]] = {name: [] for name in names}
     for name in names:
@@ -322,26 +322,26 @@ def ports(bench: Bench) -> None:
     bench.controller.faults.cut(cut)
     time.sleep(0.3)
     lost = [name for name in names if told[name]]
-    bench.check(lost == [cut], f"{cut} was cut, and {lost} were told")
+    bench.check(lost == [cut], f"{cut} was cut, but events came from {lost}")
 
 
 @trial
 def two_clocks(bench: Bench) -> None:
-    """`Robot.clock` translates the controller's time into this computer's, within its bound."""
+    """`Robot.clock` converts the controller's time to the time of this computer, within its bound."""
     bench.robot.realtime.wait(2.0)
     time.sleep(1.5)
     relation = bench.robot.clock
     state = bench.robot.realtime.wait(2.0)
     local = relation.to_local(state.time)
     error = clock.now() - local
-    bench.check(-bench.cycle - 2e-3 <= error <= NEAR, f"a state that has just come is {error:.4f} s old")
-    bench.check(abs(relation.to_controller(local) - state.time) < 1e-4, "there and back is another time")
+    bench.check(-bench.cycle - 2e-3 <= error <= NEAR, f"a new state is {error:.4f} s old")
+    bench.check(abs(relation.to_controller(local) - state.time) < 1e-4, "converting there and back changes the time")
     bench.check(abs(relation.drift) < 2e-3, f"the drift is {relation.drift}")
 
 
 @trial
 def iterating(bench: Bench) -> None:
-    """A loop gets each state once, in order; one that is slow gets the newest, or all of them by `block`."""
+    """A loop gets each state once, in order; a slow loop gets the newest, or all of them with `block`."""
     policy = bench.chance.choice((None, urlink.latest, urlink.drop_oldest(4), urlink.block))
     rest = bench.chance.choice((0.0, 0.0, 3 * bench.cycle))
     times = []
@@ -357,9 +357,9 @@ def iterating(bench: Bench) -> None:
     cycles = np.round(np.diff(times) / bench.cycle)
     bench.check(np.all(cycles >= 1), f"not in order: {times}")
     if policy is urlink.block:
-        bench.check(np.all(cycles == 1), f"states are left out by {policy}: {cycles.tolist()}")
+        bench.check(np.all(cycles == 1), f"states are missing with {policy}: {cycles.tolist()}")
     elif rest:
-        bench.check(cycles.max() > 1, "nothing is left out by a slow loop")
+        bench.check(cycles.max() > 1, "a slow loop drops no states")
 
 
 @trial
@@ -381,7 +381,7 @@ def bytes_of_a_stream(bench: Bench) -> None:
 
 @trial
 def a_recording(bench: Bench) -> None:
-    """A recording has what came meanwhile, each state once; it can be loaded and played."""
+    """A recording has each received state once; it can be loaded and played."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.urlog"
         interfaces: list[Any] = ["realtime"] + ["primary"] * (bench.chance.random() < 0.5)
@@ -402,7 +402,7 @@ def a_recording(bench: Bench) -> None:
         with urlink.connect(path) as played:
             times = [state.time for state in played.realtime.iterate(policy=urlink.block)]
             bench.check(len(times) >= 0.2 / bench.cycle, f"{len(times)} states were recorded")
-            bench.check(set(times) - {times[0]} <= {*seen, *times[-2:]}, "others were recorded than came")
+            bench.check(set(times) - {times[0]} <= {*seen, *times[-2:]}, "the recorded states differ from the received")
             bench.check(np.all(np.round(np.diff(times) / bench.cycle) == 1), "states are missing")
             bench.check(played.rtde.is_recorded is (outputs is not None) or outputs is None, "RTDE is not in it")
             if outputs is not None:
@@ -416,10 +416,10 @@ def a_recording(bench: Bench) -> None:
 
 @trial
 def read_only(bench: Bench) -> None:
-    """A connection with `read_only` shows the same states, and takes no command."""
+    """A connection with `read_only` shows the same states, and rejects commands."""
     with urlink.connect(bench.host, read_only=True, timeout=3.0) as other:
         bench.check(
-            abs(other.realtime.wait(2.0).time - bench.controller.time) < NEAR + 2 * bench.cycle, "another state"
+            abs(other.realtime.wait(2.0).time - bench.controller.time) < NEAR + 2 * bench.cycle, "it shows other states"
         )
         other.primary.wait(2.0)
         for command in (
@@ -435,7 +435,7 @@ def read_only(bench: Bench) -> None:
 
 @trial
 def a_closed_robot(bench: Bench) -> None:
-    """`Robot.close` ends in time, wakes every call that waits, and what is used then raises `Closed`."""
+    """`Robot.close` ends in time and ends every waiting call; later uses raise an error."""
     other = urlink.connect(bench.host, timeout=3.0)
     waits = {
         "wait_digital_in": lambda: other.io.wait_digital_in(7, True, 20.0),
@@ -468,7 +468,7 @@ def a_closed_robot(bench: Bench) -> None:
 
 @trial
 def closing_a_callback(bench: Bench) -> None:
-    """`Subscription.close` waits `timeout` seconds for a callback that is running; in the callback it does not."""
+    """`Subscription.close` waits `timeout` seconds for a running callback, but not within the callback."""
     state: dict[str, Any] = {"running": False, "calls": 0}
 
     def slow(_: Any) -> None:
@@ -509,14 +509,14 @@ def closing_a_callback(bench: Bench) -> None:
     bench.robot.realtime.wait(5.0)
     with bench.quiet(), bench.robot.realtime.subscribe(wrong, inline=inline) as failing:
         time.sleep(0.2)
-        # The controller drops a connection that an inline callback has not read for too long.
+        # The controller drops a connection that is not read for too long, because an inline callback blocks the reader.
         bench.check(failing.stats.raised > 10 or inline, f"{failing.stats}")
         bench.check(failing.stats.delivered == 0, f"{failing.stats}")
 
 
 @trial
 def a_reboot(bench: Bench) -> None:
-    """After a reboot of the controller streams go on, its clock is another one, and it is asked again who it is."""
+    """After a reboot of the controller, streams continue, its new clock is detected, and its identity is read again."""
     bench.robot.realtime.wait(2.0)
     time.sleep(1.0)
     relation = bench.robot.clock
@@ -527,7 +527,7 @@ def a_reboot(bench: Bench) -> None:
     time.sleep(1.0)
     state = bench.robot.realtime.wait(5.0)
     late = clock.now() - relation.to_local(state.time)
-    bench.check(-2e-3 - bench.cycle <= late <= NEAR, f"a state that has just come is {late:.4f} s old")
+    bench.check(-2e-3 - bench.cycle <= late <= NEAR, f"a new state is {late:.4f} s old")
     bench.check(relation.restarts == before + 1, f"{relation.restarts - before} restarts are counted")
     bench.check(bench.robot.firmware == bench.controller.firmware, f"{bench.robot.firmware}")
     bench.check(bench.robot.realtime.stats.reconnects == 1, f"{bench.robot.realtime.stats.reconnects} reconnects")
@@ -535,7 +535,7 @@ def a_reboot(bench: Bench) -> None:
 
 @trial
 def counters(bench: Bench) -> None:
-    """Counters only grow, over connections and lost boundaries, and what they say of a stream is so."""
+    """Counters only grow, across reconnections and lost boundaries, and their values are correct."""
     stream, period = _stream(bench)
     name = "realtime" if period < 0.05 else "primary"
     stream.wait(2.0)
@@ -551,7 +551,7 @@ def counters(bench: Bench) -> None:
         looks.append(stream.stats)
     for one, other in itertools.pairwise(looks):
         less = [field for field in growing if getattr(other, field) < getattr(one, field)]
-        bench.check(not less, f"{less} became less: {one}, {other}")
+        bench.check(not less, f"{less} decreased: {one}, {other}")
     first, last = looks[0], looks[-1]
     bench.check(first.skipped == 0 and first.reconnects == 0, f"{first}")
     bench.check(last.reconnects >= 1, f"{last}")

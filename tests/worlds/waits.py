@@ -1,7 +1,7 @@
-"""How long the library waits: no wait lasts longer than any timeout that a client of a world gives.
+"""Check of the timeouts of waits: no wait has a longer timeout than the clients of a world pass.
 
-A timeout that is lost on its way goes unnoticed for as long as what is waited for comes, which it nearly always does.
-So each wait is looked at as it begins.
+A timeout that is not passed on goes unnoticed as long as the awaited event happens, which is nearly always the case. So
+each wait is checked when it starts.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from .observed import replaced
 
 __all__ = ["LONGEST", "watching"]
 
-#: s: longer than any timeout that worlds give, and than every default of the library and of what it stands in for.
+#: Longer than any timeout in worlds, and than every default of the library and of the compatibility layers, in s.
 LONGEST = 1000.0
 
 
 @contextlib.contextmanager
 def watching(fault: Callable[[str], object]) -> Iterator[None]:
-    """Look at the waits, for as long as the block lasts."""
+    """Check all waits while the block lasts."""
 
     def look(seconds: Any, where: str) -> None:
         if isinstance(seconds, (int, float)) and LONGEST < seconds < math.inf:
-            fault(f"the library would wait {seconds:.4g} s in {where}: nobody has given such a timeout")
+            fault(f"the library would wait {seconds:.4g} s in {where}, but no client has passed such a timeout")
 
     def of_part(slice_of: Callable[[Any], Any]) -> Callable[[Any], Any]:
         def wrapped(seconds: Any) -> Any:

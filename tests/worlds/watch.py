@@ -1,8 +1,8 @@
-"""What must be true of a world at every moment: the oracle.
+"""Oracle: conditions that must be true in a world at every moment.
 
-The arm is looked at in each cycle. It may move only while somebody wants it to: from the moment at which a client asks
-until the end has been reported to it, and for as long as an arm takes to brake. Where the error of a call states that
-the arm may still move, it may, until the program on the controller is over.
+The arm is checked in each cycle. It may move only while a client wants it to: from the request of the client until the
+end was reported to it, and for the time that an arm needs to brake. If the error of a call states that the arm might
+still move, it may do so until the program on the controller has ended.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from .promises import Promises
 
 __all__ = ["ADMITS", "BRAKING", "Outcome", "Watch"]
 
-#: rad/s above which the arm moves.
+#: Joint speed above which the arm counts as moving, in rad/s.
 MOVES = 0.01
-#: rad/s by which it gets faster in a cycle in which it begins to move: the profiles of moves begin with less.
+#: Increase of speed in one cycle above which the arm starts to move, in rad/s: profiles of moves start with less.
 BEGINS = 1e-5
-#: Seconds between two cycles after which the controller was suspended: without clients it is late by 0.1.
+#: Time between two cycles that shows a suspended controller, in s: without clients, a cycle is late by 0.1 s.
 _SUSPENDED = 0.15
-#: Programs that have an owner of their own: the one that is saved at the pendant, and those of foreign clients.
+#: Programs with a separate owner: the program that is saved on the pendant, and programs of foreign clients.
 _OWNED = ("pick", "foreign")
 
 
 @dataclass
 class Outcome:
-    """What a run has shown.
+    """Result of a run.
 
     Attributes:
-        faults: what was not as it must be, in words; none in a good run.
-        trace, steps: of the scheduler.
-        moved: seconds for which the arm moved.
-        simulated: seconds that passed.
-        places: as `Observed.places`.
-        log: what was asked, what happened and what came of it, by its time.
+        faults: Descriptions of faults; empty in a good run.
+        trace, steps: Trace and number of steps of the scheduler.
+        moved: Time for which the arm moved, in s.
+        simulated: Simulated time, in s.
+        places: See `Observed.places`.
+        log: Requests, events and results, with their times.
     """
 
     faults: list[str] = field(default_factory=list)
@@ -55,16 +55,16 @@ class Outcome:
 
 
 class Watch:
-    """Looks at the arm in every cycle.
+    """Check of the arm in every cycle.
 
     Args:
-        sim, controller: of the world.
-        outcome: where it is written.
-        is_quiet: no stop can come, and the robot cannot go away.
-        is_alone: one client asks for one thing, and nothing happens.
+        sim, controller: Parts of the world.
+        outcome: Result to write.
+        is_quiet: Whether no stop can come, and the robot cannot disconnect.
+        is_alone: Whether one client makes one request, and there are no events.
 
     Attributes:
-        observed: programs and handles of the world.
+        observed: Programs and handles of the world.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Watch:
         self.observed = Observed(sim, controller, self._once)
         self._promises = Promises(sim, controller, self.observed, self._once, is_alone=is_alone)
         self._counted = Counted(controller.firmware.rate, self._once)
-        #: the clients that want the arm to move, and until when it may although none does
+        #: Clients that want the arm to move; `_until` is the time until which it may move without one.
         self.wanting: set[int] = set()
         self._until = self._looked = 0.0
         self._is_admitted = False
@@ -85,9 +85,9 @@ class Watch:
         self._q: tuple[float, ...] = tuple(controller.arm.setpoint.q)
         self._qd: tuple[float, ...] = (0.0,) * 6
         self._time = 0.0
-        #: a person jogs it, at the pendant
+        #: Whether a person jogs the arm at the pendant.
         self.is_led = False
-        #: rad/s², the largest so far
+        #: Largest acceleration so far, in rad/s².
         self.accelerated = 0.0
         advance = controller._control.advance
 
@@ -99,7 +99,7 @@ class Watch:
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
-        """Observe what the library does, too, for as long as the block lasts."""
+        """Observe the library, too, while the block lasts."""
         with (
             self.observed.watching(),
             self._counted.watching(),
@@ -119,11 +119,11 @@ class Watch:
         self._outcome.faults.append(text)
 
     def begin(self, client: int) -> None:
-        """A client asks for something."""
+        """Record a request of a client."""
         self.wanting.add(client)
 
     def end(self, client: int, error: BaseException | None) -> None:
-        """It has been told of the end, unless it is gone."""
+        """Record that the end was reported to a client, unless it no longer exists."""
         if client in self.wanting:
             self.wanting.discard(client)
             self._until = max(self._until, self._sim.now + BRAKING)
@@ -131,19 +131,19 @@ class Watch:
                 self._is_admitted = True
 
     def told(self, client: int, what: str, error: BaseException | None) -> None:
-        """A client has been told how something ended that it asked for."""
+        """Record the reported result of a request of a client."""
         said = "well" if error is None else f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
         self.note(f"client {client}: {what} ended: {said}")
         if self._is_quiet and type(error).__name__ in ("NotRunning", "SafetyStop"):
-            self._once(f"{what} ended with {said}, in a world in which nothing happens")
+            self._once(f"{what} ended with {said}, in a world without events")
 
     def gone(self, client: int) -> None:
-        """A client is killed: what runs on the robot by itself may come to its end."""
+        """Record that a client was killed: programs that run on their own may continue to their end."""
         self.wanting.discard(client)
         self._is_admitted = True
 
     def resumes(self) -> None:
-        """A safeguard stop is over, and the controller goes on with its program by itself."""
+        """Record the end of a safeguard stop, after which the controller resumes its program automatically."""
         self.observed.played.append(self._sim.now)
 
     @property
@@ -156,7 +156,7 @@ class Watch:
         setpoint = controller.arm.setpoint
         missed = self._sim.now - self._looked
         if missed > _SUSPENDED and self._until > self._looked:
-            self._until += missed  # it brakes on when it goes on
+            self._until += missed  # the arm continues to brake when the controller resumes
         self._looked = self._sim.now
         q, qd = tuple(setpoint.q), tuple(setpoint.qd)
         if controller.program_name in _OWNED:
@@ -175,7 +175,7 @@ class Watch:
         main = controller._runner.main
         sent = None if main is None else observed.programs.get(main.name)
         if speed > before + BEGINS and sent is not None and observed.waits(sent) and not self.is_led:
-            self._once(f"{sent.wrapped.name} ({sent.life.name}) moves the arm without a permission of its own client")
+            self._once(f"{sent.wrapped.name} ({sent.life.name}) moves the arm without a permission from its client")
         if speed <= MOVES:
             if not controller.is_running_program:
                 self._is_admitted = False
@@ -188,17 +188,17 @@ class Watch:
             if why is not None:
                 self._once(f"the arm moves at {speed:.3f} rad/s by {sent.wrapped.name} ({sent.life.name}), {why}")
         elif (controller.program_name or "").startswith("urlink_stop_") and speed <= before + BEGINS:
-            pass  # of a client, which may have stopped what it had given up
+            pass  # the stop of a client, which may have stopped an abandoned program
         elif not self.wanting and self._sim.now > self._until and not self._is_admitted:
-            self._once(f"the arm moves at {speed:.3f} rad/s, and nobody wants it to: {controller.program_name}")
+            self._once(f"the arm moves at {speed:.3f} rad/s, but no client wants it to: {controller.program_name}")
 
     def _note_stop(self) -> None:
         controller, observed = self._controller, self.observed
-        if controller.time < self._time:  # it was booted
+        if controller.time < self._time:  # the controller was booted
             observed.stops.clear()
             closed = set(controller.ports.values()) - here().listeners.keys()
             if controller.is_up and closed:
-                self._once(f"the controller is up after a boot, and its ports are closed: {sorted(closed)}")
+                self._once(f"the controller is up after a boot, but its ports are closed: {sorted(closed)}")
         self._time = controller.time
         if controller.stopped_since is None:
             observed.stop_holds = False
@@ -217,5 +217,5 @@ class Watch:
 
 
 def _most(values: tuple[float, ...], before: tuple[float, ...]) -> float:
-    """By how much one of six values has changed at most. In most cycles none has."""
+    """Return the largest change of one of six values. In most cycles, no value has changed."""
     return 0.0 if values == before else max(abs(a - b) for a, b in zip(values, before, strict=True))

@@ -1,6 +1,6 @@
-"""A world: a controller, its clients and what they do, and what happens to cables and computers.
+"""Worlds: a controller, clients with their requests, and events of cables and computers.
 
-A world is data, so that one in which something went wrong can be made smaller, printed, and pasted into a test.
+A world is data, so that a world with a fault can be made smaller, printed, and pasted into a test.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T", "World", "Client", "Ask", "Event")
 
-#: Motions that end by themselves, motions that last as long as a block, and calls that move nothing.
+#: Motions that end on their own, motions that last as long as a block, and calls that do not move the arm.
 MOTIONS = (
     "move_joints",
     "move_linear",
@@ -80,7 +80,7 @@ CALLS = (
     "dashboard_popup",
     "program_state",
 )
-#: What a client of each kind asks for; `asked` has a function for each.
+#: Requests of a client of each kind; `asked` has a function for each request.
 ASKED = {
     "threads": MOTIONS + BLOCKS + CALLS,
     "asyncio": MOTIONS + BLOCKS + CALLS,
@@ -113,11 +113,11 @@ ASKED = {
         "dashboard_flood",
     ),
 }
-#: How it goes on after that.
+#: Actions of a client after its request.
 THEN = ("wait", "wait_briefly", "cancel", "leave", "interrupt", "forget")
-#: The same, with a signal that comes meanwhile.
+#: The same actions, and a signal that comes meanwhile.
 THEN_OR_SIGNAL = (*THEN, "signal", "signal")
-#: What happens beside the clients: at the pendant and to the arm, to the network and to computers.
+#: Events that clients do not cause: at the pendant and to the arm, to the network and to computers.
 AT_THE_ROBOT = (
     "protective_stop",
     "safeguard_stop",
@@ -154,26 +154,26 @@ HAPPENS = (
     "hold_client",
 )
 
-#: What happens in worlds whose actions come from `surface`, in addition to `HAPPENS`.
+#: Events in worlds whose actions come from `surface`, in addition to `HAPPENS`.
 LACKS = ("no_threads", "clock_jumps")
 
-#: Stops, and what comes between two computers.
+#: Stops, and events of the connection between two computers.
 STOPS = ("protective_stop", "safeguard_stop", "emergency_stop", "pendant_stop", "pendant_pause")
 CABLES = ("cut", "deaf", "mute", "reset", "suspend_client", "suspend_robot", "hold_client")
 
 
 @dataclass(frozen=True)
 class Ask:
-    """One thing that a client asks for.
+    """Request of a client.
 
     Attributes:
-        what: of `ASKED`.
-        then: of `THEN`.
-        after: seconds before it is asked for.
-        size: 0 to 1: how far, how fast, which one.
-        patience: seconds until `then` is done, where it is not done at once.
-        thread: number of the client's thread, or task, that asks.
-        at: seconds after the clients have begun before which it is not asked for.
+        what: Request, one of `ASKED`.
+        then: Action afterwards, one of `THEN`.
+        after: Delay before the request, in s.
+        size: Distance, speed or choice, from 0 to 1.
+        patience: Delay before `then`, unless it follows immediately, in s.
+        thread: Number of the client's thread or task that makes the request.
+        at: Earliest time of the request after the start of the clients, in s.
     """
 
     what: str
@@ -187,14 +187,14 @@ class Ask:
 
 @dataclass(frozen=True)
 class Client:
-    """A program on a computer of its own, whose threads ask for one thing after the other.
+    """Program on its own computer, whose threads make one request after the other.
 
     Attributes:
-        asks: those of all threads.
-        drift: seconds by which its clock is fast in one.
-        kind: of `ASKED`.
-        policy: as `require_enable` of `urlink.connect`.
-        start: where its programs find their permission: in the "register" or in "flags".
+        asks: Requests of all threads.
+        drift: Drift of its clock, in seconds per second; positive if it is fast.
+        kind: Kind of the client, one of `ASKED`.
+        policy: Argument `require_enable` of `urlink.connect`.
+        start: Place of the start permission of its programs: "register" or "flags".
     """
 
     asks: tuple[Ask, ...]
@@ -206,15 +206,15 @@ class Client:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happens.
+    """Event of a world.
 
     Attributes:
-        what: of `HAPPENS`.
-        at: seconds after the ask `ask` of the client, or after the clients have begun.
-        lasts: seconds until it is undone, where it can be.
-        client: number of the client that it concerns.
-        size: 0 to 1.
-        ask: number of an ask of that client; None for the beginning.
+        what: Kind of the event, one of `HAPPENS`.
+        at: Delay after the request `ask` of the client, or after the start of the clients, in s.
+        lasts: Time until the event is undone, if it can be undone, in s.
+        client: Number of the affected client.
+        size: Size of the event, from 0 to 1.
+        ask: Number of a request of the client; None for the start.
     """
 
     what: str
@@ -227,10 +227,10 @@ class Event:
 
 @dataclass(frozen=True)
 class World:
-    """Everything that a run depends on, beside the order of its threads, which `seed` decides.
+    """Everything that a run depends on; `seed` decides the order of its threads.
 
     Attributes:
-        lines: seconds after the clients have begun for which threads also yield between two lines of the library.
+        lines: Time after the start of the clients in which threads also yield between lines of the library, in s.
     """
 
     seed: int
@@ -242,7 +242,7 @@ class World:
     lines: float = 0.0
 
     def smaller(self) -> Iterator[World]:
-        """The same with one client, event or ask less, and then with simpler and shorter ones."""
+        """Yield worlds with one client, event or request less, and then worlds with simpler and shorter ones."""
         for number in range(len(self.clients) if len(self.clients) > 1 else 0):
             events = tuple(
                 replace(event, client=event.client - (event.client > number))
@@ -272,7 +272,7 @@ class World:
         return replace(self, clients=(*self.clients[:number], client, *self.clients[number + 1 :]))
 
 
-#: The simplest value of each field that has one.
+#: Simplest values of the fields.
 _SIMPLE_CLIENT: Mapping[str, object] = {"drift": 0.0, "kind": "threads", "policy": "never", "start": "register"}
 _SIMPLE_ASK: Mapping[str, object] = {"after": 0.0, "at": 0.0, "patience": 0.0, "size": 1.0, "thread": 0, "then": "wait"}
 _SIMPLE_EVENT: Mapping[str, object] = {"at": 0.0, "lasts": 0.0, "size": 1.0}
@@ -280,7 +280,7 @@ _SIMPLE_WORLD: Mapping[str, object] = {"lines": 0.0, "latency": 1e-4, "jitter": 
 
 
 def _simpler(thing: T, simple: Mapping[str, object]) -> Iterator[T]:
-    """The same with one field at its simplest value, or rounded."""
+    """Yield copies with one field at its simplest value, or rounded."""
     for name, simplest in simple.items():
         value = getattr(thing, name)
         is_kept = name == "kind" and not {ask.what for ask in getattr(thing, "asks", ())} <= set(ASKED["threads"])
@@ -297,7 +297,7 @@ def _changed(thing: T, name: str, value: object) -> T:
 
 
 def _without(event: Event, client: int, place: int) -> Event:
-    """The event after that ask of that client is gone."""
+    """Return an event after the removal of a request of a client."""
     if event.client != client or event.ask is None or event.ask < place:
         return event
     return replace(event, ask=None if event.ask == place else event.ask - 1)
