@@ -115,8 +115,9 @@ def faults(line: Line, is_on_site: bool = True) -> Iterator[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_code_samples_of_pages_fit(page: Path) -> None:
-    # Readers of CONTRIBUTING.md insert its lines into modules, which have lines of 120 columns.
-    is_on_site = page.name != "CONTRIBUTING.md"
+    # Readers of CONTRIBUTING.md insert its lines into modules, which have lines of 120 columns. The README of the
+    # repository has each of its two commands on one line, so that a command can be copied as a whole.
+    is_on_site = page.name != "CONTRIBUTING.md" and page != ROOT / "README.md"
     found = [
         f"{page.relative_to(ROOT)}:{line.number}: {fault}"
         for line in of_page(page.read_text(encoding="utf-8"))
