@@ -24,6 +24,8 @@ _CONNECTS = {
 }
 #: Pages whose first example cannot use `with`, with the reason.
 _EXCEPTIONS = {
+    "docs/notebooks/move-and-stop.md": "the robot stays connected from cell to cell; the last cell closes it",
+    "docs/notebooks/read-and-plot.md": "the robot stays connected from cell to cell; the last cell closes it",
     "docs/packages/lerobot.md": "a robot of LeRobot has no `with`; the example disconnects in `finally`",
     "packages/lerobot/README.md": "a robot of LeRobot has no `with`; the example disconnects in `finally`",
 }

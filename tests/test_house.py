@@ -52,6 +52,7 @@ THREADS = {
     "linkcore.event_loop",  # makes blocking calls for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between requested motions
     "rhdlink.smrcl.mission",  # runs a mission that was started with `start`
+    "linkcore.cli.console",  # on Windows, reads the lines of stdin
     "linkcore.cli.progress",  # draws the progress of a command
     "urlink.cli.monitor",  # identifies the robot while the screen is drawn
 }

@@ -92,6 +92,10 @@ ENDLESS = _SLICE if _IS_DEAF else None
 _LOOK = 0.05
 
 
+#: Time in seconds after which a thread that has not begun never will, because a signal interrupted its start.
+_BEGINNING = 0.1
+
+
 def slice_of(seconds: float | None) -> float | None:
     """Return how long one system call should wait, out of `seconds` in total.
 
@@ -199,11 +203,25 @@ def is_done(future: Future[T], timeout: float | None = None) -> bool:
 
 
 def join(thread: threading.Thread, timeout: float | None = None) -> bool:
-    """Wait until a thread has ended; return False after `timeout`."""
+    """Wait until a thread has ended; False if time is up.
+
+    If a signal interrupted the start of the thread, the thread might never run. It counts as ended if it has not begun
+    after 0.1 s.
+    """
 
     def attempt(seconds: float | None) -> bool:
-        thread.join(seconds)
-        return not thread.is_alive()
+        until = now() + _BEGINNING
+        while True:
+            try:
+                thread.join(seconds)
+            except RuntimeError:  # the thread has not begun
+                if thread is threading.current_thread():
+                    raise
+                if now() >= until:
+                    return True
+                time.sleep(0.001)
+            else:
+                return not thread.is_alive()
 
     return wait(attempt, timeout)
 

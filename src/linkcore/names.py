@@ -231,7 +231,8 @@ _KEYWORDS = {
 }
 _OWN_KEYWORDS = {name: own for own, names in _KEYWORDS.items() for name in names.split()}
 
-#: A method with one of these arguments moves something, so its foreign arguments get a hint.
+#: A method with one of these arguments moves something; if it is called with an argument name of another library, the
+#: error suggests the right name.
 _OF_MOVES = frozenset({"speed", "acceleration", "wait"})
 
 

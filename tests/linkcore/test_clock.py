@@ -138,6 +138,24 @@ def test_join_returns_whether_the_thread_has_ended() -> None:
     assert clock.join(thread)
 
 
+def test_join_counts_a_thread_that_never_began_as_ended() -> None:
+    assert clock.join(threading.Thread(target=lambda: None), 5.0)
+
+
+def test_join_waits_for_a_thread_that_is_about_to_begin() -> None:
+    release = threading.Event()
+    thread = threading.Thread(target=release.wait)
+    threading.Timer(0.02, thread.start).start()
+    assert not clock.join(thread, 0.5)
+    release.set()
+    assert clock.join(thread, 5.0)
+
+
+def test_join_rejects_the_current_thread() -> None:
+    with pytest.raises(RuntimeError, match="current thread"):
+        clock.join(threading.current_thread(), 0.1)
+
+
 def test_stamp_is_old_after_a_suspend(suspend: Suspend) -> None:
     stamp = Stamp.now()
     assert not is_older(SimpleNamespace(received=stamp), 60.0)

@@ -235,7 +235,7 @@ def test_handshake_without_write_variables_is_decoded(count: int, width: int) ->
 
 
 def test_table_rejects_other_directions() -> None:
-    with pytest.raises(BadValue, match="neither"):
+    with pytest.raises(BadValue, match="expected 'r' or 'w'"):
         Database().table("x")
 
 

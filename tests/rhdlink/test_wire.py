@@ -526,7 +526,7 @@ def test_any_client_bytes_do_not_depend_on_chunking(data: bytes, cuts: list[int]
 
 @pytest.mark.property
 @given(databases(), st.integers(0, 10_000), st.integers(0, 255), places)
-def test_handshake_with_a_changed_byte_ignores_chunking(
+def test_corrupted_handshake_result_does_not_depend_on_chunking(
     database: Database, at: int, byte: int, cuts: list[int]
 ) -> None:
     data = bytearray(database.encode_handshake("r"))

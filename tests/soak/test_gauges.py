@@ -22,7 +22,7 @@ def run(leak: float, noise: float = 1.0) -> list[Sample]:
     return samples
 
 
-def test_noise_outliers_and_a_steep_beginning_are_flat() -> None:
+def test_noise_outliers_and_steep_start_do_not_count_as_growth() -> None:
     assert all(trend.is_flat for trend in trends(run(leak=0.0)))
 
 

@@ -281,7 +281,7 @@ def test_no_arm_starts_when_one_cannot() -> None:
 
 
 @pytest.mark.slow
-def test_path_tolerance_exceeded_by_one_arm_stops_both() -> None:
+def test_tolerance_error_of_one_arm_stops_both_arms() -> None:
     with pair(9) as both:
         motion = both.group.follow(both.steady(), path_tolerance=1e-4)
         with pytest.raises(ToleranceExceeded):

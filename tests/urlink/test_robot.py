@@ -468,7 +468,7 @@ def test_twenty_robots_lose_no_state() -> None:
             controller.close()
 
 
-def test_rtde_is_the_same_for_two_concurrent_first_uses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_concurrent_first_accesses_share_one_rtde_client(monkeypatch: pytest.MonkeyPatch) -> None:
     made, barrier = urlink.rtde.Rtde, threading.Barrier(2)
 
     def slow(*arguments: Any, **options: Any) -> urlink.rtde.Rtde:

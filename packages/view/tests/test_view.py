@@ -226,17 +226,18 @@ def test_curves_have_units_and_legends(tmp_path: Path) -> None:
     connected = ConnectionState.CONNECTED
     live = LiveWindow(cast("Any", SimpleNamespace(start=lambda: None, latest=state, connection=connected)))
     fields = {
-        "qd_actual": ("qd_actual [rad/s]", ["base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"]),
-        "tcp_force": ("tcp_force [N, Nm]", ["x, N", "y, N", "z, N", "rx, Nm", "ry, Nm", "rz, Nm"]),
-        "speed_scaling": ("speed_scaling", ["speed_scaling"]),
+        "qd_actual": ("rad/s", ["base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"]),
+        "tcp_force": ("N, Nm", ["x, N", "y, N", "z, N", "rx, Nm", "ry, Nm", "rz, Nm"]),
+        "speed_scaling": ("", ["speed_scaling"]),
     }
     for window in (live, recorded):
         with Page("a page", port=0) as page:
             view = ArmView(page, Arm("UR5e"), window, plots=list(fields))
             view.show()
-            for curves, (title, labels) in zip(view._plots, fields.values(), strict=True):
+            for curves, (field, (unit, labels)) in zip(view._plots, fields.items(), strict=True):
                 handle = curves._handle
-                assert handle.title == title
+                assert handle.title == field
+                assert [axis["label"] for axis in handle.axes] == ["t [s]", unit]
                 assert [each["label"] for each in handle.series] == ["t [s]", *labels]
                 assert handle.legend["show"]
 

@@ -139,7 +139,7 @@ def _positive(text: str, expected: str) -> float:
 def positive_int(text: str) -> int:
     """Convert text to a whole number that is 1 or more."""
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is invalid; expected a whole number, 1 or more")
     return int(text)
 
 
@@ -150,7 +150,7 @@ def replay_rate(text: str) -> float:
     try:
         return positive_number(text)
     except argparse.ArgumentTypeError:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a positive number nor max") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is invalid; expected a positive number or max") from None
 
 
 #: Duration of a command.

@@ -55,7 +55,8 @@ class Tape:
             raise BadValue("a tape needs at least two points")
         if not (0.0 < self.width < math.inf and 0.0 <= self.brightness <= 1.0):
             raise BadValue(
-                f"a tape has width {self.width} m and brightness {self.brightness}; expected > 0 m, and 0 to 1"
+                f"a tape has width {self.width} m and brightness {self.brightness}; expected a width "
+                "above 0 m and a brightness from 0 to 1"
             )
         _check(self.points)
 

@@ -349,7 +349,7 @@ class Database:
             BadValue: If `direction` is neither.
         """
         if direction not in ("r", "w"):
-            raise BadValue(f"{direction!r} is neither 'r' nor 'w'")
+            raise BadValue(f"direction is {direction!r}; expected 'r' or 'w'")
         return self.read if direction == "r" else self.write
 
     def freeze(self) -> None:

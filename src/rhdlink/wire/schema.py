@@ -107,7 +107,7 @@ READY = Package("r", {"client": "rw"}, "role of the request: r as reader, w as m
 #: The end of a batch.
 END = Package("e", {"client": "", "server": ""}, "no meaning; e by convention")
 
-#: All packages, by their names for `schema`, and by their letter.
+#: All packages: by the name that `schema` uses, and by letter.
 _NAMED = {"access": ACCESS, "table": TABLE, "data": DATA, "ready": READY, "end": END}
 PACKAGES = {package.letter: package for package in _NAMED.values()}
 

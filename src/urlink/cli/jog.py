@@ -28,13 +28,13 @@ def _part(text: str) -> float:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
     if not _SLOWEST <= part <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text} is not from {_SLOWEST:g} to 1")
+        raise argparse.ArgumentTypeError(f"{text} is out of range; expected {_SLOWEST:g} to 1")
     return part
 
 
 def _hold(text: str) -> float:
     if not 0.05 <= seconds(text) <= 10.0:
-        raise argparse.ArgumentTypeError(f"{text} is not from 0.05 to 10 s")
+        raise argparse.ArgumentTypeError(f"{text} s is out of range; expected 0.05 to 10 s")
     return seconds(text)
 
 

@@ -72,7 +72,7 @@ class BriefInputs(Protocol):
     """RTDE inputs of a robot, claimed while settings follow one another."""
 
     def claim(self, names: tuple[str, ...], *, wait: bool) -> Callable[[Mapping[str, Any]], None] | None:
-        """Return a function that writes these inputs without waiting; None if the claim would need waiting.
+        """Return a function that writes these inputs without waiting; None if claiming them would require waiting.
 
         Raises `LinkError` if the inputs cannot be claimed.
         """

@@ -329,9 +329,9 @@ class Motions(StrictAttributes):
                 the arm had come to rest. If it is then exceeded, the motion ends with `ToleranceExceeded`.
             feedback: Function that receives the actual and the desired position of the arm. It is called in a dedicated
                 thread; it may be slow, and it may raise.
-            delay: Lag of the arm behind its set-points in s, as measured by `Servo.measure_delay`. Set-points are sent
-                earlier by this time, and tolerances and feedback do not include this lag. If None, the two cycles are
-                used that a set-point takes to arrive.
+            delay: Lag of the arm behind its set-points in s, as measured by `Servo.measure_delay`. Tolerances and
+                feedback do not include this lag. It does not change when set-points are sent. If None, the two cycles
+                are used that a set-point takes to arrive.
             watchdog: Longest time without a set-point, in seconds. After this time, the robot brakes on its own.
             lookahead_time: Look-ahead of ``servoj``, 0.03 to 0.2 s. A larger one makes the motion smoother and
                 increases the lag. Has no effect on CB2.

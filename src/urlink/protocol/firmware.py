@@ -225,8 +225,9 @@ def release_of(firmware: Firmware) -> Release:
     rows = [row for row in RELEASES if row.since <= firmware]
     same = [row for row in rows if row.since.major == firmware.major]
     if not rows or (not same and firmware.major < _MAJORS[-1]):
-        known = ", ".join(f"{major}.x" for major in _MAJORS)
-        raise BadVersion(f"unknown firmware {firmware}; expected {RELEASES[0].since} or later, of {known}")
+        series = [f"{major}.x" for major in _MAJORS]
+        known = " or ".join((", ".join(series[:-1]), series[-1]))
+        raise BadVersion(f"unknown firmware {firmware}; expected a release of {known}, from {RELEASES[0].since} on")
     return (same or rows)[-1]
 
 

@@ -9,8 +9,9 @@ The date identifies the state that the message answers: the cycle of the control
 counted from the first state of the motion. URScript cannot read that clock on every firmware. Therefore the program
 counts its own cycles, and keeps the smallest difference between its count and a date, which belongs to the fastest
 message. A set-point is ignored if its difference is larger by more than the watchdog's cycles. Set-points queued in
-the socket while the controller hung are therefore followed for at most one watchdog time. A round of the loop takes at
-least one cycle, so the program counts no faster than the controller's clock, and counting alone makes no message old.
+the socket while the controller hung are therefore followed for at most one watchdog time. A pass through the loop
+takes at least one cycle, so the program never counts faster than the controller's clock, and counting by itself never
+makes a message seem too old.
 
 With a `ReverseSocket`, the program connects back to this computer, as programs of public drivers do. It sends a token
 that only its text contains, so that another peer that finds the port is not mistaken for the robot. The result of

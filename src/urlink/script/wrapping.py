@@ -368,7 +368,7 @@ def _items(lines: list[str]) -> list[_Item]:
             if word != "end":
                 opened.append((word, number))
             elif not opened:
-                raise BadValue(f"line {number + 1} of the program: an `end` without a block")
+                raise BadValue(f"line {number + 1} of the program: an `end` has no block")
             else:
                 opened.pop()
                 if not opened:
@@ -385,7 +385,7 @@ def _tokens(line: str, number: int) -> Iterator[str]:
     """Yield the words in a line that open or end a block; strings and comments are skipped."""
     bare = _TOKEN.sub(lambda found: "" if found[0][0] in '"#' else found[0], line)
     if '"' in bare:
-        raise BadValue(f"line {number + 1} of the program: a string that is not closed")
+        raise BadValue(f"line {number + 1} of the program: a string is not closed")
     for found in _TOKEN.finditer(line):
         if found[0][0] not in '"#':
             yield found[0]

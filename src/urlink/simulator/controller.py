@@ -632,7 +632,9 @@ def _numeric(address: str) -> str:
     try:
         return str(ipaddress.ip_address(address))
     except ValueError:
-        raise BadValue(f"reachable address {address!r}; expected a numeric address, such as 192.168.1.2") from None
+        raise BadValue(
+            f"invalid reachable address {address!r}; expected a numeric address, such as 192.168.1.2"
+        ) from None
 
 
 def _port_numbers(ports: str | Mapping[str, int], firmware: Firmware) -> dict[str, int]:

@@ -59,7 +59,11 @@ def test_jog_fails_without_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize(
-    ("option", "message"), [("--speed=3", "3 is not from 0.01 to 1"), ("--hold=60", "60 is not from 0.05 to 10 s")]
+    ("option", "message"),
+    [
+        ("--speed=3", "3 is out of range; expected 0.01 to 1"),
+        ("--hold=60", "60 s is out of range; expected 0.05 to 10 s"),
+    ],
 )
 def test_jog_rejects_values_out_of_range(run: Run, option: str, message: str) -> None:
     status, _, err = run("jog", "sim://", option)

@@ -129,7 +129,7 @@ def test_doctor_finds_missing_states(run: Run) -> None:
     assert re.search(r"\d+ of \d+ cycles are missing \(\d+ gaps?, the longest 0\.\d+ s\) by its own clock", line), line
 
 
-def test_doctor_names_stop_local_control_and_closed_port(run: Run) -> None:
+def test_doctor_reports_protective_stop_and_closed_port(run: Run) -> None:
     with Controller("UR5e", "5.11") as controller:
         controller.remote_control = False
         controller.faults.protective_stop()

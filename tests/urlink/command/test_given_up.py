@@ -49,7 +49,7 @@ def test_hinder_returns_clear_to_kept() -> None:
     assert (program.phase, program.is_kept) == (GivenUpPhase.KEPT, True)
 
 
-def test_end_while_stop_is_sent_forgets_program() -> None:
+def test_program_that_ends_while_its_stop_is_sent_is_forgotten() -> None:
     program = given_up(GivenUpPhase.KEPT)
     program.fire(GivenUpEvent.END)
     program.fire(GivenUpEvent.DELIVER)

@@ -195,7 +195,7 @@ def test_unexpected_program_end_ends_block(rehearsal: Callable[..., Rehearsal], 
             block.wait(TIMEOUT)
 
 
-def test_left_block_rejects_commands(robot: Rehearsal) -> None:
+def test_command_after_leaving_block_raises_closed(robot: Rehearsal) -> None:
     with entered(robot, robot.motion.jog()) as jog:
         jog._program.finish()  # as leaving the block does, before it waits until the arm is at rest
         with pytest.raises(Closed, match="the block of this jog was left"):

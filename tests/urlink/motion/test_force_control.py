@@ -121,7 +121,7 @@ def test_loop_can_send_torques(made: Callable[[str], Made]) -> None:
     controller, robot = made("5.25")
     controller.world.clear()
     with robot.motion.torque(watchdog=1.0, limits=[10, 10, 10, 5, 5, 5]) as torque:
-        with pytest.raises(BadValue, match=r"torque\[5\] \(wrist 3\) is 6 Nm; at most 5 Nm"):
+        with pytest.raises(BadValue, match=r"torque\[5\] \(wrist 3\) is 6 Nm; expected at most 5 Nm"):
             torque.send([0, 0, 0, 0, 0, 6])
         # A spring and a damper around a position 0.1 rad away.
         for state in robot.realtime:

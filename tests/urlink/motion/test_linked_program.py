@@ -372,7 +372,7 @@ def test_disabled_arm_can_be_stopped(talk: Talk) -> None:
     assert talk.said[-1] == b"bye"
 
 
-def test_no_message_is_sent_after_end(talk: Talk) -> None:
+def test_ended_program_receives_no_message(talk: Talk) -> None:
     talk.begin()
     talk.robot.vanish()
     talk.robot.until(lambda: talk.motion.done)

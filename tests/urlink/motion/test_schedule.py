@@ -335,7 +335,7 @@ class TestServo:
                     servo.schedule(refused, at=robot.time + 1)
             with pytest.raises(LocalError, match=r"use either send\(\) or schedule\(\), not both"):
                 servo.send(HOME)
-            with pytest.raises(LocalError, match="needs its own block"):
+            with pytest.raises(LocalError, match="cannot be used with a target filter or scheduled waypoints"):
                 servo.measure_delay()
 
     @pytest.mark.parametrize("delay", [None, 0.0, 0.1])

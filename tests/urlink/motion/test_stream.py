@@ -68,7 +68,7 @@ class TestMoving:
         assert np.abs(path - wanted).max() < error
         assert stream.feed.starved == 0
 
-    def test_no_point_is_missed_with_mixed_degrees(self) -> None:
+    def test_stream_reaches_every_point_of_mixed_degrees(self) -> None:
         stream = Streamed(E_SERIES)
         for i in range(1, 41):
             stream.append(wave(i * 0.05, (1, 3, 5)[i % 3]))
@@ -421,7 +421,8 @@ class TestEnd:
 
 
 def random_points(rng: np.random.Generator, count: int, q: FloatArray) -> list[TrajectoryPoint]:
-    """Return points at random intervals, of random degrees, at speeds up to 1 rad/s."""
+    """Return points at random intervals, with random derivatives (none, speeds, or speeds and accelerations), at
+    speeds up to 1 rad/s."""
     made, t = [], 0.0
     for _ in range(count):
         h = float(rng.uniform(0.05, 0.4))

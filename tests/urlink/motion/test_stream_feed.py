@@ -147,7 +147,7 @@ def test_pace_changes_at_rate_of_program() -> None:
     assert stream.feed._program_pace.now == pytest.approx(1.0)
 
 
-def test_time_without_reports_ends_with_sent_points() -> None:
+def test_stream_time_without_reports_stops_at_last_sent_point() -> None:
     stream = moves(Streamed(E_SERIES))
     stream.way = 10_000
     before = stream.feed.time

@@ -64,7 +64,7 @@ def test_each_point_has_a_step_from_the_previous_point() -> None:
     assert aims[2].moment.qdd[5] == pytest.approx(0.2)
 
 
-def test_one_point_is_accepted_and_an_empty_list_rejected() -> None:
+def test_reader_accepts_one_point_and_rejects_empty_list() -> None:
     (aim,) = reader().after(point(0.1, 3.0), mark())
     assert aim.time == 3.0
     with pytest.raises(BadValue, match="there are no points"):

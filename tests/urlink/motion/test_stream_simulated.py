@@ -208,7 +208,7 @@ def test_missing_outputs_end_stream(connect: Callable[..., Robot]) -> None:
         until(lambda: stream.time > 0.3)
         outputs = [each for each in robot.rtde._open if isinstance(each, OutputStream)]
         outputs[0].close()
-        with pytest.raises(ConnectionLost, match="output registers have not come"):
+        with pytest.raises(ConnectionLost, match="no output registers have arrived"):
             stream.wait(TIMEOUT)
         until(lambda: stands(robot))
 

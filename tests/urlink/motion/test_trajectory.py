@@ -93,7 +93,7 @@ REST = np.zeros((3, 6))
         ([0, 1], REST, None, None, r"q has the shape \(3, 6\); expected \(2, 6\)"),
         ([0, 1, 2], np.where(np.arange(18).reshape(3, 6) == 8, NAN, 0.0), None, None, r"point 1: q\[2\] \(elbow\)"),
         ([0, 1, 2], REST, REST[:2], None, "qd has the shape"),
-        ([0, 1, 2], REST, None, REST, "accelerations without velocities"),
+        ([0, 1, 2], REST, None, REST, "has accelerations without velocities"),
         ([0, 1, 2], REST, REST + 1e300, None, r"point 0: qd\[0\]"),
         (
             [0, 1, 2],
@@ -197,7 +197,9 @@ def test_curve_is_continuous_in_given_quantities(time: FloatArray, seed: int, qu
 
 @pytest.mark.property
 @given(times, seeds, st.integers(1, 3), st.lists(st.floats(-1, 30), min_size=1, max_size=10))
-def test_single_time_equals_many_times(time: FloatArray, seed: int, quantities: int, at: list[float]) -> None:
+def test_evaluation_at_one_time_equals_row_for_several_times(
+    time: FloatArray, seed: int, quantities: int, at: list[float]
+) -> None:
     trajectory = some(time, seed, quantities)
     many = trajectory.at([*at, *time])
     for row, t in enumerate([*at, *time]):
@@ -415,7 +417,7 @@ def test_columns_may_have_any_order_and_blank_lines(file: Path) -> None:
         (HEADER + "0" * 200_000, "line 2: field larger than"),
         (HEADER, "0 points"),
         (HEADER + "0,0,0,0,0,0,0\n", "1 points"),
-        (HEADER + "0,0,0,0,0,0,0\n1,0,0,0,0,0\n", "line 3: 6 values; expected 7"),
+        (HEADER + "0,0,0,0,0,0,0\n1,0,0,0,0,0\n", "line 3 has 6 values; expected 7"),
         (HEADER + "0,0,0,0,0,0,0\n\n1,0,0,x,0,0,0\n", "line 4, column q2: 'x' is not a finite number"),
         (HEADER + "0,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", r"point 0 is line 2\): point 1: time 0 s follows 0 s"),
     ],

@@ -229,7 +229,7 @@ def test_missing_command_names_alternative(call: Callable[[Dashboard], object], 
 def test_missing_request_names_first_firmware_with_it(controller: Controller) -> None:
     now = X7
     desk = Dashboard("no-such-host.invalid", None, lambda: now, api_port=None)
-    with pytest.raises(LocalError, match="does not serve the Robot API"):
+    with pytest.raises(LocalError, match="has no Robot API"):
         desk.power_on()
     desk = Dashboard("no-such-host.invalid", None, lambda: now)
     with pytest.raises(
@@ -239,7 +239,7 @@ def test_missing_request_names_first_firmware_with_it(controller: Controller) ->
     now = X11
     with pytest.raises(LocalError, match=r"firmware 10.11 .*the Robot API has 'robotmode' in 10.12 or later"):
         desk.robot_mode()
-    with pytest.raises(LocalError, match="does not serve the dashboard server"):
+    with pytest.raises(LocalError, match="has no dashboard server"):
         Dashboard("no-such-host.invalid", None, lambda: Firmware(5, 11)).power_on()
     with pytest.raises(BadValue, match="'load' needs the name of a program"):
         desk.load(" ")

@@ -66,7 +66,8 @@ def test_release_table_equals_sizes_of_layouts(release: Release) -> None:
     assert RealtimeState.LAYOUTS.of(release.since).size == release.realtime
     for kind, size in release.state.items():
         assert class_of(kind, size).LAYOUTS.of(release.since).size == size
-    # No layout is declared for a release that the table does not list. It is unknown since when type 13 is sent.
+    # No layout is declared for a release that the table does not list. It is unknown which release was the first to
+    # send type 13.
     for kind, classes in SUB_PACKAGES.items():
         for cls in classes:
             try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 import urlink
 import urlink.cli
-from linkcore import plotting
+from linkcore import plotting, process
 from linkcore.plotting import Curves, Plot
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.history import History
@@ -163,6 +164,38 @@ def test_live_plot_ends_with_every_state(monkeypatch: pytest.MonkeyPatch) -> Non
         robot.realtime.plot("q_actual", seconds=0.5)
     assert len(drawn) == 2
     assert drawn[-1] >= drawn[0] + 499
+
+
+@pytest.mark.simulated_time
+def test_notebook_plot_shows_every_received_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    received: list[RealtimeState] = []
+    shown: list[tuple[Plot, int]] = []
+
+    def show(plot: Plot) -> None:
+        """Show a plot as a notebook does, which takes longer than half of the time of the live plot."""
+        shown.append((plot, len(received)))
+        time.sleep(0.3)
+
+    def display(plot: Plot, display_id: bool) -> Any:
+        assert display_id
+        show(plot)
+        return SimpleNamespace(update=show)
+
+    shell = SimpleNamespace(kernel=None, events=SimpleNamespace(register=lambda event, call: None))
+    monkeypatch.setattr(process, "_watched", {"exit", "SIGTERM", "notebook"})
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=display))
+    with urlink.connect("sim://") as robot:
+        robot.realtime.wait()
+        robot.realtime.subscribe(received.append, inline=True)
+        robot.realtime.plot("q_actual", "tcp_force", seconds=0.5)
+    assert len(shown) > 1
+    plot, count = shown[-1]
+    assert count > 250
+    for panel in plot.figure().axes:
+        assert len(panel.lines) == 6
+        # A state can arrive before the plot begins to collect, and after it has read the states.
+        assert all(count - 2 <= len(line.get_xdata()) <= count for line in panel.lines)
 
 
 @pytest.mark.simulated_time

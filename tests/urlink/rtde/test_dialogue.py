@@ -135,7 +135,7 @@ def test_unknown_type_counts_as_missing_variable() -> None:
 def test_input_in_use_raises() -> None:
     desk = ScriptedRtde()
     desk.held = {"speed_slider_mask"}
-    with pytest.raises(InputInUse, match="in use by another client or a fieldbus: speed_slider_mask") as caught:
+    with pytest.raises(InputInUse, match="another client or a fieldbus uses speed_slider_mask") as caught:
         opened(desk, Requests(inputs=[("input_int_register_24",), ("speed_slider_mask", "speed_slider_fraction")]))
     assert caught.value.names == ("speed_slider_mask",)
 

@@ -16,7 +16,7 @@ CELL = "192.168.0.100"
 
 
 class Truth:
-    """Current time of a simulated controller on another computer, even between its cycles."""
+    """Clock that returns the exact time of a simulated controller on another computer, also between two cycles."""
 
     def __init__(self, sim: urlink.Simulation, controller: Controller, rate: float) -> None:
         self._cell = sim.network.computers["cell"]

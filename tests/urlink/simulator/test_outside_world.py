@@ -96,7 +96,7 @@ def test_stored_xmlrpc_handle_keeps_its_methods(run: Run, server: SimpleXMLRPCSe
     [
         ("h.fail()", "answers with fault 1: .*division by zero"),
         ("h.nothing()", 'answers with fault 1: .*method "nothing" is not supported'),
-        ("h.odd()", "a value of XML-RPC that URScript does not have"),
+        ("h.odd()", "which URScript does not support"),
     ],
 )
 def test_invalid_xmlrpc_answer_ends_the_program(run: Run, server: SimpleXMLRPCServer, call: str, error: str) -> None:
@@ -128,8 +128,8 @@ def test_names_of_remote_methods_contain_dots(run: Run, server: SimpleXMLRPCServ
         ),
         # Hosts other than this computer are reachable only if a socket may connect to them, too.
         ('h = rpc_factory("xmlrpc", "http://192.0.2.1/RPC2")\nh.method()', "cannot be connected to"),
-        ('h = rpc_factory("soap", "http://127.0.0.1/")', "type is 'xmlrpc', not 'soap'"),
-        ('h = rpc_factory("xmlrpc", "127.0.0.1:40404")', "is no address such as"),
+        ('h = rpc_factory("soap", "http://127.0.0.1/")', "type is 'soap'; expected 'xmlrpc'"),
+        ('h = rpc_factory("xmlrpc", "127.0.0.1:40404")', "is not an address such as"),
         ("h = 5\nh.method()", "int has no method 'method'"),
         ('h = rpc_factory("xmlrpc", "http://127.0.0.1:29999/")\nh.method()', "does not answer as a server of XML-RPC"),
         ("x = tool_pose()", "tool_pose: its result is unknown, and it is not modelled"),
@@ -196,7 +196,7 @@ def test_modbus_rw_registers_are_lists(controller: Controller, run: Run) -> None
     for value, error in (([1, 2], "cannot be"), (7, "cannot be"), ([1, 2, 65536], "from 0 to 65535")):
         with pytest.raises(BadValue, match=error):
             controller.modbus["axes"] = value
-    with pytest.raises(urlink.ScriptFailed, match="register_value is from 0 to 65535"):
+    with pytest.raises(urlink.ScriptFailed, match="register_value is 65536; expected 0 to 65535"):
         run("modbus_set_output_register('axes', [0, 65536])")
 
 
@@ -228,12 +228,12 @@ textmsg(modbus_get_signal_status("modules"))
     assert registers is not None
     assert registers.watchdog
     for program, error in (
-        ('modbus_set_output_signal("outputs", True)', "digital_value is a list of 2 values"),
-        ('modbus_set_output_signal("outputs", [True])', "digital_value is a list of 2 values"),
-        ('modbus_set_output_signal("outputs", [True, 1])', "digital_value is True or False"),
-        ('modbus_set_output_register("speeds", [1, 65536])', "register_value is from 0 to 65535"),
+        ('modbus_set_output_signal("outputs", True)', "digital_value must be a list of 2 values"),
+        ('modbus_set_output_signal("outputs", [True])', "digital_value must be a list of 2 values"),
+        ('modbus_set_output_signal("outputs", [True, 1])', "digital_value has the type int; expected True or False"),
+        ('modbus_set_output_register("speeds", [1, 65536])', "register_value is 65536; expected 0 to 65535"),
         ('modbus_set_output_signal("inputs", [True, True, True])', "'inputs' is a digital input"),
-        ('modbus_add_signal("192.168.0.5", 255, 0, 2, "many", True, 126)', "register_count is from 1 to 125"),
+        ('modbus_add_signal("192.168.0.5", 255, 0, 2, "many", True, 126)', "register_count is 126; expected 1 to 125"),
     ):
         with pytest.raises(urlink.ScriptFailed, match=error):
             run(program)
@@ -337,7 +337,7 @@ def test_too_deep_xmlrpc_answer_ends_only_the_program(controller: Controller, ru
 
     server = Deep(TIMEOUT)
     try:
-        with pytest.raises(urlink.ScriptFailed, match="answers with more than 64 values in one another"):
+        with pytest.raises(urlink.ScriptFailed, match="nested too deeply; the limit is 64"):
             run(f'h = rpc_factory("xmlrpc", "http://127.0.0.1:{server.port}/")\nx = h.go()\n')
     finally:
         server.close()

@@ -394,7 +394,8 @@ def test_greeting_of_cb2_is_only_the_version_message(connect: Connect) -> None:
 
 @pytest.fixture
 def starved() -> Iterator[tuple[Controller, Clock]]:
-    """Controller whose time advances only by the test, as if the server's thread got no processor time meanwhile."""
+    """Controller whose time advances only when the test advances it, as if the server's thread got no processor time
+    in between."""
     controller, clock = Controller("UR5e", "5.11"), Clock()
     controller._clock = clock
     with controller:

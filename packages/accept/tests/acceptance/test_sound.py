@@ -172,5 +172,5 @@ def test_swing_with_few_packets_is_not_judged(count: int) -> None:
     for state in of.realtime.states:
         for field in COLUMNS.values():
             state.__dict__.setdefault(field, None)
-    expected = f"the recording shows nothing: the logbook has {count} rows; expected 30 or more"
+    expected = f"the recording cannot be evaluated: the logbook has {count} rows; expected 30 or more"
     assert verdict("swing-moments", of) == ("not tried", expected)

@@ -80,7 +80,7 @@ class Actions:
         except (KeyError, TypeError, ValueError) as error:
             raise BadValue(f"invalid action, {error!r}; expected the numbers {', '.join(KINDS[self.kind])}") from None
         if not np.isfinite(values).all():
-            raise BadValue(f"action {values.tolist()}; expected finite numbers")
+            raise BadValue(f"the action is {values.tolist()}; expected finite numbers")
         return values
 
     def lead(self, values: Floats, led: Floats) -> Floats:

@@ -222,7 +222,7 @@ def _in_radians(values: Any, codes: Any, units: dict[int, float]) -> Any:
     command = np.asarray(values, dtype=np.float64)
     given = np.asarray(codes if codes is not None and len(codes) else np.zeros(6), dtype=int)
     if command.shape != (6,) or given.shape != (6,) or not np.isfinite(command).all():
-        raise BadValue(f"command {command.tolist()} in units {given.tolist()}; expected six finite numbers")
+        raise BadValue(f"the command is {command.tolist()} in units {given.tolist()}; expected six finite numbers")
     unknown = [code for code in given.tolist() if code not in units]
     if unknown:
         raise BadValue(f"unknown joint unit {unknown[0]}; expected one of {', '.join(map(str, units))}")

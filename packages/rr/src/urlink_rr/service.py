@@ -321,7 +321,7 @@ class RobotService:
     def jog_cartesian(self, max_velocity: Any, timeout: float, wait: bool) -> None:
         """Move the tool at a speed in the base frame for `timeout` seconds; chain 0 is the only one."""
         if set(max_velocity) != {0}:
-            raise BadValue(f"jog_cartesian: chains {sorted(max_velocity)}; expected only chain 0")
+            raise BadValue(f"jog_cartesian: the chains are {sorted(max_velocity)}; expected only chain 0")
         speed = max_velocity[0]
         if isinstance(speed, np.ndarray):
             speed = speed.flat[0]

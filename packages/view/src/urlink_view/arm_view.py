@@ -35,6 +35,8 @@ _PER_NEWTON, _LEAST = 0.004, 3.0
 #: Distance in rad between actual and target positions below which the target is not drawn, because it would cover the
 #: arm.
 _APART = 0.01
+#: Pixels that the label of an axis of a plot needs.
+_LABEL = 18
 #: Number of calls of `show` between two updates of texts and plots.
 _SELDOM = 6
 #: Messages per second while a button is held, and time in s after which the speed of a message expires.
@@ -258,10 +260,14 @@ class _Curves:
             self._handle = self._gui.add_uplot(
                 data,
                 ({"label": "t [s]"}, *curves),
-                title=self._field if unit in ("", "1") else f"{self._field} [{unit}]",
+                title=self._field,
                 scales={"x": {"time": False, "range": (-SPAN, 0.0), "auto": False}},
+                axes=tuple(
+                    {"label": label, "labelSize": _LABEL, "size": size, "space": space}
+                    for label, size, space in (("t [s]", 34, 50), ("" if unit == "1" else unit, 48, 22))
+                ),
                 legend={"show": True, "live": False},
-                height=140,
+                height=200,
             )
         else:
             self._handle.data = data

@@ -219,7 +219,7 @@ class Trajectory(StrictAttributes):
                     f"expected a finite number of {unit}"
                 )
         if qdd is not None and qd is None:
-            raise BadValue("accelerations without velocities; a quintic curve needs both")
+            raise BadValue("the trajectory has accelerations without velocities; a quintic curve needs both")
         _check_times(time)
         self.has_velocities = qd is not None
         qd = _chosen_velocities(time, q) if qd is None else qd

@@ -55,7 +55,7 @@ def read_points(path: Path) -> tuple[list[FloatArray], int]:
     except csv.Error as error:
         raise BadValue(f"{path}, line {reader.line_num}: {error}") from None
     if len(rows) < 2:
-        raise BadValue(f"{path}: {len(rows)} points; expected at least two")
+        raise BadValue(f"{path} has {len(rows)} points; expected at least two")
     order = [columns.index(name) for name in _names(_quantities(columns))]
     table = np.array(rows, dtype=np.float64)[:, order]
     return [table[:, 0], *np.split(table[:, 1:], table.shape[1] // 6, axis=1)], lines[0]
@@ -91,7 +91,7 @@ def _check_header(path: Path, line: int, columns: list[str]) -> None:
 
 def _numbers_of(path: Path, line: int, row: list[str], columns: list[str]) -> list[float]:
     if len(row) != len(columns):
-        raise BadValue(f"{path}, line {line}: {len(row)} values; expected {len(columns)}")
+        raise BadValue(f"{path}, line {line} has {len(row)} values; expected {len(columns)}")
     values = []
     for name, cell in zip(columns, row, strict=True):
         try:

@@ -237,7 +237,7 @@ class Torque(BlockMotion):
         values = six(torque, "torque").tolist()
         for joint, (value, most) in enumerate(zip(values, self._limits, strict=True)):
             if abs(value) > most:
-                raise BadValue(f"torque[{joint}] ({JOINTS[joint]}) is {value:g} Nm; at most {most:g} Nm")
+                raise BadValue(f"torque[{joint}] ({JOINTS[joint]}) is {value:g} Nm; expected at most {most:g} Nm")
         self._message.is_mute = True
         self._say(message(values), self._watchdog)
 

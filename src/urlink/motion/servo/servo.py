@@ -267,7 +267,10 @@ class Servo(BlockMotion):
         """
         self._check_open()
         if self._targets is not None or self._schedule is not None:
-            raise LocalError("measure_delay() needs its own block, without target filter and scheduled waypoints")
+            raise LocalError(
+                "measure_delay() cannot be used with a target filter or scheduled waypoints; call it in a separate "
+                "servo block without them"
+            )
         return measure(
             self._context.realtime,
             self.send,

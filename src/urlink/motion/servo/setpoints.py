@@ -164,7 +164,7 @@ class SetpointStream:
         return [a + seconds * b for a, b in zip(self.q, self.qd, strict=True)], [share * each for each in self.qd]
 
     def excess(self, q: Sequence[float], now: float) -> str | None:
-        """Return why a set-point at `q` is further away than a joint can move; None if it may be sent."""
+        """Return a message if a set-point at `q` is further away than a joint can move; None if it may be sent."""
         return self._limit.excess(self.q, q, now)
 
     def send(self, q: list[float], qd: list[float], now: float) -> bytes:

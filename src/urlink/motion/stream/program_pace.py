@@ -1,4 +1,4 @@
-"""Pace of the program of a stream: the pace that was sent, and the pace that the program keeps by now."""
+"""Pace of a stream's program: the pace that was last sent, and the pace that the program has reached so far."""
 
 from __future__ import annotations
 

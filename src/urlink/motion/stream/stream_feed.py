@@ -493,7 +493,10 @@ class StreamFeed(LinkDialogue):
     # -- planning --------------------------------------------------------------------------------------
 
     def _place(self, later: float) -> tuple[_Sent, float] | None:
-        """Return the step that the arm is in `later` s from now, and the time since its beginning; None if unknown."""
+        """Return the step that the arm will execute `later` seconds from now, and the time since it began.
+
+        None if unknown.
+        """
         left = self._report.passed + self._passed - self._reported + later
         if self._report.phase not in (MOVING, OPEN):
             return None

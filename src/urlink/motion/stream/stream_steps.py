@@ -187,7 +187,7 @@ class Bounds:
         self.limits = tuple(limits)
         self._arm = "the fastest arm" if model is None else f"a {model.name}"
         self._speeds = np.array(speeds)
-        # A message can hold positions of up to three turns, and larger ones are not meant (`buffering.FINE`).
+        # A message can hold positions of up to three turns; larger positions are not supported (`buffering.FINE`).
         turns = np.tile([-6.0 * math.pi, 6.0 * math.pi], (6, 1))
         low, high = (turns if model is None else np.clip(model.position_limits, turns[:, :1], turns[:, 1:])).T
         self._low, self._high = low, high
@@ -276,7 +276,7 @@ class Handed:
     """Points that were appended together.
 
     Attributes:
-        future: Future that is resolved when the last point was sent, or to an error if the points were dropped.
+        future: Future that gets its result when the last point has been sent, or an error if the points were dropped.
         call: Call of the task that appends them; None if no task does.
     """
 

@@ -435,7 +435,7 @@ class Dashboard(StrictAttributes, Closing):
 
     def _check_served(self, port: int | None, what: str) -> None:
         if port is None:
-            raise LocalError(f"the controller does not serve the {what}")
+            raise LocalError(f"the controller has no {what}")
 
     def _do(self, name: str, argument: str | None = None, *, is_last: bool = False) -> str:
         """Execute one command of `COMMANDS`, and return the reply."""

@@ -365,7 +365,7 @@ def _check(names: Sequence[str], types: Sequence[str], optional: frozenset[str])
         raise NoSuchVariable(f"this controller does not have {', '.join(hints)}", lacking)
     if held:
         raise InputInUse(
-            f"in use by another client or a fieldbus: {', '.join(held)}; it releases them when it disconnects",
+            f"another client or a fieldbus uses {', '.join(held)}; it releases them when it disconnects",
             held,
         )
     return missing

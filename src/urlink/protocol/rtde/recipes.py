@@ -92,9 +92,9 @@ class Recipe(StrictAttributes):
         table: Mapping[str, Variable] = OUTPUTS,
     ) -> None:
         if len(names) != len(types):
-            raise BadValue(f"{len(types)} types for {len(names)} names; got {', '.join(types)} for {', '.join(names)}")
+            raise BadValue(f"got {len(types)} types for {len(names)} names: {', '.join(types)} for {', '.join(names)}")
         if number is not None and not 1 <= number <= MOST_RECIPES:
-            raise BadValue(f"recipe number {number}; expected 1 to {MOST_RECIPES}")
+            raise BadValue(f"the recipe number is {number}; expected 1 to {MOST_RECIPES}")
         self.names, self.types, self.number = tuple(names), tuple(types), number
         fields: dict[str, Field] = {}
         for name, type in zip(names, types, strict=True):

@@ -58,7 +58,7 @@ def type_byte(kind: int) -> int:
         BadValue: If it is not 0 to 255.
     """
     if kind not in range(256):
-        raise BadValue(f"package type {kind!r}; expected 0 to 255")
+        raise BadValue(f"the package type is {kind!r}; expected 0 to 255")
     return kind
 
 
@@ -69,7 +69,7 @@ def request_byte(letter: str) -> int:
         BadValue: If the simulator answers no such request.
     """
     if len(letter) != 1 or letter not in "VvOISP":
-        raise BadValue(f"request {letter!r}; expected V, v, O, I, S or P")
+        raise BadValue(f"the request is {letter!r}; expected V, v, O, I, S or P")
     return ord(letter)
 
 
@@ -80,7 +80,7 @@ def checked_seconds(seconds: float) -> float:
         BadValue: If it is negative or not finite.
     """
     if not 0.0 <= seconds < math.inf:
-        raise BadValue(f"time {seconds!r}; expected a finite number of seconds, 0 or more")
+        raise BadValue(f"the time is {seconds!r}; expected a finite number of seconds, 0 or more")
     return float(seconds)
 
 
@@ -91,7 +91,7 @@ def checked_sizes(sizes: Sequence[int]) -> tuple[int, ...]:
         BadValue: If there are none, or a size is not a whole number of at least one byte.
     """
     if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes):
-        raise BadValue(f"segment sizes {sizes!r}; expected whole numbers of bytes, at least 1")
+        raise BadValue(f"the segment sizes are {sizes!r}; expected whole numbers of bytes, at least 1")
     return tuple(sizes)
 
 

@@ -131,7 +131,7 @@ class Interface(ABC):
         return None
 
     def packets(self, cycle: int) -> list[bytes]:
-        """Return the packets for all clients that have become due since the last call.
+        """Return the packets that have become due for all clients since the last call.
 
         The server calls this in each cycle while a client is connected, except in cycles that are far too late. If
         clients need different packets, the interface sends them itself and returns none.

@@ -157,5 +157,5 @@ class Demonstration:
 def _posture(q: Sequence[float]) -> list[float]:
     values = [float(value) for value in q]
     if len(values) != 6 or not all(map(math.isfinite, values)):
-        raise BadValue(f"posture {q!r}; expected six finite numbers in rad")
+        raise BadValue(f"the posture is {q!r}; expected six finite numbers in rad")
     return values

@@ -91,7 +91,9 @@ class Signals(StrictAttributes):
             BadValue: If there is no such input, or the value is not finite.
         """
         if number not in range(4) or not math.isfinite(value):
-            raise BadValue(f"analogue input {number!r}, value {value!r}; expected input 0 to 3 and a finite value")
+            raise BadValue(
+                f"analogue input {number!r} cannot have the value {value!r}; expected input 0 to 3 and a finite value"
+            )
         self.analog_inputs[number] = float(value)
 
     def set_analog_output(self, number: int, value: float) -> None:
@@ -101,7 +103,9 @@ class Signals(StrictAttributes):
             BadValue: If there is no such output, or the value is not finite.
         """
         if number not in range(2) or not math.isfinite(value):
-            raise BadValue(f"analogue output {number!r}, value {value!r}; expected output 0 or 1 and a finite value")
+            raise BadValue(
+                f"analogue output {number!r} cannot have the value {value!r}; expected output 0 or 1 and a finite value"
+            )
         self.analog_outputs[number] = float(value)
 
     def set_analog_fraction(self, number: int, fraction: float) -> None:
@@ -112,7 +116,7 @@ class Signals(StrictAttributes):
 
 def _switched(mask: int, number: int, on: bool) -> int:
     if number not in range(18):
-        raise BadValue(f"digital signal {number!r}; expected 0 to 17")
+        raise BadValue(f"there is no digital signal {number!r}; expected 0 to 17")
     return mask | 1 << number if on else mask & ~(1 << number)
 
 
@@ -198,7 +202,9 @@ class ModbusSignals(StrictAttributes, Mapping[str, Value]):
         highest = 1 if signal is not None and signal.is_digital else _HIGHEST
         numbers = (value,) if isinstance(value, int) else tuple(value)
         if not all(isinstance(number, int) and 0 <= number <= highest for number in numbers):
-            raise BadValue(f"Modbus signal {name!r}: value {value!r}; expected whole numbers from 0 to {highest}")
+            raise BadValue(
+                f"Modbus signal {name!r} cannot have the value {value!r}; expected whole numbers from 0 to {highest}"
+            )
         new: Value = int(value) if isinstance(value, int) else tuple(map(int, value))
         if signal is not None and _length(signal.value) != _length(new):
             raise BadValue(f"Modbus signal {name!r} is a {KINDS[signal.kind]} and cannot be {value!r}")

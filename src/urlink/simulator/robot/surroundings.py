@@ -164,7 +164,7 @@ class Surroundings(StrictAttributes):
             BadValue: If the object has no such method.
         """
         if not callable(getattr(contact, "force", None)):
-            raise BadValue(f"contact {contact!r}; expected an object with a method force(position, velocity)")
+            raise BadValue(f"contact is {contact!r}; expected an object with a method force(position, velocity)")
         self._contacts = (*self._contacts, contact)
         return contact
 

@@ -281,4 +281,4 @@ def _thread(value: Any) -> ScriptThread | None:
         return value
     if value.__class__ is int:
         return None
-    raise type_error(f"a thread handle is wanted, not {values.type_name(value)}")
+    raise type_error(f"the value has the type {values.type_name(value)}; expected a thread handle")

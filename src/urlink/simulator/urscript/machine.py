@@ -151,7 +151,7 @@ class ScriptThread:
         """Enter a function. Its value is stored in the caller's slot `destination`."""
         self._depth += 1
         if self._depth > MAX_CALL_DEPTH:
-            raise Fault(f"Too many calls in one another: {MAX_CALL_DEPTH}")
+            raise Fault(f"calls are nested too deeply; the limit is {MAX_CALL_DEPTH}")
         if code.size > _SMALL_FRAME:
             self.machine.charge(code.size)
         self._stack.append((self._code, self._frame, after, destination))

@@ -31,14 +31,14 @@ def is_matrix(value: Any) -> bool:
 def rows_of(value: Any, charge: Charge) -> Matrix:
     """Return the rows of a matrix, after checking that they are numbers of one length."""
     if not is_matrix(value):
-        raise type_error(f"a matrix is wanted, not {type_name(value)}")
+        raise type_error(f"the value has the type {type_name(value)}; expected a matrix")
     columns = len(value[0])
     charge(len(value) * columns)
     for row in value:
         if row.__class__ is not tuple or not NUMBERS.issuperset(map(type, row)):
-            raise type_error("a matrix is a list of lists of numbers")
+            raise type_error("a matrix must be a list of lists of numbers")
         if len(row) != columns or not columns:
-            raise Fault("The rows of a matrix have one length")
+            raise Fault("the rows of a matrix must have the same length")
     return value  # type: ignore[no-any-return]
 
 

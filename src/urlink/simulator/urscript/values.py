@@ -160,7 +160,7 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
         elif item.__class__ in _HEAVY:
             total += weight(item)
         elif item is None:
-            raise type_error("none cannot be in a list")
+            raise type_error("a list cannot contain none")
     if total > MAX_ELEMENTS:
         raise Fault(f"List too long: {total} elements")
     charge(total)
@@ -170,12 +170,12 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
 def struct_of(members: Mapping[str, Any], charge: Charge) -> Struct:
     """Return a struct, no larger than a list and no deeper than `MAX_STRUCTS`."""
     if None in members.values():
-        raise type_error("none cannot be in a struct")
+        raise type_error("a struct cannot contain none")
     made = Struct(members)
     if made.weight > MAX_ELEMENTS:
         raise Fault(f"Struct too large: {made.weight} elements")
     if made.depth > MAX_STRUCTS:
-        raise Fault(f"Too many structs in one another: {MAX_STRUCTS}")
+        raise Fault(f"structs are nested too deeply; the limit is {MAX_STRUCTS}")
     charge(made.weight)
     return made
 
@@ -273,7 +273,7 @@ def truth(value: Any) -> bool:
     """Return the truth value of a condition."""
     if value is True or value is False or value.__class__ in NUMBERS:
         return bool(value)
-    raise type_error(f"a condition is a truth value or a number, not {type_name(value)}")
+    raise type_error(f"a condition has the type {type_name(value)}; expected a truth value or a number")
 
 
 # -- elements ----------------------------------------------------------------------------------------
@@ -285,7 +285,7 @@ def _place(value: Any, index: Any) -> int:
     if index.__class__ is float and index.is_integer():
         index = int(index)
     if index.__class__ is not int:
-        raise type_error(f"an index is an integer, not {type_name(index)}")
+        raise type_error(f"an index has the type {type_name(index)}; expected an integer")
     if not 0 <= index < len(value):
         raise Fault(f"Index out of range: {index} of {len(value)}")
     return int(index)

@@ -247,7 +247,7 @@ def test_function_without_a_return_value() -> None:
     execution = start(f"{NOTHING}x = [nothing(2)]\n", NotedWorld())
     execution.advance()
     assert execution.error is not None
-    assert "none cannot be in a list" in str(execution.error)
+    assert "a list cannot contain none" in str(execution.error)
 
 
 @pytest.mark.parametrize(

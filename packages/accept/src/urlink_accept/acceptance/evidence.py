@@ -171,7 +171,10 @@ class Evidence:
         return found[-1].said if found else None
 
     def stage(self, number: int) -> tuple[float, float]:
-        """Return the monotonic start times of a stage and of the next, in s; inf if it did not start or was last."""
+        """Return the monotonic start times of a stage and of the next one, in s.
+
+        The time is inf for a stage that did not start or does not exist.
+        """
         began = {note.said["number"]: note.at for note in self.said("stage")}
         return began.get(number, math.inf), min((at for n, at in began.items() if n > number), default=math.inf)
 

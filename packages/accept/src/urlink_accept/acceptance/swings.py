@@ -192,7 +192,7 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
     """Return the arm that the recording of the stage shows.
 
     Raises:
-        NotTried: If the recording shows nothing. The message is the reason.
+        NotTried: If the recording cannot be evaluated. The message is the reason.
     """
     swings = _Swings(evidence)
     if not swings.joints:
@@ -206,7 +206,7 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
     try:
         return swings, identify(Samples(Path("the logbook"), columns, arm.name, swings.packets.arrived))
     except (BadRecording, BadValue) as error:
-        raise NotTried(f"the recording shows nothing: {error}") from None
+        raise NotTried(f"the recording cannot be evaluated: {error}") from None
 
 
 def _of_joints(swings: _Swings, found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:

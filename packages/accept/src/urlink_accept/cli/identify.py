@@ -161,7 +161,7 @@ def _compare(args: argparse.Namespace) -> int:
 )
 def _identify(args: argparse.Namespace) -> int:
     """Identify an arm from a recording of its motion: calibration, payload, rotor inertias, torque constants,
-    friction, lag, the ramp of programs, noise. Each number has the interval that contains it with 99 %. If the
+    friction, lag, the ramp of programs, noise. Each number is printed with its 99 % confidence interval. If the
     recording does not show a number, the motion that would show it is named. With the file that --out writes, the
     simulator behaves like that arm: sim://ur5e?like=arm.json.
 

@@ -216,7 +216,7 @@ class MotionGenerator:
             OutOfReach: If the points are not on a circle.
         """
         if mode not in (0, 1):
-            raise BadValue(f"the mode of an arc is 0 or 1, not {mode!r}")
+            raise BadValue(f"the mode of an arc is {mode!r}; expected 0 or 1")
         start, blend = self._take_over()
         ends = checked(via, "a pose"), checked(to, "a pose")
         try:

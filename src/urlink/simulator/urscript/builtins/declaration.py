@@ -89,14 +89,14 @@ def number(value: Any, what: str) -> float:
     """Check that a value is a number."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return value
-    raise type_error(f"{what} is a number, not {type_name(value)}")
+    raise type_error(f"{what} has the type {type_name(value)}; expected a number")
 
 
 def number_within(value: Any, what: str, low: float, high: float) -> float:
     """Check that a value is a number within a range."""
     found = number(value, what)
     if not low <= found <= high:
-        raise Fault(f"{what} is from {low:g} to {high:g}, not {found:g}")
+        raise Fault(f"{what} is {found:g}; expected {low:g} to {high:g}")
     return found
 
 
@@ -105,9 +105,9 @@ def integer(value: Any, what: str, low: int = -(2**31), high: int = 2**31 - 1) -
     if value.__class__ is float and value.is_integer():
         value = int(value)
     if value.__class__ is not int:
-        raise type_error(f"{what} is an integer, not {type_name(value)}")
+        raise type_error(f"{what} has the type {type_name(value)}; expected an integer")
     if not low <= value <= high:
-        raise Fault(f"{what} is from {low} to {high}, not {value}")
+        raise Fault(f"{what} is {value}; expected {low} to {high}")
     return int(value)
 
 
@@ -115,14 +115,14 @@ def boolean(value: Any, what: str) -> bool:
     """Check that a value is a truth value."""
     if value is True or value is False:
         return bool(value)
-    raise type_error(f"{what} is True or False, not {type_name(value)}")
+    raise type_error(f"{what} has the type {type_name(value)}; expected True or False")
 
 
 def string(value: Any, what: str) -> str:
     """Check that a value is a string."""
     if value.__class__ is str:
         return value
-    raise type_error(f"{what} is a string, not {type_name(value)}")
+    raise type_error(f"{what} has the type {type_name(value)}; expected a string")
 
 
 def is_list(value: Any) -> bool:
@@ -133,10 +133,10 @@ def is_list(value: Any) -> bool:
 def numbers(value: Any, what: str) -> list[float]:
     """Return the numbers of a list or pose."""
     if value.__class__ is not tuple and value.__class__ is not PoseValue:
-        raise type_error(f"{what} is a list, not {type_name(value)}")
+        raise type_error(f"{what} has the type {type_name(value)}; expected a list")
     for item in value:
         if item.__class__ not in NUMBERS:
-            raise type_error(f"{what} is a list of numbers, with a {type_name(item)} in it")
+            raise type_error(f"{what} contains a value of type {type_name(item)}; expected only numbers")
     return list(value)
 
 
@@ -144,14 +144,14 @@ def vector(value: Any, what: str, length: int) -> list[float]:
     """Return the numbers of a list or pose of this length."""
     found = numbers(value, what)
     if len(found) != length:
-        raise Fault(f"{what} is {length} numbers, not {len(found)}")
+        raise Fault(f"{what} has {len(found)} numbers; expected {length}")
     return [float(item) for item in found]
 
 
 def joints(value: Any, what: str) -> list[float]:
     """Check that a value is a list of six numbers rather than a pose."""
     if value.__class__ is PoseValue:
-        raise type_error(f"{what} is a list, not a pose")
+        raise type_error(f"{what} is a pose; expected a list")
     return vector(value, what, 6)
 
 
@@ -168,5 +168,5 @@ def six(value: Any, what: str) -> list[float]:
 def pose(value: Any, what: str) -> list[float]:
     """Return the six numbers of a pose."""
     if value.__class__ is not PoseValue:
-        raise type_error(f"{what} is a pose, not {type_name(value)}")
+        raise type_error(f"{what} has the type {type_name(value)}; expected a pose")
     return vector(value, what, 6)

@@ -80,7 +80,7 @@ def force_mode(
     thread.machine.spend(_COST)
     most = six(limits, "force_mode: limits")
     if min(most) < 0.0:
-        raise Fault(f"force_mode: limits are not negative, not {min(most):g}")
+        raise Fault(f"force_mode: the smallest limit is {min(most):g}; expected 0 or more")
     task = ForceTask(
         pose(task_frame, "force_mode: task_frame"),
         _axes(selection_vector, "force_mode: selection_vector"),
@@ -109,7 +109,7 @@ def force_mode_set_gain_scaling(thread: ScriptThread, scaling: Any) -> None:
 def _axes(values: Any, what: str) -> list[bool]:
     chosen = six(values, what)
     if any(each not in (0.0, 1.0) for each in chosen):
-        raise Fault(f"{what} is six of 0 and 1")
+        raise Fault(f"{what} has a value other than 0 and 1; expected six values of 0 or 1")
     return [each == 1.0 for each in chosen]
 
 

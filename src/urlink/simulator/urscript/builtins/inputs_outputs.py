@@ -121,7 +121,7 @@ def set_tool_analog_input_domain(thread: ScriptThread, port: Any, domain: Any) -
 def set_tool_voltage(thread: ScriptThread, voltage: Any) -> None:
     volts = integer(voltage, "set_tool_voltage: voltage", 0, 24)
     if volts not in (0, 12, 24):
-        raise Fault(f"set_tool_voltage: voltage is 0, 12 or 24, not {volts}")
+        raise Fault(f"set_tool_voltage: voltage is {volts}; expected 0, 12 or 24")
     thread.world.signals.tool_output_voltage = volts
 
 

@@ -28,7 +28,7 @@ def length(thread: ScriptThread, v: Any) -> int:
     """Return the length of a list or string."""
     if isinstance(v, (str, tuple)):
         return len(v)
-    raise type_error(f"length of {type_name(v)}")
+    raise type_error(f"v has the type {type_name(v)}; expected a list or a string")
 
 
 # In this module, `to_str` is the function of `values`.
@@ -42,7 +42,7 @@ def to_num(thread: ScriptThread, str_to_convert: Any) -> float | int:
     text = string(str_to_convert, "to_num: str_to_convert")
     match = _NUMBER.fullmatch(text) if len(text) < 400 else None
     if match is None:
-        raise Fault(f"to_num: '{text[:40]}' is no number")
+        raise Fault(f"to_num: '{text[:40]}' is not a number")
     is_float = "." in text or match.group(2) is not None
     return checked(float(text) if is_float or len(text) > 20 else int(text))
 
@@ -101,7 +101,7 @@ def integer_to_binary_list(thread: ScriptThread, x: Any) -> tuple[bool, ...]:
 def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
     """Return the integer of up to 32 truth values, the lowest bit first; bit 31 is the sign."""
     if not is_list(l) or len(l) > 32:
-        raise type_error("binary_list_to_integer takes a list of up to 32 truth values")
+        raise type_error("binary_list_to_integer: l must be a list of up to 32 truth values")
     value = sum(boolean(bit, "binary_list_to_integer: l") << at for at, bit in enumerate(l))
     return value - (1 << 32) if value >> 31 else value
 
@@ -117,7 +117,7 @@ def make_list(thread: ScriptThread, length: Any, initial_value: Any, capacity: A
 def sqrt(thread: ScriptThread, f: Any) -> float:
     x = number(f, "sqrt: f")
     if x < 0:
-        raise Fault("sqrt of a negative number")
+        raise Fault("sqrt: f must not be negative")
     return math.sqrt(x)
 
 
@@ -128,7 +128,7 @@ def pow(thread: ScriptThread, base: Any, exponent: Any) -> float:
     try:
         return checked(math.pow(x, y))
     except (ArithmeticError, ValueError):
-        raise Fault(f"pow({x:g}, {y:g}) is no finite number") from None
+        raise Fault(f"pow({x:g}, {y:g}) is not a finite number") from None
 
 
 @declare()
@@ -144,7 +144,7 @@ def log(thread: ScriptThread, b: Any, f: Any) -> float:
     """Return the logarithm of f to base b."""
     base, x = number(b, "log: b"), number(f, "log: f")
     if base <= 0 or base == 1 or x <= 0:
-        raise Fault(f"log({base:g}, {x:g}) is no finite number")
+        raise Fault(f"log({base:g}, {x:g}) is not a finite number")
     return math.log(x) / math.log(base)
 
 
@@ -176,7 +176,7 @@ def acos(thread: ScriptThread, f: Any) -> float:
 def _of_an_angle(f: Any, name: str) -> float:
     x = number(f, f"{name}: f")
     if not -1 <= x <= 1:
-        raise Fault(f"{name} of {x:g}, which is not from -1 to 1")
+        raise Fault(f"{name}: f is {x:g}; expected -1 to 1")
     return x
 
 
@@ -245,5 +245,5 @@ def normalize(thread: ScriptThread, v: Any) -> tuple[float, ...]:
     thread.machine.charge(len(items))
     length = checked(math.hypot(*items))
     if not length:
-        raise Fault("normalize of a vector without length")
+        raise Fault("normalize: the length of v is 0; expected a vector with a length above 0")
     return tuple([item / length for item in items])

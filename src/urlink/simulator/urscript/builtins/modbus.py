@@ -149,7 +149,7 @@ def _set(
     elif is_list(value) and len(value) == len(signal.value):
         new = [int(check(item, f"{what}: {argument}")) for item in value]
     else:
-        raise type_error(f"{what}: {argument} is a list of {len(signal.value)} values")
+        raise type_error(f"{what}: {argument} must be a list of {len(signal.value)} values")
     thread.world.modbus[str(name)] = new
 
 
@@ -236,4 +236,4 @@ def modbus_send_custom_command(thread: ScriptThread, IP: Any, slave_number: Any,
     integer(slave_number, f"{what}: slave_number", 0, 255)
     integer(function_code, f"{what}: function_code", 0, 255)
     if not is_list(data):
-        raise type_error(f"{what}: data is a list of bytes")
+        raise type_error(f"{what}: data must be a list of bytes")

@@ -19,14 +19,14 @@ from .poses import solution
 def _positive(value: Any, what: str) -> float:
     x = float(number(value, what))
     if x <= 0:
-        raise Fault(f"{what} is greater than zero, not {x:g}")
+        raise Fault(f"{what} is {x:g}; expected a number above 0")
     return x
 
 
 def _not_negative(value: Any, what: str) -> float:
     x = float(number(value, what))
     if x < 0:
-        raise Fault(f"{what} is not negative, not {x:g}")
+        raise Fault(f"{what} is {x:g}; expected 0 or more")
     return x
 
 
@@ -108,7 +108,7 @@ def _fraction(value: Any, what: str) -> float:
     """Return a fraction; its range and the default values are assumed."""
     part = _positive(value, what)
     if part > 1.0:
-        raise Fault(f"{what} is at most 1, not {part:g}")
+        raise Fault(f"{what} is {part:g}; expected at most 1")
     return part
 
 
@@ -203,7 +203,7 @@ def _turning(aRot: Any, a: float, what: str) -> float:
     """Return rad/s²; the default is the same number as the acceleration in m/s²."""
     if isinstance(aRot, str):
         if aRot != "a":
-            raise type_error(f"{what} is a number, not {type_name(aRot)}")
+            raise type_error(f"{what} has the type {type_name(aRot)}; expected a number")
         return a
     return _positive(aRot, what)
 

@@ -47,7 +47,7 @@ def inv(thread: ScriptThread, m: Any) -> Any:
         return _inverse(thread, pose(m, "inv: m"))
     rows = rows_of(m, thread.machine.charge)
     if len(rows) != len(rows[0]):
-        raise type_error("inv: m is a pose or a square matrix")
+        raise type_error("inv: m must be a pose or a square matrix")
     thread.machine.charge(len(rows) ** 3)
     try:
         inverse = np.linalg.inv(np.array(rows)).tolist()

@@ -28,7 +28,7 @@ def sleep(thread: ScriptThread, t: Any) -> Waiting:
     """Wait `t` seconds, rounded up to whole cycles, at least one (assumed)."""
     seconds = number(t, "sleep: t")
     if seconds < 0:
-        raise Fault("sleep: t is not negative")
+        raise Fault("sleep: t must not be negative")
     # A millionth of a cycle is a rounding error.
     cycles = seconds / thread.world.period - 1e-6
     waited = 0

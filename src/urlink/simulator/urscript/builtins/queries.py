@@ -143,7 +143,7 @@ def get_rtde_value(thread: ScriptThread, name: Any) -> Any:
 def _mass(m: Any, what: str) -> float:
     mass = float(number(m, what))
     if mass < 0:
-        raise Fault(f"{what} is not negative")
+        raise Fault(f"{what} must not be negative")
     return mass
 
 

@@ -75,7 +75,7 @@ def rtde_set_watchdog(thread: ScriptThread, variable_name: Any, min_frequency: A
     frequency = float(number(min_frequency, "rtde_set_watchdog: min_frequency"))
     wanted = _ACTIONS.get(string(action, "rtde_set_watchdog: action").lower())
     if frequency < 0:
-        raise Fault("rtde_set_watchdog: min_frequency is not negative")
+        raise Fault("rtde_set_watchdog: min_frequency must not be negative")
     if wanted is None:
-        raise Fault(f"rtde_set_watchdog: action is 'ignore', 'pause' or 'stop', not '{action}'")
+        raise Fault(f"rtde_set_watchdog: action is '{action}'; expected 'ignore', 'pause' or 'stop'")
     thread.world.set_watchdog(variable, frequency, wanted)

@@ -33,7 +33,7 @@ _POSE = ("x", "y", "z", "rx", "ry", "rz")
 def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
     """Return a handle with the methods of a server; the first call opens a connection."""
     if string(type, "rpc_factory: type") != "xmlrpc":
-        raise Fault(f"rpc_factory: type is 'xmlrpc', not '{type}'")
+        raise Fault(f"rpc_factory: type is '{type}'; expected 'xmlrpc'")
     address = string(url, "rpc_factory: url")
     try:
         parts = urlsplit(address)
@@ -41,7 +41,7 @@ def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
     except ValueError:
         host, port = None, 0
     if host is None or parts.scheme != "http":
-        raise Fault(f"rpc_factory: '{address}' is no address such as http://127.0.0.1:40404/RPC2")
+        raise Fault(f"rpc_factory: '{address}' is not an address such as http://127.0.0.1:40404/RPC2")
     return RpcHandle(address, host, port, parts.path or "/RPC2")
 
 
@@ -143,7 +143,7 @@ def parse_answer(body: bytes, what: str, charge: Charge) -> Any:
 
 def _value(result: Any, what: str, charge: Charge, depth: int) -> Any:
     if depth > MAX_NESTING:
-        raise Fault(f"{what} answers with more than {MAX_NESTING} values in one another")
+        raise Fault(f"{what}: the server returned values that are nested too deeply; the limit is {MAX_NESTING}")
     if isinstance(result, bool):
         return result
     if isinstance(result, str):
@@ -158,7 +158,7 @@ def _value(result: Any, what: str, charge: Charge, depth: int) -> Any:
         if result.keys() == set(_POSE) and all(isinstance(result[key], (int, float)) for key in _POSE):
             return PoseValue(float(_number(result[key])) for key in _POSE)
         return struct_of({str(key): _value(member, what, charge, depth + 1) for key, member in result.items()}, charge)
-    raise Fault(f"{what}: a value of XML-RPC that URScript does not have: {type(result).__name__}")
+    raise Fault(f"{what}: the server returned a value of type {type(result).__name__}, which URScript does not support")
 
 
 def _number(result: float | int) -> float | int:
