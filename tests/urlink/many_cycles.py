@@ -1,9 +1,9 @@
-"""The calls of `test_cycles.py` and `test_cycles_of_others.py` ten thousand times each, in simulated time.
+"""Repeat each call of `test_cycles.py` and `test_cycles_of_others.py` ten thousand times, in simulated time.
 
-In real time that takes twenty hours, most of them spent waiting for the arm and for states. Here the controller is in
-the same process, so what only the collector finds is told apart by the modules of types and code: what the client
-leaves counts, what the simulation leaves does not. Each call is made until it was made often enough or its processor
-time is used up; with ``--state`` the next run goes on from there.
+In real time that takes twenty hours, most of them spent waiting for the arm and for states. Here, the controller is in
+the same process. So the modules of types and code distinguish the objects that only the collector finds: objects of the
+client count, objects of the simulation do not. Each call is repeated until its count is reached or its processor time
+is used up. With ``--state``, the next run resumes there.
 
     python -m tests.urlink.many_cycles --calls 10000 --seconds 60 --state /tmp/cycles.json
     python -m tests.urlink.many_cycles --only Motions
@@ -31,20 +31,20 @@ from urlink.simulator import Controller, Still
 from urlink_compat import rtde_io, urx
 
 HOST = "192.168.0.100"
-#: Calls between two collections: what the simulated controller leaves has to be taken away.
+#: Calls between two collections, which remove the garbage of the simulated controller.
 BATCH = 20
 
-#: Modules of what is counted, and of what only simulates.
+#: Modules of the counted objects, except the modules of the simulation.
 OWN = ("urlink", "linkcore", "tests.urlink")
 SIMULATED = ("urlink.simulator", "linkcore.simulated")
 
-#: Calls something so often.
+#: Function that repeats a call this number of times.
 Repeat = Callable[[int], object]
 
 
 def module_of(found: object) -> str:
-    """The module of the code or of the type of an object."""
-    # Not by `isinstance`, which asks a weak reference for the class of what is gone.
+    """Return the module of the code or of the type of an object."""
+    # `isinstance` would ask a weak reference for the class of its deleted object.
     if type(found) is types.TracebackType:
         found = found.tb_frame
     if type(found) is types.FrameType:
@@ -55,7 +55,10 @@ def module_of(found: object) -> str:
 
 
 def of_the_client(garbage: list[object]) -> list[object]:
-    """What has to do with nothing of the controller, by references among the garbage; both use some classes."""
+    """Return the garbage of the client that no reference connects with the controller.
+
+    The module of a class is not enough, because client and controller share some classes.
+    """
     modules = list(map(module_of, garbage))
     is_own = [module.startswith(OWN) and not module.startswith(SIMULATED) for module in modules]
     if not any(is_own):
@@ -77,7 +80,7 @@ def of_the_client(garbage: list[object]) -> list[object]:
 
 
 def left() -> collections.Counter[str]:
-    """What only the collector finds of the client now: its kinds. Everything is collected."""
+    """Collect all garbage, and count the objects of the client by type that only the collector found."""
     gc.set_debug(gc.DEBUG_SAVEALL)
     try:
         gc.collect()
@@ -92,14 +95,14 @@ def left() -> collections.Counter[str]:
 
 
 def processor_time() -> float:
-    """Seconds that this process has used, by a clock that is not simulated."""
+    """Return the processor time of this process in s, which is never simulated."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
 def counted(repeat: Repeat, calls: int, seconds: float) -> tuple[int, collections.Counter[str]]:
-    """How often it was called, at most `calls` times, and what that has left."""
-    repeat(2)  # what is made once, such as a connection
+    """Return the number of calls, at most `calls`, and the garbage that they left, by type."""
+    repeat(2)  # creates objects that are made only once, such as a connection
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -117,7 +120,7 @@ def counted(repeat: Repeat, calls: int, seconds: float) -> tuple[int, collection
 
 
 def again(call: Callable[[], object], *refusals: type[Exception]) -> Repeat:
-    """A call that may be refused."""
+    """Return a function that repeats a call and ignores its refusals."""
     refusals = refusals or (RemoteError,)
 
     def repeat(count: int) -> None:
@@ -130,7 +133,7 @@ def again(call: Callable[[], object], *refusals: type[Exception]) -> Repeat:
 
 @contextlib.contextmanager
 def connected(kind: str, name: str) -> Iterator[Repeat]:
-    """What repeats one call of a table on a robot that stands at home."""
+    """Yield the function that repeats one call of a table on a robot in its home position."""
     with urlink.connect(HOST, stale_after=60.0, silence=60.0) as robot:
         robot.motion.move_joints(own.HOME, wait=30)
         if name.startswith("Gripper"):
@@ -144,7 +147,7 @@ def connected(kind: str, name: str) -> Iterator[Repeat]:
         else:
             call = own.CALLS[name]
             if isinstance(call, own.Within) and not call.is_once:
-                # What is opened is tried by itself; opened for each call it would take most of the time.
+                # The table has another call for opening. Opening for each use would take most of the time.
                 yield lambda count: call(robot, count)
             else:
                 yield lambda count: [call(robot) for _ in range(count)] and None
@@ -187,7 +190,7 @@ def by_other_names(kind: str, name: str) -> Iterator[Repeat]:
         outputs.disconnect()
 
 
-#: kind of call -> its table, and what repeats one of it.
+#: Kind of call -> its table, and the context manager that yields the repeating function of one of its calls.
 TABLES: dict[str, tuple[Any, Callable[[str, str], contextlib.AbstractContextManager[Repeat]]]] = {
     "call": (own.CALLS, connected),
     "refused": (own.CALLS, connected),
@@ -199,14 +202,15 @@ TABLES: dict[str, tuple[Any, Callable[[str, str], contextlib.AbstractContextMana
 }
 
 
-#: Where a call is tried first: a CB3 takes a quarter of the cycles, and so of the processor time, and has most of them.
+#: Controllers for each call, in order. A CB3 is first, because it needs a quarter of the cycles, and so a quarter of
+#: the processor time, and supports most calls.
 CONTROLLERS = (("UR5", "3.15"), ("UR5e", "5.25"))
 
 
 def tried(kind: str, name: str, calls: int, seconds: float) -> tuple[int, collections.Counter[str]]:
-    """How often one call of a table was made, and what that has left of the client."""
+    """Return the number of times that one call of a table was made, and the garbage of the client, by type."""
     for model, firmware in CONTROLLERS[:-1] if kind not in ("refused", "dashboard") else ():
-        with contextlib.suppress(LocalError):  # that it has not
+        with contextlib.suppress(LocalError):  # raised for calls that the controller does not support
             return tried_on(model, firmware, kind, name, calls, seconds)
     return tried_on(*CONTROLLERS[-1], kind, name, calls, seconds)
 
@@ -229,10 +233,10 @@ def tried_on(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--calls", type=int, default=10_000, help="of each (10000)")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of processor time for each (60)")
-    parser.add_argument("--only", default="", help="calls whose kind and name contain this")
-    parser.add_argument("--state", type=Path, help="a file of what was done, to go on from")
+    parser.add_argument("--calls", type=int, default=10_000, help="number of times to make each call (10000)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="processor time for each call, in s (60)")
+    parser.add_argument("--only", default="", help="only make calls whose kind and name contain this text")
+    parser.add_argument("--state", type=Path, help="file with the number of calls made so far, to resume from")
     args = parser.parse_args()
     done: dict[str, int] = json.loads(args.state.read_text()) if args.state and args.state.exists() else {}
     for kind, (table, _) in TABLES.items():

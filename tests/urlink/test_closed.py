@@ -1,4 +1,4 @@
-"""A robot that was closed before its first use connects nowhere: what would send or receive raises `Closed`."""
+"""Tests of robots that are closed before their first use: each call raises `Closed` and opens no connection."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from urlink.simulator import Controller
 
 pytestmark = pytest.mark.simulated_time
 
-#: What is used of a robot, in either face. `rtde` and `registers` have a connection of their own.
+#: Uses of a robot, the same in both interfaces. `rtde` and `registers` have their own connection.
 USES: dict[str, Callable[[Any], Any]] = {
     "popup": lambda robot: robot.popup("x"),
     "set_payload": lambda robot: robot.set_payload(0.5),
@@ -45,7 +45,7 @@ USES: dict[str, Callable[[Any], Any]] = {
     "gripper.status": lambda robot: robot.gripper.status(),
     "interpreter": lambda robot: robot.interpreter(),
 }
-#: What the asynchronous robot has otherwise.
+#: Uses that differ in the asyncio interface.
 NOT_AWAITED = {"freedrive"}
 
 
@@ -70,9 +70,7 @@ def closed_for_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[
 
 
 @pytest.mark.parametrize("name", USES)
-def test_a_robot_that_was_closed_before_its_first_use(
-    controller: Controller, closed_for_all: Callable[[], None], name: str
-) -> None:
+def test_closed_robot_raises_closed(controller: Controller, closed_for_all: Callable[[], None], name: str) -> None:
     robot = urlink.connect(controller.address)
     robot.close()
     closed_for_all()
@@ -90,7 +88,9 @@ async def awaited(use: Callable[[Any], Any], robot: urlink.AsyncRobot) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(USES.keys() - NOT_AWAITED))
-def test_an_asynchronous_one(controller: Controller, closed_for_all: Callable[[], None], name: str) -> None:
+def test_closed_async_robot_raises_closed(
+    controller: Controller, closed_for_all: Callable[[], None], name: str
+) -> None:
     async def use() -> None:
         robot = await urlink.connect_async(controller.address)
         await robot.close()

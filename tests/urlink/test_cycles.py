@@ -1,9 +1,9 @@
-"""What is called leaves no reference cycle, so that a program may switch the garbage collector off (docs/real-time.md).
+"""Tests that calls leave no reference cycles, so a program may switch off the garbage collector (docs/real-time.md).
 
-Each public method that sends something is called several times with the collector off, on a controller in a process of
-its own; then nothing may be left that only the collector finds. `URLINK_CYCLES` says how often, as in
-`URLINK_CYCLES=10000 pytest tests/urlink/test_cycles.py`. In simulated time, `python -m tests.urlink.many_cycles` makes
-ten thousand calls of each.
+Each public method that sends something is called several times with the collector off, on a controller in its own
+process. Afterwards, no object may be left that only the collector finds. `URLINK_CYCLES` sets the number of calls, as
+in `URLINK_CYCLES=10000 pytest tests/urlink/test_cycles.py`. In simulated time, `python -m tests.urlink.many_cycles`
+makes ten thousand calls of each method.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from urlink.rtde import Inputs, Registers, Rtde
 
 pytestmark = pytest.mark.real_time
 
-#: Seconds in which a setting is shown: the computer may be busy.
+#: Longest time until a state shows a setting, in s. It is long because the computer may be busy.
 CONFIRM = 10.0
-#: Seconds without a message after which the robot brakes: the same.
+#: Time without a message after which the robot brakes, in s. It is long for the same reason.
 WATCHDOG = 2.0
 HOME = np.array([0.0, -1.57, 1.57, -1.57, -1.57, 0.0])
 NEAR = HOME + 0.01
-#: How often each is called: the cycles of one call in ten would show, and one in 10,000 with `URLINK_CYCLES`.
+#: Number of calls of each method. With `URLINK_CYCLES=10000`, cycles of one call in 10,000 are found.
 COUNT = int(os.environ.get("URLINK_CYCLES", "2"))
 
 
@@ -73,7 +73,7 @@ def robot(address: str) -> Iterator[Robot]:
 
 @pytest.fixture(scope="module")
 def closed(address: str) -> Robot:
-    """A robot that was used, and closed."""
+    """Provide a robot that was used and then closed."""
     with urlink.connect(address, stale_after=60.0, silence=60.0) as robot:
         until(lambda: _has_moved(robot), 60.0)
         robot.registers.read_bit(64)
@@ -92,17 +92,18 @@ def _trajectory() -> urlink.Trajectory:
     return urlink.Trajectory([urlink.TrajectoryPoint(HOME, 0.0), urlink.TrajectoryPoint(HOME, 0.3)])
 
 
-#: A Modbus gripper is asked for its status.
+#: Request for the status of a Modbus gripper.
 STATUS = bytes.fromhex("09 03 07 D0 00 01 85 CF")
 
 
 class Within:
-    """A call of something that has to be opened first.
+    """A call of a block that has to be opened first.
 
     Args:
-        opened: makes the context manager of a robot.
-        use: the call; nothing where only opening it is tried.
-        is_once: it is called once in what was opened: it ends or fills that, or opening it is what is tried.
+        opened: Function that returns the block of a robot, as a context manager.
+        use: Call within the block; by default, the block is only opened.
+        is_once: Whether each block allows one call only, because the call ends or fills the block, or because the
+            test is of opening the block.
     """
 
     def __init__(
@@ -123,7 +124,7 @@ class Within:
                     for _ in range(count):
                         self.use(opened)
                 return
-            except ConnectionLost:  # the computer is so busy that nothing came for longer, and the robot brakes
+            except ConnectionLost:  # on a busy computer, messages may be late, so the robot brakes
                 if is_last:
                     raise
 
@@ -138,7 +139,7 @@ def pressing(robot: Robot) -> Any:
 
 
 def measured(block: Servo) -> None:
-    with contextlib.suppress(LinkError):  # the arm does not follow in time where the computer is busy
+    with contextlib.suppress(LinkError):  # raised if the arm does not follow in time, on a busy computer
         block.measure_delay()
 
 
@@ -206,10 +207,10 @@ def connected(address: str) -> None:
 
 
 _dials = itertools.cycle([True, False])
-#: There and back again, so that the arm stays where it is however often it is called.
+#: Alternating directions, so that the arm stays in place for any number of calls.
 _directions = itertools.cycle([1, -1])
 
-#: Each method that sends, with how it is called.
+#: Each method that sends something -> its call.
 CALLS: dict[str, Callable[[Robot], object]] = {
     "Robot.freedrive": Within(lambda robot: robot.freedrive(watchdog=WATCHDOG)),
     "Robot.interpreter": Within(lambda robot: robot.interpreter()),
@@ -308,7 +309,7 @@ CALLS: dict[str, Callable[[Robot], object]] = {
 }
 
 
-#: What else these have in public: it sends nothing, or belongs to what is tried beside `CALLS`.
+#: Other public methods of these classes, which send nothing or have their own test.
 SENDS_NOTHING = """
     Robot.close Robot.record Robot.view
     ToolSerial.close ToolSerial.discard
@@ -344,7 +345,7 @@ SURFACE = (
     Teaching,
     Handle,
 )
-#: Dashboard commands that take something.
+#: Dashboard commands that require arguments -> their arguments.
 ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "add_to_log": ("x",),
     "download_program": ("x.urp",),
@@ -357,13 +358,13 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "set_user_role": ("programmer",),
     "upload_program": (__file__,),
 }
-#: They end the controller, the client or the simulated power, or wait for it.
+#: Dashboard commands that end the controller, the client or the simulated power, or wait for it.
 LAST = {"shutdown", "quit", "close", "start"}
 
 
 @contextlib.contextmanager
 def collector_off() -> Iterator[None]:
-    """Nothing is collected in the block; what only the collector finds after it is an error that names its types."""
+    """Collect no garbage within the block, and fail after it if the collector finds objects. Name their types."""
     gc.collect()
     gc.disable()
     try:
@@ -378,17 +379,17 @@ def collector_off() -> Iterator[None]:
     assert not found, f"{found} objects in cycles: {kinds.most_common(12)}"
 
 
-def test_a_message_that_only_an_old_layout_holds_leaves_no_cycle() -> None:
-    """What a controller of 3.2 introduces itself with: its error by the newer layout would keep the caller's frames."""
+def test_message_of_an_older_layout_leaves_no_cycle() -> None:
+    """The error of the newer layout must not keep the caller's frames. The message is the first one of a 3.2."""
     data = bytes(VersionMessage("3.2", build_date="short"))
     with collector_off():
         assert VersionMessage.LAYOUTS.decode(data).build_date == "short"
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_call_leaves_no_cycle(robot: Robot, name: str) -> None:
+def test_call_leaves_no_cycle(robot: Robot, name: str) -> None:
     call = CALLS[name]
-    call(robot)  # what is made once, such as a connection
+    call(robot)  # creates objects that are made only once, such as a connection
     with collector_off():
         for _ in range(COUNT):
             call(robot)
@@ -398,11 +399,11 @@ DASHBOARD = [name for name in vars(Dashboard) if not name.startswith("_") and na
 
 
 @pytest.mark.parametrize("name", DASHBOARD)
-def test_a_dashboard_command_leaves_no_cycle(robot: Robot, name: str) -> None:
-    """Refused or not: most of what is here is refused by some controller."""
+def test_dashboard_command_leaves_no_cycle(robot: Robot, name: str) -> None:
+    """A command passes whether it is refused or not, because most commands are refused by some controller."""
     method = getattr(robot.dashboard, name)
     if name in ("power_off", "restart_safety"):
-        pytest.skip("the others need an arm that is on")
+        pytest.skip("the other commands need an arm that is powered on")
     for _ in range(2):
         with contextlib.suppress(LinkError):
             method(*ARGUMENTS.get(name, ()))
@@ -413,7 +414,7 @@ def test_a_dashboard_command_leaves_no_cycle(robot: Robot, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_refused_call_leaves_no_cycle(closed: Robot, name: str) -> None:
+def test_refused_call_leaves_no_cycle(closed: Robot, name: str) -> None:
     call = CALLS[name]
     with contextlib.suppress(LinkError):
         call(closed)
@@ -429,7 +430,7 @@ def refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_connection_leaves_no_cycle(address: str, tmp_path: Path) -> None:
+def test_connection_leaves_no_cycle(address: str, tmp_path: Path) -> None:
     def connect() -> None:
         with urlink.connect(address) as robot:
             robot.realtime.wait()
@@ -459,7 +460,7 @@ def test_a_connection_leaves_no_cycle(address: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_method_is_tried_or_known_to_send_nothing() -> None:
+def test_calls_cover_every_method_that_sends() -> None:
     own = {
         f"{held.__name__}.{name}"
         for held in SURFACE
@@ -470,7 +471,7 @@ def test_every_method_is_tried_or_known_to_send_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_an_error_that_is_kept_was_never_raised(robot: Robot) -> None:
+def test_wait_raises_a_copy_of_the_stored_error(robot: Robot) -> None:
     motion = robot.motion.move_joints(HOME + 0.2)
     motion.cancel()
     errors = []

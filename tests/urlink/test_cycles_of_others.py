@@ -1,5 +1,7 @@
-"""As `test_cycles.py`: no cycle is left by the commands of the asyncio robot and of `urlink.compat`, nor by a real-time
-connection on which no packet has come."""
+"""Tests that calls of the asyncio robot and of `urlink_compat` leave no reference cycles, as in `test_cycles.py`.
+
+The same applies to a real-time connection without packets.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ def is_home(address: str) -> bool:
     return False
 
 
-def test_a_connection_without_a_packet_leaves_no_cycle() -> None:
+def test_realtime_protocol_leaves_no_cycle_without_packets() -> None:
     with collector_off():
         for _ in range(COUNT):
             RealtimeProtocol()
@@ -75,7 +77,7 @@ async def read(robot: urlink.AsyncRobot) -> None:
     await robot.realtime.wait(timeout=30)
 
 
-#: What is awaited of an asynchronous robot.
+#: Awaited calls of an asynchronous robot.
 AWAITED: dict[str, Callable[[urlink.AsyncRobot], Any]] = {
     "identify": lambda robot: robot.identify(),
     "realtime.wait": read,
@@ -128,10 +130,10 @@ def robot(loop: asyncio.AbstractEventLoop, address: str) -> Iterator[urlink.Asyn
 
 
 @pytest.mark.parametrize("name", AWAITED)
-def test_an_awaited_call_leaves_no_cycle(loop: asyncio.AbstractEventLoop, robot: urlink.AsyncRobot, name: str) -> None:
+def test_awaited_call_leaves_no_cycle(loop: asyncio.AbstractEventLoop, robot: urlink.AsyncRobot, name: str) -> None:
     async def call(count: int) -> None:
         for _ in range(count):
-            with contextlib.suppress(LinkError):  # such as a `play` with no program loaded
+            with contextlib.suppress(LinkError):  # for example, from a `play` without a loaded program
                 await AWAITED[name](robot)
 
     loop.run_until_complete(call(2))
@@ -139,7 +141,7 @@ def test_an_awaited_call_leaves_no_cycle(loop: asyncio.AbstractEventLoop, robot:
         loop.run_until_complete(call(COUNT))
 
 
-def test_an_awaited_connection_leaves_no_cycle(loop: asyncio.AbstractEventLoop, address: str) -> None:
+def test_awaited_connection_leaves_no_cycle(loop: asyncio.AbstractEventLoop, address: str) -> None:
     async def connect(count: int) -> None:
         for _ in range(count):
             async with urlink.connect_async(address) as robot:
@@ -158,7 +160,7 @@ Control = rtde_control.RTDEControlInterface
 
 
 def near(control: Control) -> list[float]:
-    """Poses close to where the arm is, in turn."""
+    """Return a pose near the home position, above and below it in turn."""
     pose = control.getForwardKinematics(HOME.tolist())
     pose[2] += 0.002 * next(_dials)
     return pose
@@ -220,7 +222,7 @@ def control(address: str) -> Iterator[Control]:
 
 
 @pytest.mark.parametrize("name", CONTROL)
-def test_a_command_by_a_name_of_ur_rtde_leaves_no_cycle(control: Control, name: str) -> None:
+def test_ur_rtde_command_leaves_no_cycle(control: Control, name: str) -> None:
     tried(lambda: CONTROL[name](control), COUNT)
 
 
@@ -237,7 +239,7 @@ OUTPUTS: dict[str, Callable[[rtde_io.RTDEIOInterface], object]] = {
 
 
 @pytest.mark.parametrize("name", OUTPUTS)
-def test_an_output_by_a_name_of_ur_rtde_leaves_no_cycle(address: str, name: str) -> None:
+def test_ur_rtde_output_leaves_no_cycle(address: str, name: str) -> None:
     io = rtde_io.RTDEIOInterface(address)
     try:
         tried(lambda: OUTPUTS[name](io), COUNT)
@@ -274,7 +276,7 @@ def by_urx(address: str) -> Iterator[urx.Robot]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", URX)
-def test_a_call_by_a_name_of_urx_leaves_no_cycle(by_urx: urx.Robot, name: str) -> None:
+def test_urx_call_leaves_no_cycle(by_urx: urx.Robot, name: str) -> None:
     def call() -> None:
         with contextlib.suppress(LinkError):
             URX[name](by_urx)

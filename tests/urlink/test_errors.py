@@ -1,4 +1,4 @@
-"""The errors of commanding: where they hang in the tree, and that they travel."""
+"""Tests of the errors of commands: their base classes, their texts, and pickling."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from urlink.errors import CompileError, NotEnabled, NotOffered, NotRunning, Safe
 OWN = {name: each for name, each in vars(errors).items() if getattr(each, "__module__", None) == errors.__name__}
 
 
-def test_they_hang_below_what_the_peer_does_wrong() -> None:
+def test_errors_are_remote_errors_except_not_offered() -> None:
     assert NotEnabled in OWN.values()
-    # What another client offers and this library does not is the fault of nobody else.
+    # A call that only another library offers is not an error of the peer.
     (local,) = (each for each in OWN.values() if issubclass(each, LocalError))
     assert local is NotOffered
     assert all(issubclass(each, RemoteError) and not issubclass(each, LocalError) for each in {*OWN.values()} - {local})
@@ -31,12 +31,12 @@ def test_they_hang_below_what_the_peer_does_wrong() -> None:
         (ScriptFailed(3, 4, "division by zero"), "line 3, column 4: division by zero"),
     ],
 )
-def test_they_say_what_is_wrong_here_and_elsewhere(error: LinkError, text: str) -> None:
+def test_errors_keep_their_text_when_pickled(error: LinkError, text: str) -> None:
     assert str(error) == text
     copy = pickle.loads(pickle.dumps(error))
     assert (type(copy), str(copy), vars(copy)) == (type(error), text, vars(error))
 
 
-def test_the_tree_is_drawn_whole() -> None:
+def test_module_docstring_names_every_error() -> None:
     assert errors.__doc__ is not None
     assert all(name in errors.__doc__ for name in OWN)

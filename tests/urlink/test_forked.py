@@ -1,4 +1,4 @@
-"""A forked process uses none of its parent's connections, and harms none of them."""
+"""Test that a forked process neither uses nor disturbs the connections of its parent."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork"),
 ]
 
-#: Connects and opens everything, moves the arm, forks; prints what each call of the child raises, and how the motion of
-#: the parent ends.
+#: Program that connects, opens every connection, moves the arm and forks. It prints the error that each call of the
+#: child raises, and the phase in which the motion of the parent ends.
 _PROGRAM = """
 import os, sys, time, warnings
 import urlink
@@ -78,7 +78,7 @@ with robot:
 """
 
 
-def test_forked_process_cannot_use_its_parents_connections() -> None:
+def test_forked_process_cannot_use_the_parents_connections() -> None:
     with Controller("UR5e", "5.11") as controller:
         command = [sys.executable, "-c", _PROGRAM, controller.address]
         root = Path(__file__).resolve().parents[2]

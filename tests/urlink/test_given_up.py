@@ -1,6 +1,6 @@
-"""A call that failed and may still be carried out is undone by the next connection of this process, too.
+"""Tests that the next connection of this process undoes a failed call that might still be executed.
 
-The service of the simulated controller hangs, the call fails, the robot is closed, and the controller goes on.
+The service of the simulated controller hangs, the call fails, the robot is closed, and the service continues.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from urlink.simulator import Controller, Still
 pytestmark = pytest.mark.simulated_time
 
 TIMEOUT = 20.0
-#: rad; it takes some 15 s to get there, so an arm that moves was not stopped by its arrival.
+#: Start position of the arm, in rad. The move from here takes about 15 s, so the arm cannot stop because it arrived.
 HOME = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
 TEXT = f"movej({[1.5, *HOME[1:]]}, a=20, v=0.1)"
-#: s for which the service hangs, and in which an answer has to come
+#: Time for which the service hangs, and time within which an answer must arrive, in s.
 HANGS, ANSWER = 1.5, 0.4
 
 
@@ -74,7 +74,7 @@ def squeeze(controller: Controller, robot: urlink.Robot) -> None:
 
 
 def give_up(controller: Controller, call: Callable[[Controller, urlink.Robot], None]) -> None:
-    """What `call` calls fails, and the robot is closed."""
+    """Connect, check that `call` fails, and close the robot."""
     with urlink.connect(controller.address, stale_after=20.0, silence=30.0) as robot:
         robot.motion.stop(wait=10)
         with pytest.raises(LinkError, match="it might still be executed"):
@@ -84,7 +84,7 @@ def give_up(controller: Controller, call: Callable[[Controller, urlink.Robot], N
 
 
 def anew(controller: Controller) -> None:
-    """Connects once more."""
+    """Connect again, and close the robot."""
     urlink.connect(controller.address).close()
 
 
@@ -97,7 +97,7 @@ def anew_with_asyncio(controller: Controller) -> None:
 
 
 @pytest.mark.parametrize("connect", [anew, anew_with_asyncio])
-def test_what_moves_is_stopped_before_the_connection_is_there(
+def test_connect_stops_an_abandoned_program_first(
     controller: Controller, connect: Callable[[Controller], None]
 ) -> None:
     give_up(controller, play)
@@ -112,8 +112,8 @@ def test_what_moves_is_stopped_before_the_connection_is_there(
 
 
 @pytest.mark.parametrize("connect", [anew, anew_with_asyncio])
-def test_statements_are_thrown_away(controller: Controller, connect: Callable[[Controller], None]) -> None:
-    """Here the close of the robot has ended the program that takes them, too."""
+def test_connect_discards_abandoned_statements(controller: Controller, connect: Callable[[Controller], None]) -> None:
+    """The program that executes the statements has already ended, because the robot was closed."""
     give_up(controller, execute)
     connect(controller)
     assert not is_owed(controller)
@@ -121,7 +121,7 @@ def test_statements_are_thrown_away(controller: Controller, connect: Callable[[C
 
 @pytest.mark.slow
 @pytest.mark.parametrize("connect", [anew, anew_with_asyncio])
-def test_fingers_are_stopped(controller: Controller, connect: Callable[[Controller], None]) -> None:
+def test_connect_stops_an_abandoned_gripper_move(controller: Controller, connect: Callable[[Controller], None]) -> None:
     give_up(controller, squeeze)
     until(lambda: controller.gripper.position > 20, TIMEOUT)
     connect(controller)
@@ -134,7 +134,7 @@ def test_fingers_are_stopped(controller: Controller, connect: Callable[[Controll
 
 
 @pytest.mark.slow
-def test_a_connection_goes_on_with_what_it_could_not_take_back_in_time(controller: Controller) -> None:
+def test_connect_keeps_undoing_after_its_timeout(controller: Controller) -> None:
     give_up(controller, play)
     controller.faults.stall(5.0, "dashboard")
     with urlink.connect(controller.address, timeout=1.5) as robot:
@@ -145,7 +145,7 @@ def test_a_connection_goes_on_with_what_it_could_not_take_back_in_time(controlle
         until(lambda: not controller.is_running_program, TIMEOUT)
 
 
-def test_a_newer_program_supersedes_it(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_newer_program_supersedes_an_abandoned_one(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.command.channel._UNDO_TIMEOUT", 0.0)
     with urlink.connect(controller.address) as other:
         give_up(controller, play)
@@ -163,7 +163,7 @@ def gripper_of(controller: Controller) -> urlink.Gripper:
 
 
 def give_up_alone(controller: Controller) -> None:
-    """A `play` of a dashboard without a robot fails, and the dashboard is closed."""
+    """Check that `play` of a dashboard without a robot fails, and close the dashboard."""
     with dashboard_of(controller) as dashboard:
         dashboard.load("/p.urp")
         controller.faults.stall(HANGS, "dashboard")
@@ -180,7 +180,7 @@ def dashboard_anew(controller: Controller) -> None:
 
 
 @pytest.mark.parametrize("connect", [dashboard_anew, anew, anew_with_asyncio])
-def test_what_a_dashboard_alone_gave_up_is_taken_back_by_whoever_comes_next(
+def test_next_client_undoes_the_play_of_a_standalone_dashboard(
     controller: Controller, connect: Callable[[Controller], None]
 ) -> None:
     give_up_alone(controller)
@@ -190,7 +190,7 @@ def test_what_a_dashboard_alone_gave_up_is_taken_back_by_whoever_comes_next(
     assert controller.arm.setpoint.q[0] < 1.0
 
 
-def test_a_dashboard_alone_takes_back_what_a_robot_gave_up(controller: Controller) -> None:
+def test_standalone_dashboard_undoes_the_play_of_a_robot(controller: Controller) -> None:
     give_up(controller, play)
     until(lambda: moves(controller), TIMEOUT)
     dashboard_anew(controller)
@@ -198,7 +198,7 @@ def test_a_dashboard_alone_takes_back_what_a_robot_gave_up(controller: Controlle
     until(lambda: not moves(controller), TIMEOUT)
 
 
-def test_fingers_that_a_gripper_alone_moved_are_stopped(controller: Controller) -> None:
+def test_next_gripper_stops_the_move_of_a_standalone_gripper(controller: Controller) -> None:
     gripper = gripper_of(controller)
     gripper.activate()
     controller.faults.stall(HANGS, "gripper")
@@ -214,7 +214,7 @@ def test_fingers_that_a_gripper_alone_moved_are_stopped(controller: Controller) 
     again._disconnect()
 
 
-def test_a_simulator_that_ends_with_its_robot_is_owed_nothing() -> None:
+def test_nothing_is_owed_to_the_simulator_of_a_closed_robot() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         place = parse_address(robot.controller.address)
         assert isinstance(place, RobotAddress)

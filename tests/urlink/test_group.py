@@ -1,4 +1,4 @@
-"""Arms that move as one, on two computers of their own in simulated time whose clocks drift."""
+"""Tests of groups of arms, each on its own computer in simulated time, with clocks that drift."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from urlink.robot import Robot
 from urlink.simulator import Controller
 from urlink.simulator.robot.generator import MotionGenerator
 
-#: s for one cycle of an e-Series.
+#: Duration of one cycle of an e-Series controller, in s.
 CYCLE = 0.002
-#: Two that send 125 packets a second; with an e-Series, which sends 500, a test takes up to four times as long.
+#: Two controllers that send 125 packets/s. E-Series controllers send 500, so their tests take up to four times as long.
 CB3 = ("3.15", "3.4")
 WITH_E_SERIES = [pytest.param(each, marks=pytest.mark.slow) for each in (("5.11", "5.11"), ("3.15", "5.11"))]
-#: s of a motion of the tests, and rad of wrist 3 at its end.
+#: Duration of a motion of the tests, in s, and the angle of wrist 3 at its end, in rad.
 SECONDS, WAY = 1.0, 0.4
 
 
 class Side:
-    """One arm, its computer, and what it has reported: time by its clock, target position and speed of wrist 3."""
+    """One arm, its computer, and its reported times, target positions and target speeds of wrist 3."""
 
     def __init__(self, sim: urlink.Simulation, name: str, host: str, firmware: str) -> None:
         self.sim, self.host = sim, host
@@ -60,7 +60,7 @@ class Side:
         self.rows.append((state.time, float(state.q_target[5]), float(state.qd_target[5])))
 
     def mark(self) -> None:
-        """What its clock shows now, in truth."""
+        """Store the exact time of the controller's clock, together with the simulated time."""
         controller = self.controller
         assert controller._server is not None
         with self.sim.on(self.computer):
@@ -68,7 +68,7 @@ class Side:
         self.marks.append((self.sim.now, (cycles - (controller._state.cycle - controller._state.uptime)) / self.rate))
 
     def path(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What it has reported since the first of two marks, by the time of the simulation."""
+        """Return the reported times, positions and speeds since the first mark, on the clock of the simulation."""
         (began, first), (ended, last) = self.marks[0], self.marks[-1]
         rows = np.array(self.rows)
         return began + (rows[:, 0] - first) * (ended - began) / (last - first), rows[:, 1], rows[:, 2]
@@ -79,7 +79,7 @@ class Pair:
         self.sim = sim
         self.left, self.right = self.sides = sides
         self.group = urlink.Group(*(side.connect() for side in sides))
-        time.sleep(1.0)  # the clocks get to know each other
+        time.sleep(1.0)  # the clocks are compared
         for side in sides:
             side.listen()
         self.begin()
@@ -95,7 +95,7 @@ class Pair:
         return [start + np.array([0, 0, 0, 0, 0, way]) for start in self.start]
 
     def steady(self, seconds: float = 1.6, speed: float = 0.5) -> list[Trajectory]:
-        """At constant speed but for a fifth of a second at both ends."""
+        """Return trajectories with constant speed, except 0.2 s at both ends."""
         at = [0.0, 0.2, seconds - 0.2, seconds]
         ways = np.array([0.0, 0.1, seconds - 0.3, seconds - 0.2]) * speed
         qd = np.zeros((4, 6))
@@ -103,12 +103,12 @@ class Pair:
         return [Trajectory.from_arrays(at, start + np.outer(ways, [0, 0, 0, 0, 0, 1.0]), qd) for start in self.start]
 
     def dense(self, seconds: float = 2.4) -> list[Trajectory]:
-        """The same by points that are 0.05 s apart."""
+        """Return the trajectories of `steady`, with points that are 0.05 s apart."""
         at = np.linspace(0.0, seconds, round(20 * seconds) + 1)
         return [Trajectory.from_arrays(at, *path.at(at)[:2]) for path in self.steady(seconds)]
 
     def ways(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Of each, times and the rad that it has gone; neither ever goes back."""
+        """Return the times and the travelled angles of each arm, in rad, and check that no arm moves back."""
         for side in self.sides:
             side.mark()
         found = []
@@ -120,15 +120,15 @@ class Pair:
         return found
 
     def radians_apart(self, after: float = 0.0) -> float:
-        """At most, at any time after one of them has gone so many rad."""
+        """Return the largest difference of the travelled angles, once the left arm has travelled `after` rad."""
         (when, way), (other_when, other_way) = self.ways()
         return float(np.abs(np.interp(when, other_when, other_way) - way)[way >= after].max())
 
     def seconds_apart(self) -> float:
-        """At most, between the moments at which both are as far, but for the ends of the way."""
+        """Return the largest time between equal travelled angles of both arms, except near the ends of the path."""
         (when, way), (other_when, other_way) = self.ways()
         inside = (way > 0.05 * way[-1]) & (way < 0.95 * way[-1])
-        moving = (other_way > 0.03 * way[-1]) & (other_way < 0.97 * way[-1])  # as far as those inside, and further
+        moving = (other_way > 0.03 * way[-1]) & (other_way < 0.97 * way[-1])  # a wider range than `inside`
         return float(np.abs(np.interp(way[inside], other_way[moving], other_when[moving]) - when[inside]).max())
 
 
@@ -149,7 +149,7 @@ def pair(seed: int = 1, *firmwares: str, latency: float = 3e-4, jitter: float = 
 
 
 @pytest.mark.parametrize("firmwares", [*WITH_E_SERIES, CB3])
-def test_they_begin_and_move_together(firmwares: tuple[str, str]) -> None:
+def test_move_joints_moves_all_arms_in_step(firmwares: tuple[str, str]) -> None:
     with pair(2, *firmwares) as both:
         for number in range(4):
             both.begin()
@@ -164,8 +164,8 @@ def test_they_begin_and_move_together(firmwares: tuple[str, str]) -> None:
 
 
 @pytest.mark.slow
-def test_the_slower_of_both_sets_the_pace() -> None:
-    """Each slider in turn, to a half, to 0 for half a second, and back."""
+def test_follow_adopts_the_pace_of_the_slower_arm() -> None:
+    """The sliders are moved to 0.5, 0.3 and 0, and back to 1, half a second apart."""
     with pair(3) as both:
         motion = both.group.follow(both.steady())
         began = both.sim.now
@@ -178,7 +178,7 @@ def test_the_slower_of_both_sets_the_pace() -> None:
 
 
 @pytest.mark.slow
-def test_a_pause_of_one_halts_the_other_and_both_go_on() -> None:
+def test_pause_of_one_arm_halts_both_until_it_resumes() -> None:
     with pair(4) as both:
         motion = both.group.follow(both.steady(2.4))
         time.sleep(0.8)
@@ -190,15 +190,15 @@ def test_a_pause_of_one_halts_the_other_and_both_go_on() -> None:
         assert not motion.done
         controller.call(controller.pendant.play)
         motion.wait()
-        assert 0.01 < both.radians_apart() < 0.1  # one brakes at once, and the other as the slider would make it
+        assert 0.01 < both.radians_apart() < 0.1  # one arm brakes at once, the other as after a slider change
         assert both.radians_apart(1.0) < 0.005
         for side, path in zip(both.sides, both.steady(2.4), strict=True):
             assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
 
 
 @pytest.mark.slow
-def test_a_stop_of_one_reaches_the_other() -> None:
-    """Within two cycles, and the ways of the network from one controller and to the other."""
+def test_protective_stop_of_one_arm_stops_the_other() -> None:
+    """The other arm brakes within two cycles and the network latencies from one controller and to the other."""
     latency = 1e-3
     with pair(5, latency=latency, jitter=0.0) as both:
         motion = both.group.follow(both.steady())
@@ -221,7 +221,7 @@ def test_a_stop_of_one_reaches_the_other() -> None:
 
 
 @pytest.mark.slow
-def test_who_cancels_one_cancels_all() -> None:
+def test_cancelling_one_motion_cancels_all() -> None:
     with pair(6) as both:
         motion = both.group.follow(both.steady())
         time.sleep(0.7)
@@ -241,7 +241,7 @@ def test_who_cancels_one_cancels_all() -> None:
 
 
 @pytest.mark.slow
-def test_stop_stops_each() -> None:
+def test_stop_stops_every_arm() -> None:
     with pair(7) as both:
         motion = both.group.follow(both.steady())
         time.sleep(0.7)
@@ -260,7 +260,7 @@ def test_stop_stops_each() -> None:
 
 
 @pytest.mark.slow
-def test_where_one_cannot_begin_none_does() -> None:
+def test_no_arm_starts_when_one_cannot() -> None:
     with pair(8) as both:
         controller = both.right.controller
         controller.call(controller.faults.protective_stop)
@@ -294,7 +294,7 @@ def test_tolerance_error_of_one_arm_stops_both_arms() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [*WITH_E_SERIES, CB3])
-def test_a_stream_leads_both_at_once(firmwares: tuple[str, str]) -> None:
+def test_stream_moves_all_arms_in_step(firmwares: tuple[str, str]) -> None:
     with pair(11, *firmwares) as both:
         with both.group.stream() as stream:
             for number in range(3):
@@ -310,7 +310,7 @@ def test_a_stream_leads_both_at_once(firmwares: tuple[str, str]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [WITH_E_SERIES[0], CB3])
-def test_streams_go_on_while_this_computer_stands(firmwares: tuple[str, str]) -> None:
+def test_stream_continues_while_the_client_is_suspended(firmwares: tuple[str, str]) -> None:
     with pair(12, *firmwares) as both:
         with both.group.stream() as stream:
             stream.append(both.dense(), wait=False)
@@ -319,14 +319,14 @@ def test_streams_go_on_while_this_computer_stands(firmwares: tuple[str, str]) ->
             sim.at(sim.now + 1.0, sim.here.release)
             stream.wait_until_dry()
             assert stream.starved == 0
-        # Nothing sets a common pace while this computer is interrupted: over 20 seeds, two CB3 arms were up to
+        # While the client is suspended, nothing sets a common pace. In runs with 20 seeds, two CB3 arms were up to
         # 2.1 cycles apart.
         assert both.seconds_apart() < 3.0 / both.left.rate
 
 
 @pytest.mark.slow
-def test_the_stream_of_the_slower_sets_the_pace() -> None:
-    """Each slider in turn, to a half, to 0 for half a second, and back."""
+def test_stream_adopts_the_pace_of_the_slower_arm() -> None:
+    """The sliders are moved to 0.5, 0.3 and 0, and back to 1, half a second apart."""
     with pair(13) as both, both.group.stream() as stream:
         began = both.sim.now
         stream.append(both.dense(), wait=False)
@@ -336,12 +336,12 @@ def test_the_stream_of_the_slower_sets_the_pace() -> None:
         stream.wait_until_dry()
         assert both.sim.now - began > 3.8
         assert both.radians_apart() < 0.02
-        assert both.radians_apart(0.95) < 0.003  # none is ahead any more
+        assert both.radians_apart(0.95) < 0.003  # no arm is ahead now
         assert stream.starved == 0
 
 
 @pytest.mark.slow
-def test_a_pause_of_one_holds_the_stream_of_the_other() -> None:
+def test_pause_of_one_arm_halts_the_stream_of_both() -> None:
     with pair(14) as both, both.group.stream() as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
@@ -359,8 +359,8 @@ def test_a_pause_of_one_holds_the_stream_of_the_other() -> None:
 
 
 @pytest.mark.slow
-def test_where_the_stream_of_one_runs_dry_all_stand() -> None:
-    """Messages to the right arm take so long that it has no points; the other one waits for it on its way."""
+def test_all_arms_halt_when_one_stream_starves() -> None:
+    """Messages to the right arm are so late that it has no points, and the other arm waits for it on its path."""
     with pair(15) as both, both.group.stream(buffer=0.1) as stream:
         route = both.sim.network.route(both.sim.here, both.right.computer)
         stream.append(both.dense(), wait=False)
@@ -378,20 +378,20 @@ def test_where_the_stream_of_one_runs_dry_all_stand() -> None:
 
 
 def beside(path: Trajectory, way: float) -> Trajectory:
-    """The same, so many rad further in wrist 3."""
+    """Return a trajectory with wrist 3 turned further by `way` rad."""
     return Trajectory.from_arrays(path.time, path.q + np.array([0, 0, 0, 0, 0, way]), path.qd)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("3.15", "5.11")])
-def test_the_points_of_all_are_replaced_and_cleared_at_one_time(firmwares: tuple[str, str]) -> None:
+def test_replace_and_clear_take_effect_in_all_arms_at_once(firmwares: tuple[str, str]) -> None:
     cycle = 0.002 if firmwares[0] == "5.11" else 0.008
     with pair(21, *firmwares) as both:
         with both.group.stream() as stream:
             stream.append(both.dense(), wait=False)
             time.sleep(0.8)
             looked = stream.time
-            # As a policy would say it that saw them at 0.1 s.
+            # A policy that observed the arms at 0.1 s would replace the points in the same way.
             since = stream.replace(0.0, [beside(path, 0.05) for path in both.dense()])
             assert looked < since < looked + 0.15
             stream.wait_until_dry()
@@ -417,7 +417,7 @@ def test_the_points_of_all_are_replaced_and_cleared_at_one_time(firmwares: tuple
 
 
 @pytest.mark.slow
-def test_where_one_cannot_go_over_none_does() -> None:
+def test_replace_changes_no_arm_when_one_refuses() -> None:
     with pair(22) as both, both.group.stream() as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
@@ -435,8 +435,8 @@ def test_where_one_cannot_go_over_none_does() -> None:
 
 
 @pytest.mark.slow
-def test_where_a_message_comes_too_late_to_one_all_are_cleared() -> None:
-    """The left arm has gone over when the right one says that its points were past before the message came."""
+def test_replace_too_late_for_one_arm_clears_all() -> None:
+    """The left arm has adopted the new points when the right arm reports that the message arrived too late for them."""
     with pair(23) as both, both.group.stream(buffer=1.5) as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
@@ -455,7 +455,7 @@ def test_where_a_message_comes_too_late_to_one_all_are_cleared() -> None:
 
 
 @pytest.mark.slow
-def test_where_a_message_comes_too_late_to_all_they_go_on() -> None:
+def test_replace_too_late_for_all_arms_changes_nothing() -> None:
     with pair(23) as both, both.group.stream(buffer=1.5) as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
@@ -476,8 +476,8 @@ def test_where_a_message_comes_too_late_to_all_they_go_on() -> None:
 
 
 @pytest.mark.parametrize("latency", [pytest.param(1e-3, marks=pytest.mark.slow), 5e-3])
-def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Set-points of the other brake within two cycles and the ways from one controller and to the other."""
+def test_protective_stop_of_one_arm_ends_the_stream_of_all(latency: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set-points of the other arm brake within two cycles and the latencies from one controller and to the other."""
     setpoints: list[tuple[float, float]] = []
     servoj = MotionGenerator.servoj
 
@@ -492,7 +492,7 @@ def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytes
             controller = both.left.controller
             stopped = both.sim.now
             controller.call(controller.faults.protective_stop)
-            monkeypatch.setattr(MotionGenerator, "servoj", watched)  # from now on of the other one only
+            monkeypatch.setattr(MotionGenerator, "servoj", watched)  # from here, only the other arm calls it
             time.sleep(0.5)
             with pytest.raises(SafetyStop, match=r"^192\.168\.0\.100: "):
                 stream.append(both.dense())
@@ -506,14 +506,14 @@ def test_a_stop_of_one_ends_the_stream_of_all(latency: float, monkeypatch: pytes
         assert 2 * latency < brakes - stopped <= 2 * latency + 2 * CYCLE
         when, _, speed = both.right.path()
         slower = when[(when > stopped) & (speed < 0.498)][0]
-        assert slower - brakes < 0.018  # it brakes smoothly, and shows that after the lag of servoj
+        assert slower - brakes < 0.018  # the arm brakes smoothly, after the lag of servoj
         assert speed[-1] == 0.0
         assert np.abs(np.diff(speed)).max() / CYCLE < 12.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [WITH_E_SERIES[0], CB3])
-def test_who_leaves_the_block_or_cancels_stops_all(firmwares: tuple[str, str]) -> None:
+def test_leaving_the_block_or_cancelling_stops_all_arms(firmwares: tuple[str, str]) -> None:
     with pair(17, *firmwares) as both:
         with both.group.stream() as stream:
             stream.append(both.dense(), wait=False)
@@ -532,7 +532,7 @@ def test_who_leaves_the_block_or_cancels_stops_all(firmwares: tuple[str, str]) -
 
 
 @pytest.mark.slow
-def test_what_the_stream_of_a_group_refuses() -> None:
+def test_stream_refuses_bad_arguments() -> None:
     with pair(18) as both:
         stream = both.group.stream()
         with pytest.raises(LocalError, match="within its block"):
@@ -558,7 +558,7 @@ def test_what_the_stream_of_a_group_refuses() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmwares", [("5.11", "5.11"), ("5.11", "3.15")])
-def test_states_of_the_same_moment(firmwares: tuple[str, str]) -> None:
+def test_states_are_of_the_same_moment(firmwares: tuple[str, str]) -> None:
     with pair(10, *firmwares) as both:
         seen = []
         for states in both.group.states():
@@ -572,7 +572,7 @@ def test_states_of_the_same_moment(firmwares: tuple[str, str]) -> None:
             (began, first), (ended, last) = side.marks[0], side.marks[-1]
             times = np.array(seen)[:, number]
             whens.append(began + (times - first) * (ended - began) / (last - first))
-        # Of arms of one generation, how long a state takes to be sent is the same.
+        # Controllers of the same generation need the same time to send a state.
         bound = 4e-4 if len(set(firmwares)) == 1 else sum(side.robot.clock.bound for side in both.sides)
         assert np.abs(whens[0] - whens[1]).max() < 0.5 * CYCLE + bound
         assert np.diff(whens[0]).min() > 0.0
@@ -583,7 +583,7 @@ def test_states_of_the_same_moment(firmwares: tuple[str, str]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_awaited() -> None:
+def test_async_group_moves_streams_and_reads() -> None:
     async def use() -> None:
         async with urlink.connect_async("sim://ur5e") as one, urlink.connect_async("sim://ur5e") as two:
             here = [(await robot.realtime.wait()).q_target for robot in (one, two)]
@@ -625,7 +625,7 @@ def test_awaited() -> None:
 
 
 @pytest.mark.simulated_time
-def test_what_a_group_refuses() -> None:
+def test_group_refuses_bad_arguments() -> None:
     with urlink.connect("sim://ur5e") as one, urlink.connect("sim://ur5e") as two:
         for robots in [(), (one,), (one, one)]:
             with pytest.raises(BadValue, match="at least two"):

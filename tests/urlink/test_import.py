@@ -1,4 +1,4 @@
-"""Importing urlink starts nothing, touches no network and brings in nothing that is not needed."""
+"""Tests that importing urlink starts nothing, uses no network and imports no unneeded module."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import urlink
 
 pytestmark = pytest.mark.real_time
 
-#: What the commands, the simulator and the plots need, and a reading program does not.
+#: Modules for commands, the simulator and plots, which a program that only reads does not need.
 NOT_NEEDED = (
     "rich",
     "matplotlib",
@@ -26,7 +26,7 @@ NOT_NEEDED = (
     "construct",
 )
 
-#: What decoding bytes does without.
+#: Modules that are not needed to decode bytes.
 NOT_NEEDED_TO_DECODE = (
     *NOT_NEEDED,
     "socket",
@@ -38,7 +38,7 @@ NOT_NEEDED_TO_DECODE = (
     "urlink.protocol.dashboard",
 )
 
-#: What connecting and reading states does without.
+#: Modules that are not needed to connect and read states.
 NOT_NEEDED_TO_READ = (
     *NOT_NEEDED,
     "linkcore.recording",
@@ -54,7 +54,7 @@ NOT_NEEDED_TO_READ = (
     "urlink.script.commands",
 )
 
-# A fresh interpreter: in this one everything has been imported already.
+# Program for a new interpreter, because the interpreter of the tests has already imported everything.
 PROGRAM = """
 import json, sys, threading
 import numpy
@@ -83,12 +83,15 @@ def outcome(statement: str) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def imported() -> dict[str, Any]:
-    """With every public name, each of which is imported when it is asked for, but those that are for asyncio."""
+    """Provide the outcome of importing every public name except the names for asyncio.
+
+    Each name is imported at its first use.
+    """
     names = [name for name in vars(urlink)["__all__"] if "async" not in name.lower()]
     return outcome(f"from urlink import {', '.join(names)}; import urlink")
 
 
-def test_starts_no_thread_and_opens_no_socket(imported: dict[str, Any]) -> None:
+def test_import_starts_no_thread_and_opens_no_socket(imported: dict[str, Any]) -> None:
     assert imported["threads"] == 1
     assert [event for event in imported["events"] if not event.startswith("os.")] == []
 
@@ -100,13 +103,13 @@ def test_starts_no_thread_and_opens_no_socket(imported: dict[str, Any]) -> None:
         ("import threading; threading.Thread(target=print).start()", "_thread.start_new_thread"),
     ],
 )
-def test_it_would_be_noticed(statement: str, event: str) -> None:
+def test_sockets_and_threads_are_noticed(statement: str, event: str) -> None:
     if event.startswith("_thread") and sys.version_info < (3, 12):
-        # Before, starting a thread told no hook; but it can be counted.
+        # Before 3.12, starting a thread raises no audit event, but the thread can be counted.
         statement = "import threading; threading.Thread(target=threading.Event().wait, daemon=True).start()"
         assert outcome(statement)["threads"] == 2
     else:
-        # From 3.13 on, threading starts threads that can be joined, which is an event of its own.
+        # Since 3.13, threading starts joinable threads, which raise a different event.
         events = {name.replace("start_joinable_thread", "start_new_thread") for name in outcome(statement)["events"]}
         assert event in events
 
@@ -115,13 +118,13 @@ def those(modules: list[str], unwanted: tuple[str, ...]) -> list[str]:
     return [each for each in modules if any(each == name or each.startswith(f"{name}.") for name in unwanted)]
 
 
-def test_imports_nothing_that_is_not_needed(imported: dict[str, Any]) -> None:
+def test_import_loads_no_unneeded_module(imported: dict[str, Any]) -> None:
     assert "urlink.robot" in imported["modules"]
     assert those(imported["modules"], NOT_NEEDED) == []
 
 
 @pytest.mark.slow
-def test_who_only_decodes_imports_no_streams_and_no_commands() -> None:
+def test_decoding_loads_no_streams_and_no_commands() -> None:
     modules = outcome("import urlink; urlink.decode(b'', 'primary', '5.11'); urlink.packets.RealtimeState('3.4')")[
         "modules"
     ]
@@ -129,14 +132,14 @@ def test_who_only_decodes_imports_no_streams_and_no_commands() -> None:
     assert those(modules, NOT_NEEDED_TO_DECODE) == []
 
 
-def test_who_connects_and_reads_imports_nothing_that_commands() -> None:
+def test_reading_loads_no_command_module() -> None:
     modules = outcome("import urlink; urlink.connect; urlink.Robot.realtime; urlink.packets.RealtimeState")["modules"]
     assert "urlink.robot" in modules
     assert those(modules, NOT_NEEDED_TO_READ) == []
 
 
 @pytest.mark.slow
-def test_the_simulator_is_imported_by_who_asks_for_it() -> None:
+def test_simulator_is_imported_on_request() -> None:
     assert "urlink.simulator" in outcome("import urlink.simulator")["modules"]
-    # Its sockets only by who starts it.
+    # The server, which opens sockets, is imported only when a controller is started.
     assert "urlink.simulator.server" not in outcome("import urlink.simulator")["modules"]

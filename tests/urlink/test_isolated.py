@@ -1,4 +1,4 @@
-"""A robot that a process of its own reads."""
+"""Tests of robots whose states are read by another process."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def controller() -> Iterator[Controller]:
 
 
 def reader_of(robot: Robot) -> int:
-    """The process that reads."""
+    """Return the id of the process that reads."""
     transport = robot.realtime._connection._transport
     assert isinstance(transport, IsolatedTransport)
     assert transport._process is not None
@@ -40,7 +40,7 @@ def reader_of(robot: Robot) -> int:
 
 
 def is_there(pid: int) -> bool:
-    """Not even as a zombie that nobody has waited for."""
+    """Return whether the process is running. A zombie is not running."""
     try:
         return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except FileNotFoundError:
@@ -53,7 +53,7 @@ def is_there(pid: int) -> bool:
     return True
 
 
-def test_the_newest_state_is_there_while_nothing_here_reads(controller: Controller) -> None:
+def test_latest_stays_current_while_the_reader_thread_is_blocked(controller: Controller) -> None:
     goes_on, is_held = threading.Event(), threading.Event()
 
     def hold(state: urlink.packets.RealtimeState) -> None:
@@ -65,7 +65,7 @@ def test_the_newest_state_is_there_while_nothing_here_reads(controller: Controll
         times = [next(states).time for _ in range(10)]
         holding = robot.realtime.subscribe(hold, inline=True)
         assert is_held.wait(10)
-        # The thread that reads is held; the other process goes on.
+        # The reading thread is blocked, and the other process continues.
         seen = robot.realtime.latest
         assert seen is not None
         until(lambda: (newest := robot.realtime.latest) is not None and newest.time > seen.time + 0.2)
@@ -77,7 +77,7 @@ def test_the_newest_state_is_there_while_nothing_here_reads(controller: Controll
         assert newest is not None
         assert newest.received is not None
 
-        # A process that is gone is a connection that is lost; it comes back with another.
+        # If the process ends, the connection is lost. It is restored with a new process.
         first = reader_of(robot)
         os.kill(first, signal.SIGKILL)
         until(lambda: robot.realtime.stats.reconnects == 1)
@@ -90,7 +90,7 @@ def test_the_newest_state_is_there_while_nothing_here_reads(controller: Controll
 
 
 @pytest.mark.slow
-def test_it_ends_with_its_parent(controller: Controller) -> None:
+def test_reader_process_ends_with_its_parent(controller: Controller) -> None:
     program = (
         "import sys, urlink\n"
         "robot = urlink.connect(sys.argv[1], isolate=True, timeout=60.0)\n"
@@ -107,7 +107,7 @@ def test_it_ends_with_its_parent(controller: Controller) -> None:
     until(lambda: not is_there(reader))
 
 
-def test_nobody_there_is_an_error_and_a_recording_is_not_isolated(tmp_path: Path) -> None:
+def test_isolation_refuses_closed_ports_and_recordings(tmp_path: Path) -> None:
     boundary = "urlink.protocol.realtime.protocol:RealtimeBoundary"
     transport = IsolatedTransport("127.0.0.1", 1, silence=1.0, boundary=boundary, decode=lambda data, stamp: None)
     with pytest.raises(urlink.ConnectFailed, match="refused"):

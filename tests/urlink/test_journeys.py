@@ -1,4 +1,4 @@
-"""How many modules a reader meets who follows one call through the code: counted by running it."""
+"""Tests of the number of modules that run during one call, and that its reader must follow."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from linkcore.simulated.primitives import hash_
 from tests.fakes.rehearsal import Rehearsal, turned
 from urlink.simulator import Controller
 
-#: Once the command has left, the states are subscribed to: an arm that is moved while it is paused is stopped.
+#: Modules for the subscription to states after the command was sent, which stops arms that are moved while paused.
 SUBSCRIBING = {
     "urlink.command.program_time",
     "linkcore.threads",
@@ -25,7 +25,7 @@ SUBSCRIBING = {
     "linkcore.streaming.subscription",
 }
 
-#: Checks of arguments and facts about the robot: a reader looks them up, and the command does not go through them.
+#: Modules that check arguments and hold facts about the robot. The command does not pass through them.
 LOOKED_UP = {
     "linkcore.arguments",
     "urlink.arm.bounds",
@@ -39,16 +39,16 @@ LOOKED_UP = {
 
 
 def modules_met(call: Callable[[], object]) -> set[str]:
-    """The modules of the project in which any function runs during a call, in this thread."""
+    """Return the modules of the project with a function that runs in this thread during a call."""
     met: set[str] = set()
 
     def look(frame: FrameType, event: str, argument: object) -> None:
         name = str(frame.f_globals.get("__name__", ""))
-        # Once time was simulated in this process, that is the hash of a thread.
+        # The hash of a thread runs `hash_` after time was simulated in this process.
         if name.partition(".")[0] in ("urlink", "linkcore") and frame.f_code is not hash_.__code__:
             met.add(name)
 
-    # What earlier tests have left is collected before: its finalizers would run in this thread.
+    # Garbage of earlier tests is collected before the call, because its finalizers would run in this thread.
     gc.collect()
     gc.disable()
     before = sys.getprofile()
@@ -62,31 +62,31 @@ def modules_met(call: Callable[[], object]) -> set[str]:
 
 
 @pytest.mark.real_time
-def test_move_joints() -> None:
+def test_move_joints_runs_code_of_the_listed_modules() -> None:
     with Rehearsal() as robot:
-        robot.motion.move_joints(turned(0.1))  # the second one connects and asks no more
+        robot.motion.move_joints(turned(0.1))  # connects and identifies, so the next command does not
         met = modules_met(lambda: robot.motion.move_joints(turned(0.2)))
     assert met >= SUBSCRIBING
     assert met - LOOKED_UP - SUBSCRIBING == {
         "urlink.motion.motions",  # arguments
-        "urlink.script.commands",  # the text
-        "urlink.script.wrapping",  # what is put around it
-        "linkcore.handle",  # the one state machine of its life
-        "linkcore.pending_call",  # the order of calls and stops; whether the task that awaits this was cancelled
-        "linkcore.names",  # no attribute is set that the object does not have
-        "linkcore.process",  # this is the process that has connected
-        "urlink.command.programs",  # the registry
-        "urlink.command.channel",  # the one way out
-        "linkcore.net.undo",  # is anything given up before that may still be carried out?
+        "urlink.script.commands",  # text of the program
+        "urlink.script.wrapping",  # program around the text
+        "linkcore.handle",  # state machine of the handle
+        "linkcore.pending_call",  # order of calls and stops, and cancelled tasks
+        "linkcore.names",  # only existing attributes are set
+        "linkcore.process",  # check of the calling process
+        "urlink.command.programs",  # registry of programs
+        "urlink.command.channel",  # only connection for commands
+        "linkcore.net.undo",  # abandoned commands that might still be executed
         "urlink.command.section",
         "urlink.command.safety_monitor",
-        "urlink.command.interlock",  # may it leave?
-        "linkcore.streaming.connection",  # is this the thread that reads?
-        "linkcore.clock",  # how old is the news?
+        "urlink.command.interlock",  # permission to send
+        "linkcore.streaming.connection",  # check of the calling thread
+        "linkcore.clock",  # age of the newest state
     }
 
 
-#: What else a cycle of the simulated controller brings up to date, whether a program runs or not.
+#: Modules that run in each cycle of the simulated controller, with or without a program.
 EVERY_CYCLE = {
     "urlink.simulator.state",
     "urlink.simulator.faults.schedule",
@@ -97,8 +97,8 @@ EVERY_CYCLE = {
 }
 
 
-def test_a_script_on_the_simulated_arm() -> None:
-    """From the text to the arm: 11 modules, beside the inside of the language, which is a compiler like any other."""
+def test_script_on_the_simulator_runs_code_of_the_listed_modules() -> None:
+    """The listed modules run between the text and the arm, in addition to the compiler of the language."""
     controller = Controller("UR5e", "5.11")
     text = "def turn():\n  movej([0, -1.57, 1.57, -1.57, -1.57, {}])\nend\n"
 
@@ -113,17 +113,17 @@ def test_a_script_on_the_simulated_arm() -> None:
     packets = {name for name in met if name.startswith("linkcore.wire.")}
     assert met - language - packets - EVERY_CYCLE - LOOKED_UP - {"urlink.arm.kinematics.arm"} == {
         "urlink.simulator.controller",
-        "linkcore.names",  # no attribute is set that the object does not have
-        "urlink.simulator.programs.loader",  # whole programs, in their turn; the compiler is called from here
-        "urlink.simulator.programs.runner",  # runs them
-        "urlink.simulator.programs.program_world",  # what they call; their sockets are closed with them
-        "urlink.simulator.messages",  # it began, it ended
+        "linkcore.names",  # only existing attributes are set
+        "urlink.simulator.programs.loader",  # whole programs in order, and calls of the compiler
+        "urlink.simulator.programs.runner",  # execution of the programs
+        "urlink.simulator.programs.program_world",  # functions for programs, and their sockets
+        "urlink.simulator.messages",  # start and end of programs
         "urlink.simulator.control_loop",
         "urlink.simulator.robot.generator.drive",
         "urlink.simulator.robot.generator.motion_generator",
         "urlink.simulator.robot.generator.joint_limits",
         "urlink.simulator.robot.generator.path_motion",
-        "urlink.simulator.robot.characteristics",  # how fast programs go
+        "urlink.simulator.robot.characteristics",  # speed of programs
         "urlink.simulator.robot.arm",
     }
     assert "urlink.simulator.urscript.builtins.motions" in language  # `movej`

@@ -1,4 +1,4 @@
-"""What counts the cycles of ten thousand calls sees them."""
+"""Tests of `many_cycles`, which counts the reference cycles of many calls."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tests.urlink import many_cycles
 @pytest.mark.parametrize(
     "key", ["call IO.set_flag", "refused Motions.servo", "awaited io.set_digital_out", "ur_rtde stopL", "urx stop"]
 )
-def test_each_kind_of_call_is_counted(key: str) -> None:
+def test_tried_counts_each_kind_of_call(key: str) -> None:
     kind, name = key.split()
     assert many_cycles.tried(kind, name, 3, 60.0) == (3, {})
 
 
 @pytest.mark.slow
-def test_a_cycle_is_counted_by_what_is_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Here a handle's life keeps what stops the arm after its end."""
+def test_tried_reports_the_types_in_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The defect injected here: after its end, the life cycle of a handle keeps the function that stops the arm."""
     settle = Lifecycle._settle
 
     def leaking(life: Lifecycle, error: Exception | None) -> None:

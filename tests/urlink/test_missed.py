@@ -1,4 +1,7 @@
-"""States that a controller did not send are counted by its own clock, on every kind of stream and in recordings."""
+"""Tests of the count of states that a controller did not send, on every kind of stream and in recordings.
+
+They are counted by the controller's own clock.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from urlink.simulator import Controller
 
 pytestmark = pytest.mark.simulated_time
 
-#: Seconds for which the controller is silent.
+#: Time for which the controller is silent, in s.
 SILENT = 0.3
 
 
@@ -46,7 +49,7 @@ def missing_in(times: list[float], period: float) -> int:
 
 
 def agrees(stats: StreamStatistics, times: list[float], period: float) -> None:
-    """What the stream counted is what the states show, of which it has had all so far."""
+    """Check the counts of a stream against all states that it has delivered."""
     assert stats.missed == missing_in(times, period)
     assert stats.missed >= int((SILENT - 0.1) / period)
     assert stats.gaps >= 1
@@ -55,7 +58,7 @@ def agrees(stats: StreamStatistics, times: list[float], period: float) -> None:
 
 
 def across_a_silence(controller: Controller, stream: OutputStream[Any]) -> list[float]:
-    """The times of all states of a stream, which is closed then."""
+    """Return the times of all states of a stream, before and after a silence, and close the stream."""
     times: list[float] = []
     stream.subscribe(lambda state: times.append(state.timestamp), inline=True)
     until(lambda: len(times) > 10)
@@ -65,11 +68,11 @@ def across_a_silence(controller: Controller, stream: OutputStream[Any]) -> list[
     return times
 
 
-def test_realtime(controller: Controller) -> None:
+def test_realtime_counts_missed_states(controller: Controller) -> None:
     period = 1 / urlink.Firmware.parse(controller.firmware).rate
     with urlink.connect(controller.address) as robot:
         times: list[float] = []
-        # In the thread that reads, so that nothing is received that is not looked at.
+        # The function runs in the reading thread, so that it sees every received state.
         robot.realtime.subscribe(lambda state: times.append(state.time), inline=True)
         until(lambda: len(times) > 10)
         assert robot.realtime.stats.missed == missing_in(times, period)
@@ -79,9 +82,9 @@ def test_realtime(controller: Controller) -> None:
         agrees(robot.realtime.stats, times, period)
 
 
-def test_rtde(controller: Controller) -> None:
+def test_rtde_counts_missed_states(controller: Controller) -> None:
     rate = urlink.Firmware.parse(controller.firmware).rate
-    # Every floor(rate / frequency)-th cycle: each one, and each second one.
+    # A package is sent every floor(rate / frequency) cycles: here every cycle, and every second cycle.
     for frequency, period in ((0.6 * rate, 1 / rate), (rate / 2.5, 2 / rate)):
         with (
             urlink.connect(controller.address) as robot,
@@ -91,13 +94,13 @@ def test_rtde(controller: Controller) -> None:
             agrees(stream.stats, times, period)
 
 
-def test_rtde_without_a_clock_says_so(controller: Controller) -> None:
+def test_rtde_counts_no_missed_states_without_a_timestamp(controller: Controller) -> None:
     with urlink.connect(controller.address) as robot, robot.rtde.outputs("actual_q") as stream:
         stream.wait()
         assert stream.stats.missed is None
 
 
-def test_package_periods_rtde() -> None:
+def test_package_periods_follow_rate_and_frequency() -> None:
     cb3, e_series = urlink.Firmware(3, 15), urlink.Firmware(5, 11)
     assert package_periods(None, e_series, 1) == (0.002,)
     assert package_periods(100, cb3, 1) == (0.008,)
@@ -109,7 +112,7 @@ def test_package_periods_rtde() -> None:
     assert package_periods(5e-324, e_series, 1)[0] > 1e5
 
 
-def test_robot_states(controller: Controller) -> None:
+def test_primary_counts_missed_states(controller: Controller) -> None:
     with urlink.connect(controller.address) as robot:
         times: list[float] = []
         robot.primary.subscribe(lambda mode: times.append(mode.timestamp / 1e6), RobotModeData, inline=True)
@@ -121,7 +124,7 @@ def test_robot_states(controller: Controller) -> None:
         assert stats.missed == missing_in(times, 0.1) >= 4
 
 
-def test_a_state_of_cb2_has_no_clock_that_is_known() -> None:
+def test_robot_state_has_no_known_clock_for_cb2() -> None:
     protocol = PrimaryProtocol()
     for number in range(3):
         for version in ("1.8", "3.4", "5.11"):
@@ -132,7 +135,7 @@ def test_a_state_of_cb2_has_no_clock_that_is_known() -> None:
             )
 
 
-def test_asyncio(controller: Controller) -> None:
+def test_async_realtime_counts_missed_states(controller: Controller) -> None:
     period = 1 / urlink.Firmware.parse(controller.firmware).rate
     times: list[float] = []
 
@@ -153,7 +156,7 @@ def test_asyncio(controller: Controller) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="processes share no descriptors there")
 @pytest.mark.real_time
-def test_what_another_process_reads(controller: Controller) -> None:
+def test_isolated_realtime_counts_missed_states(controller: Controller) -> None:
     period = 1 / urlink.Firmware.parse(controller.firmware).rate
     with urlink.connect(controller.address, isolate=True, timeout=60.0) as robot:
         times: list[float] = []
@@ -165,8 +168,8 @@ def test_what_another_process_reads(controller: Controller) -> None:
         agrees(robot.realtime.stats, times, period)
 
 
-def test_a_lost_connection_is_counted_as_such(controller: Controller) -> None:
-    """The clock of a controller that was started again begins anew, so nothing is counted between two connections."""
+def test_missed_counts_nothing_between_two_connections(controller: Controller) -> None:
+    """The clock of a restarted controller starts from 0, so no states are counted between two connections."""
     period = 1 / urlink.Firmware.parse(controller.firmware).rate
     connections: list[list[float]] = [[]]
 
@@ -180,7 +183,7 @@ def test_a_lost_connection_is_counted_as_such(controller: Controller) -> None:
             until(lambda: connections[-1])
             known = len(connections)
             controller.faults.cut("realtime")
-            # Events of losing it, of connecting, and of being connected.
+            # The three events are: connection lost, connecting, and connected.
             until(partial(is_connected_again, known))
         until(lambda: connections[-1])
         robot.realtime.close()
@@ -188,7 +191,7 @@ def test_a_lost_connection_is_counted_as_such(controller: Controller) -> None:
         assert robot.realtime.stats.missed == sum(missing_in(times, period) for times in connections)
 
 
-def test_a_recording_and_what_is_made_of_it(controller: Controller, tmp_path: Path) -> None:
+def test_recording_reports_missing_states(controller: Controller, tmp_path: Path) -> None:
     period = 1 / urlink.Firmware.parse(controller.firmware).rate
     with urlink.connect(controller.address) as robot:
         outputs = robot.rtde.outputs("timestamp", "actual_q", frequency=25)
@@ -218,13 +221,13 @@ def test_a_recording_and_what_is_made_of_it(controller: Controller, tmp_path: Pa
 
 
 @pytest.mark.parametrize("lost", [(), (5,), (7, 8, 9, 20)])
-def test_nothing_is_missing_only_where_nothing_is(tmp_path: Path, lost: tuple[int, ...]) -> None:
+def test_recording_reports_gaps_only_for_lost_states(tmp_path: Path, lost: tuple[int, ...]) -> None:
     writer = RecordingWriter(tmp_path / "run.urlog")
     channel = writer.add_channel({"name": "realtime", "firmware": "5.11"})
     for number in range(30):
         if number not in lost:
             data = bytes(urlink.packets.RealtimeState("5.11", time=number * 0.002))
-            # All of them arrive at the regular times.
+            # All states arrive at regular times.
             writer.write(Kind.BYTES, channel, Stamp(100 + number * 0.002, 0), data)
     writer.close()
     run = urlink.load(tmp_path / "run.urlog")

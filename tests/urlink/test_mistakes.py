@@ -1,4 +1,4 @@
-"""What newcomers try, and the advice that each mistake is answered with, before anything is sent."""
+"""Tests of typical mistakes: each raises an error with advice before anything is sent."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ POSE = [-0.49, -0.13, 0.49, 0.0, 3.14, 0.0]
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[Any]:
-    """Untyped: type checkers refuse most of what is tried here."""
+    """Provide a robot as `Any`, because type checkers refuse most of these calls."""
     with (
         Controller("UR5e", "5.11", motion=Still()) as controller,
         urlink.connect(controller.address) as robot,
@@ -32,7 +32,7 @@ def robot() -> Iterator[Any]:
 
 
 Try = Callable[[Any], object]
-#: (what is tried, kind of error, part of its message)
+#: (Mistake, type of the error, part of its message)
 MISTAKES: list[tuple[Try, type[Exception], str]] = [
     # names of URScript, ur_rtde and urx
     (lambda r: r.motion.movej(Q), AttributeError, r"equivalent here: robot.motion.move_joints\(q\)"),
@@ -62,7 +62,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
     (lambda r: r.disconnect(), AttributeError, "robot.close"),
     (lambda r: r.safety.unlock_protective_stop(), AttributeError, "robot.dashboard.unlock"),
     (lambda r: r.motion.home(), AttributeError, "move_joints"),
-    # misspelt
+    # misspelt names
     (lambda r: r.moton, AttributeError, "did you mean 'motion'"),
     (lambda r: r.motion.move_joint(Q), AttributeError, "did you mean 'move_joints'"),
     (lambda r: r.safety.enabel(), AttributeError, "did you mean 'enable'"),
@@ -116,7 +116,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
 
 
 @pytest.mark.parametrize("name", ["movej", "moton"])
-def test_python_adds_no_guess_of_its_own_to_an_unknown_name(name: str) -> None:
+def test_attribute_error_leaves_python_nothing_to_suggest(name: str) -> None:
     with pytest.raises(AttributeError) as caught:
         getattr(StrictAttributes(), name)
     assert (caught.value.name, caught.value.obj) == (name, None)
@@ -124,15 +124,15 @@ def test_python_adds_no_guess_of_its_own_to_an_unknown_name(name: str) -> None:
 
 @pytest.mark.parametrize(("attempt", "kind", "advice"), MISTAKES, ids=[advice for _, _, advice in MISTAKES])
 @pytest.mark.real_time
-def test_a_mistake_is_answered_with_advice(robot: Any, attempt: Try, kind: type[Exception], advice: str) -> None:
+def test_mistake_raises_an_error_with_advice(robot: Any, attempt: Try, kind: type[Exception], advice: str) -> None:
     with pytest.raises(kind, match=advice):
         attempt(robot)
     assert robot.motion.current is None
 
 
 @pytest.mark.real_time
-def test_what_is_told_of_another_name_is_there(robot: Any) -> None:
-    """Each dotted name in the table can be looked up on a robot, or in the library."""
+def test_advice_names_existing_attributes(robot: Any) -> None:
+    """Each dotted name in the table is an attribute of a robot or of the library."""
     for name, advice in _OWN.items():
         assert name == name.lower().replace("_", "")
         for word in advice.replace("(", " ").replace(",", " ").split():
@@ -148,7 +148,7 @@ def test_what_is_told_of_another_name_is_there(robot: Any) -> None:
     assert own_name("no_such_name") is None
 
 
-def test_each_quantity_has_these_names_on_the_interfaces() -> None:
+def test_quantities_have_the_listed_names_on_each_interface() -> None:
     parts = {snake_case(kind.__name__): kind for kinds in SUB_PACKAGES.values() for kind in kinds}
     for realtime, rtde, primary in _ROWS:
         assert realtime in urlink.RealtimeState.FIELDS, f"{realtime}: not real-time; correct it in foreign_names.py"
@@ -159,7 +159,7 @@ def test_each_quantity_has_these_names_on_the_interfaces() -> None:
 
 
 @pytest.mark.simulated_time
-def test_other_interfaces_names_are_answered() -> None:
+def test_names_of_other_interfaces_raise_errors_with_advice() -> None:
     with urlink.connect("sim://") as robot:
         held: Any = robot
         outputs: Any = held.rtde.outputs("actual_q")
@@ -198,7 +198,7 @@ def test_private_names_get_no_advice(robot: Any) -> None:
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("part", ["", "motion", "safety", "io"])
-def test_a_notebook_shows_the_robot_and_its_parts(robot: Any, part: str) -> None:
+def test_repr_html_shows_the_robot_and_its_parts(robot: Any, part: str) -> None:
     shown = (getattr(robot, part) if part else robot)._repr_html_()
     wanted = {"": "5.11", "motion": "move_joints", "safety": "permitted", "io": "digital outputs"}[part]
     assert wanted in shown
@@ -206,14 +206,14 @@ def test_a_notebook_shows_the_robot_and_its_parts(robot: Any, part: str) -> None
 
 
 @pytest.mark.simulated_time
-def test_a_notebook_shows_a_robot_before_a_stream_is_open() -> None:
+def test_repr_html_shows_a_robot_without_open_streams() -> None:
     with urlink.connect("sim://ur10e?firmware=5.11") as robot:
         assert "<td>UR10e</td>" in robot._repr_html_()
         assert "the first use of robot.realtime connects it" in robot._repr_html_()
 
 
-def test_every_error_is_imported_from_where_a_traceback_shows_it() -> None:
-    """And from `urlink`, which the page of errors says of all."""
+def test_every_error_is_importable_from_its_module_and_urlink() -> None:
+    """The page of errors states that `urlink` has every error. A traceback shows the module of an error."""
     import importlib
     from pathlib import Path
 
@@ -235,8 +235,8 @@ def test_every_error_is_imported_from_where_a_traceback_shows_it() -> None:
 
 
 @pytest.mark.real_time
-def test_types_refuse_text_for_joints(robot: urlink.Robot) -> None:
-    """An unused `type: ignore` is an error, so type checkers have to refuse each line."""
+def test_type_hints_refuse_text_as_joints(robot: urlink.Robot) -> None:
+    """An unused `type: ignore` is an error, so type checkers must refuse each line."""
     with pytest.raises(LocalError, match="q is 'home'; expected numbers"):
         robot.motion.move_joints("home")  # type: ignore[arg-type]
     with pytest.raises(LocalError, match="pose is 'home'; expected numbers"):

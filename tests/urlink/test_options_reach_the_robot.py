@@ -1,4 +1,4 @@
-"""Each option of a motion changes the program that is sent, or how the library leads it."""
+"""Test that options of motions change the program that is sent."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from urlink.script.wrapping import Wrapped
 
 pytestmark = pytest.mark.simulated_time
 
-#: Arguments that are required, by the name of the method.
+#: Name of a method -> its required arguments.
 _REQUIRED: dict[str, tuple[Any, ...]] = {
     "force_mode": ("base", [0, 0, 1, 0, 0, 0], [0.0] * 6, [0.05] * 6),
 }
@@ -36,7 +36,7 @@ _WATCHED = [
 
 @pytest.fixture
 def sent(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The texts of the programs that are sent, without what differs from one to the next."""
+    """Provide the texts of the sent programs, without names and numbers that differ between programs."""
     texts: list[str] = []
     start = Programs.start
 
@@ -67,6 +67,6 @@ def _texts(sent: list[str], cls: type, name: str, watchdog: float) -> Iterator[s
 
 
 @pytest.mark.parametrize(("cls", "name"), _WATCHED, ids=lambda each: each if isinstance(each, str) else "")
-def test_watchdog_reaches_the_program(sent: list[str], cls: type, name: str) -> None:
+def test_watchdog_option_changes_the_program(sent: list[str], cls: type, name: str) -> None:
     short, long = (list(_texts(sent, cls, name, seconds)) for seconds in (0.21, 0.43))
     assert short != long

@@ -1,4 +1,4 @@
-"""The public names of urlink. A change here is a change for users, and stands in the changelog."""
+"""Tests of the public names of urlink. A change of these names affects users, and must be in the changelog."""
 
 from __future__ import annotations
 
@@ -96,17 +96,17 @@ NAMES = [
 ]
 
 
-#: The file that the messages name.
+#: This file, for messages.
 HERE = "tests/urlink/test_public_names.py"
 #: Modules that users import names from.
 MODULES = ["dynamics", "kinematics", "models", "motion", "packets", "poses", "rtde", "urdf"]
 
 
-#: What first scripts subscribe to: in `urlink` as well as in `urlink.packets`.
+#: Packets that first scripts subscribe to, which are in both `urlink` and `urlink.packets`.
 FIRST = ("RealtimeState", "RobotModeData")
 
 
-def test_public_names() -> None:
+def test_dir_lists_the_public_names() -> None:
     assert_listed(vars(urlink)["__all__"], NAMES, f"NAMES in {HERE}")
     assert_listed(dir(urlink), [*NAMES, *MODULES], f"NAMES or MODULES in {HERE}")
     assert dir(urlink) == sorted(dir(urlink))
@@ -114,7 +114,7 @@ def test_public_names() -> None:
     assert len(set(NAMES)) == len(NAMES)
 
 
-def test_a_name_is_in_one_place() -> None:
+def test_public_names_are_in_one_module_only() -> None:
     places = [urlink, urlink.packets, urlink.motion, urlink.rtde]
     names = Counter(name for place in places for name in vars(place)["__all__"])
     twice = [name for name, count in names.items() if count > 1]
@@ -123,7 +123,7 @@ def test_a_name_is_in_one_place() -> None:
         assert getattr(urlink, name) is getattr(urlink.packets, name)
 
 
-def test_each_is_there_and_says_what_it_is() -> None:
+def test_public_names_have_docstrings() -> None:
     for name in NAMES:
         value = getattr(urlink, name)
         if inspect.isclass(value) or inspect.isfunction(value):
@@ -135,7 +135,7 @@ def public(held: object) -> list[str]:
 
 
 HANDLE = "add_done_callback cancel done error name phase wait"
-#: The attributes and methods of what users hold, as tab completion shows them.
+#: Attributes and methods of the objects that users hold, as tab completion shows them.
 SURFACES = {
     "robot": """address clock close controller dashboard firmware freedrive gripper identity interpreter io kinematics
         model motion popup primary realtime record registers rtde safety script secondary set_gravity set_payload
@@ -194,7 +194,7 @@ SURFACES = {
 }
 
 
-#: The same of a robot for programs that use asyncio.
+#: Attributes and methods of an asyncio robot and its parts.
 ASYNC_SURFACES = {
     "robot": """address call clock close controller dashboard firmware freedrive gripper identify identity interpreter
         io kinematics model motion popup primary realtime record registers rtde safety script secondary set_gravity
@@ -209,7 +209,7 @@ ASYNC_SURFACES = {
 
 
 @pytest.mark.simulated_time
-def test_an_awaited_robot_shows_what_they_should_touch() -> None:
+def test_async_robot_has_the_listed_attributes() -> None:
     async def look() -> None:
         async with urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
             for path in ASYNC_SURFACES:
@@ -220,14 +220,14 @@ def test_an_awaited_robot_shows_what_they_should_touch() -> None:
 
 
 @pytest.mark.simulated_time
-def test_what_users_hold_shows_what_they_should_touch() -> None:
+def test_robot_objects_have_the_listed_attributes() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         for path in SURFACES:
             held = eval(path, {"robot": robot, "urlink": urlink})
             assert_listed(public(held), SURFACES[path].split(), f"SURFACES[{path!r}] in {HERE}")
 
 
-#: What an argument is that is left out. A change is one for users: of how fast an arm moves, of how long is waited.
+#: Defaults of arguments. A change affects users, for example the speed of an arm or the time of a wait.
 DEFAULTS = {
     "robot.close": "timeout=2.0",
     "robot.freedrive": "axes=None, frame='base', watchdog=0.5, link='reverse'",
@@ -288,7 +288,7 @@ FACADES = ("robot", "robot.motion", "robot.io", "robot.script", "robot.safety")
 
 
 @pytest.mark.simulated_time
-def test_what_is_left_out_is_what_it_was() -> None:
+def test_defaults_match_the_list() -> None:
     found = {}
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         for path in FACADES:

@@ -1,7 +1,7 @@
-"""The models of arm and controller beside the log of a real UR3e: what was fitted was fitted on other rows.
+"""Tests of the models of arm and controller against the log of a real UR3e.
 
-The numbers of the table of parameters come from its first 300 rows; what is fitted here, on the first half, is held to
-the second.
+No model is tested on the rows that it was fitted to. The table of parameters was fitted to the first 300 rows. Models
+fitted in these tests are fitted to the first half, and tested on the second half.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from urlink_accept.identification.joints import fit_joints
 pytestmark = pytest.mark.captures("real")
 
 MODEL = MODELS["UR3e"]
-#: That the controller knew of: kg, and m in the frame of the flange.
+#: Payload that was set in the controller, in kg, and its centre of gravity in the frame of the flange, in m.
 PAYLOAD, COG = 1.07, (0.0, 0.0, 0.058)
-#: Rows of the log that the table of parameters was fitted on.
+#: Number of rows of the log that the table of parameters was fitted to.
 TABLE_ROWS = 300
 
 
 class Log:
-    """The columns of the log by their RTDE names: (n,) or (n, 6)."""
+    """Columns of the log by their RTDE names, with shape (n,) or (n, 6)."""
 
     def __init__(self) -> None:
         path = real_captures.folder("real") / "ur3e_rtde.csv"
@@ -68,7 +68,7 @@ def calibration(log: Log) -> Calibration:
 
 
 @pytest.mark.slow
-def test_the_kinematics_with_a_fitted_calibration(log: Log) -> None:
+def test_fitted_calibration_reproduces_the_tool_poses(log: Log) -> None:
     fitted = calibration(log)
     half = len(log["timestamp"]) // 2
     found = Arm.calibrated(MODEL, fitted.table).forward(log["target_q"][half:], fitted.tcp)
@@ -79,7 +79,7 @@ def test_the_kinematics_with_a_fitted_calibration(log: Log) -> None:
 
 
 @pytest.mark.slow
-def test_gravity_is_that_of_the_published_arm_at_the_actual_joints(log: Log) -> None:
+def test_gravity_torque_matches_the_log_at_rest(log: Log) -> None:
     rest = log.is_rest
     held = Dynamics(MODEL, payload=PAYLOAD, payload_cog=COG).gravity_torque(log["actual_q"][rest])
     assert np.abs(held - log["target_moment"][rest]).max() < 0.002
@@ -88,7 +88,7 @@ def test_gravity_is_that_of_the_published_arm_at_the_actual_joints(log: Log) -> 
     assert np.abs(calibrated - log["target_moment"][rest]).max() > 0.02
 
 
-def test_moments_are_those_of_rigid_bodies_and_rotors(log: Log) -> None:
+def test_torque_matches_the_logged_moments(log: Log) -> None:
     moving = log["target_q"], log["target_qd"], log["target_qdd"]
     rows = np.arange(TABLE_ROWS, len(moving[0]))
     for rotors, least in ((True, np.array([0.9995, 0.9995, 0.9995, 0.9995, 0.999, 0.9995])), (False, None)):
@@ -100,7 +100,7 @@ def test_moments_are_those_of_rigid_bodies_and_rotors(log: Log) -> None:
             assert (explained > least).all(), explained
 
 
-def test_currents_are_moments_and_friction(log: Log) -> None:
+def test_currents_are_moments_plus_friction(log: Log) -> None:
     assert (log["joint_control_output"] == log["target_current"]).all()
     motors = motors_of("UR3e")
     rows = np.arange(TABLE_ROWS, len(log["timestamp"]))
@@ -111,7 +111,7 @@ def test_currents_are_moments_and_friction(log: Log) -> None:
     assert (r2(log["target_current"][rows], found) > 0.998).all()
 
 
-def test_joints_are_identified_on_one_half_for_the_other(log: Log) -> None:
+def test_fit_joints_predicts_the_second_half_of_the_log(log: Log) -> None:
     names = ("target_q", "target_qd", "target_qdd", "target_moment", "target_current")
     half = len(log["timestamp"]) // 2
     fitted = fit_joints(MODEL, {name: log[name][:half] for name in names})
@@ -125,15 +125,15 @@ def test_joints_are_identified_on_one_half_for_the_other(log: Log) -> None:
     rows = zip(torque, log["target_qd"][half:], strict=True)
     current = np.array([own.current(moment, qd) for moment, qd in rows])
     assert (r2(log["target_current"][half:], current) > 0.99).all()
-    # It hardly bears anything, so its torque constant does not show.
+    # Wrist 3 bears almost no load, so the log does not determine its torque constant.
     assert "wrist 3" in fitted.torque_constants[5].needs
 
 
-def test_the_accelerometer_shows_what_holds_the_tool_up(log: Log) -> None:
+def test_accelerometer_at_rest_shows_gravity(log: Log) -> None:
     rest = np.flatnonzero(log.is_rest)
     up = np.swapaxes(rotvec_to_matrix(log["actual_TCP_pose"][rest, 3:]), 1, 2) @ np.array([0.0, 0.0, GRAVITY])
     off = log["actual_tool_accelerometer"][rest] - up
-    # The bias of this very sensor, from the first rest.
+    # The first rest gives the bias of this sensor.
     first = rest < rest[np.flatnonzero(np.diff(rest) > 1)[0]]
     off = off[~first] - off[first].mean(axis=0)
     assert np.sqrt((off**2).mean(axis=0)).max() < 0.3
@@ -141,14 +141,14 @@ def test_the_accelerometer_shows_what_holds_the_tool_up(log: Log) -> None:
 
 
 class Command(NamedTuple):
-    """A command of the log: the first of those rows that are no `movej` at 60 deg/s."""
+    """A command that moved the arm in the log."""
 
     line: str
     acceleration: float
     speed: float
 
 
-#: Row before the start -> what moved the arm, by its speeds; otherwise a movej at 120 deg/s² and 60 deg/s.
+#: Row before the start of a movement -> its command, as its speeds show. The others are movej at 120 deg/s², 60 deg/s.
 OTHERS = {
     422: Command("movel", 0.16, 0.25),
     459: Command("movel", 0.04, 0.25),
@@ -157,11 +157,11 @@ OTHERS = {
 USUAL = Command("movej", math.radians(120), math.radians(60))
 
 
-def test_moves_take_the_time_that_they_took(log: Log) -> None:
-    """Each of the 18: that the simulator reaches where the arm was at one moment after the same time, in every row."""
+def test_simulated_moves_take_the_logged_time(log: Log) -> None:
+    """In each row of the 18 movements, the simulator needs the same time as the arm to reach the same position."""
     fitted = calibration(log)
     q, times, rest, poses = log["target_q"], log["timestamp"], log.is_rest, log["target_TCP_pose"]
-    # The last movement goes on when the log ends.
+    # The last movement has not ended at the end of the log.
     begins = [int(i) for i in np.flatnonzero(rest[:-1] & ~rest[1:]) if rest[i + 1 :].any()]
     spreads = {}
     for begin in begins:

@@ -1,4 +1,4 @@
-"""A robot as users hold it, against the simulated controller: every generation, every fault."""
+"""Tests of `Robot` against simulated controllers of every generation, and with every fault."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def adds_up(stats: StreamStatistics) -> None:
 
 
 @pytest.mark.parametrize("row", RELEASES, ids=lambda row: str(row.since))
-def test_every_firmware_is_read_live(row: urlink.protocol.firmware.Release) -> None:
+def test_robot_reads_every_firmware(row: urlink.protocol.firmware.Release) -> None:
     with Controller(None, row.since) as controller, connect(controller) as robot:
         assert robot.firmware[:2] == row.since[:2]
         assert robot.identity.said_so
@@ -86,16 +86,16 @@ def test_every_firmware_is_read_live(row: urlink.protocol.firmware.Release) -> N
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_every_model_says_who_it_is(name: str) -> None:
+def test_robot_identifies_every_model(name: str) -> None:
     with Controller(name) as controller, connect(controller) as robot:
-        # A UR7e and a UR12e cannot be told from the arms that they succeed.
+        # UR7e and UR12e cannot be distinguished from the arms that they succeed.
         assert robot.model == {"UR7e": "UR5e", "UR12e": "UR10e"}.get(name, name)
         table = robot.identity.dh_table
         assert table is not None
         np.testing.assert_array_equal(table.dh_a, controller.model.dh_a)
 
 
-def test_in_one_line() -> None:
+def test_connect_starts_and_stops_a_simulator() -> None:
     before = set(threading.enumerate())
     with urlink.connect("sim://ur10?firmware=3.4") as robot:
         assert (robot.model, robot.firmware) == ("UR10", Firmware(3, 4))
@@ -109,14 +109,14 @@ def test_in_one_line() -> None:
     assert set(threading.enumerate()) <= before
 
 
-def test_streams_open_when_first_used(controller: Controller, robot: urlink.Robot) -> None:
-    assert controller.counters.connections == 1  # connect() asked who it is
+def test_stream_opens_at_its_first_use(controller: Controller, robot: urlink.Robot) -> None:
+    assert controller.counters.connections == 1  # connect() has identified the robot
     robot.realtime.wait(5)
     until(lambda: controller.counters.connections == 2)
     assert robot.primary.connection is ConnectionState.IDLE
 
 
-def test_read_only_twins(controller: Controller) -> None:
+def test_read_only_robot_reads_the_read_only_ports(controller: Controller) -> None:
     only = {name: port for name, port in controller.ports.items() if name.endswith("readonly")}
     ports = "&".join([f"{name}={number}" for name, number in only.items()])
     with urlink.connect(f"ur://{controller.host}?{ports}", read_only=True) as robot:
@@ -124,10 +124,11 @@ def test_read_only_twins(controller: Controller) -> None:
         assert robot.primary.wait(5).joint_data is not None
 
 
-def test_primary_by_type(controller: Controller, robot: urlink.Robot) -> None:
+def test_primary_delivers_packets_by_type(controller: Controller, robot: urlink.Robot) -> None:
     modes: list[RobotModeData] = []
     messages: list[RobotMessage] = []
-    # In this order: the first subscription opens the connection, which begins with the version message.
+    # Messages are subscribed to first, because the first subscription opens the connection, which begins with the
+    # version message.
     robot.primary.of(RobotMessage).subscribe(messages.append)
     robot.primary.subscribe(modes.append, RobotModeData)
     until(lambda: len(modes) > 2)
@@ -135,16 +136,16 @@ def test_primary_by_type(controller: Controller, robot: urlink.Robot) -> None:
     assert messages[0].build_date
     assert modes[-1].robot_mode is RobotMode.RUNNING
     assert robot.primary.of(JointData).latest is not None
-    assert robot.primary.of(KinematicsInfo).latest is not None  # came once, with the first state
+    assert robot.primary.of(KinematicsInfo).latest is not None  # sent only once, with the first state
     assert isinstance(robot.primary.latest, RobotState)
     assert isinstance(robot.primary.of(RobotMessage).latest, RobotMessage)
 
 
-def test_secondary_has_states(robot: urlink.Robot) -> None:
+def test_secondary_delivers_states(robot: urlink.Robot) -> None:
     assert robot.secondary.wait(5).joint_data is not None
 
 
-def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path: Path) -> None:
+def test_record_leaves_no_file_when_it_cannot_connect(tmp_path: Path) -> None:
     with Controller() as controller:
         robot = connect(controller)
     with robot, pytest.raises(urlink.ConnectFailed):
@@ -152,7 +153,7 @@ def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_stream_to_the_wrong_port_says_so(controller: Controller) -> None:
+def test_stream_to_the_wrong_port_raises_wrong_peer(controller: Controller) -> None:
     ports = {**controller.ports, "realtime": controller.ports["secondary"]}
     with urlink.connect(str(RobotAddress(controller.host, ports)), backoff=QUICK) as robot:
         with pytest.raises(urlink.WrongPeer, match="primary or secondary"):
@@ -161,7 +162,7 @@ def test_a_stream_to_the_wrong_port_says_so(controller: Controller) -> None:
             robot.realtime.wait(5)
 
 
-def test_what_waits_in_vain_says_why(controller: Controller, robot: urlink.Robot) -> None:
+def test_wait_timeout_names_the_cause(controller: Controller, robot: urlink.Robot) -> None:
     robot.realtime.wait(5)
     controller.close()
     until(lambda: robot.realtime.connection is not ConnectionState.CONNECTED)
@@ -171,12 +172,12 @@ def test_what_waits_in_vain_says_why(controller: Controller, robot: urlink.Robot
         next(iter(robot.realtime.iterate(timeout=0.05)))
 
 
-def test_only_packets_can_be_asked_for(robot: urlink.Robot) -> None:
+def test_of_refuses_types_that_are_not_packets(robot: urlink.Robot) -> None:
     with pytest.raises(urlink.BadValue, match="expected a class of packets such as RobotState"):
         robot.primary.of(RobotMode)
 
 
-def test_several_robots_in_one_process() -> None:
+def test_one_process_reads_several_robots() -> None:
     with urlink.connect("sim://ur3e?firmware=5.4") as one, urlink.connect("sim://ur10?firmware=3.10") as two:
         assert len(bytes(one.realtime.wait(5))) == 1116
         assert len(bytes(two.realtime.wait(5))) == 1116
@@ -197,16 +198,16 @@ def test_close_is_idempotent_and_quick(controller: Controller) -> None:
 
 
 def frames(caught: pytest.ExceptionInfo[BaseException]) -> int:
-    """How many frames a traceback shows, those of causes included."""
+    """Return the number of frames that a traceback shows, including frames of causes."""
     shown = traceback.format_exception(caught.type, caught.value, caught.tb)
     return sum(line.startswith("  File ") for line in shown)
 
 
-def test_nobody_there() -> None:
+def test_connect_raises_connect_failed_when_all_ports_are_closed() -> None:
     with Controller() as controller:
         ports = dict(controller.ports)
     query = "&".join(f"{name}={number}" for name, number in ports.items())
-    # The port that was tried first is the one that is named, although the secondary interface was tried after it.
+    # The message names the port that was tried first, although the secondary interface was tried after it.
     first = f"^cannot connect to 127.0.0.1:{ports['primary']}: connection refused"
     with pytest.raises(urlink.ConnectFailed, match=first) as caught:
         urlink.connect(f"ur://127.0.0.1?{query}", timeout=2)
@@ -219,7 +220,7 @@ def test_nobody_there() -> None:
         asyncio.run(connected())
 
 
-def test_nobody_answers() -> None:
+def test_connect_times_out_when_nothing_is_sent() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         where = f"127.0.0.1?primary={server.getsockname()[1]}"
         with pytest.raises(urlink.LinkTimeout, match="sent nothing within 1 s") as caught:
@@ -227,18 +228,18 @@ def test_nobody_answers() -> None:
     assert frames(caught) == 2  # here, and in `connect`
 
 
-def test_bad_arguments() -> None:
+def test_connect_refuses_bad_arguments() -> None:
     with pytest.raises(urlink.BadValue, match="timeout"):
         urlink.connect("sim://", timeout=0)
     with pytest.raises(urlink.BadAddress):
         urlink.connect("ftp://robot")
 
 
-# -- faults: the stream comes back by itself, and the counters add up ------------------------------
+# -- faults: the stream recovers automatically, and the counters add up ----------------------------
 
 
 class Watch:
-    """A subscriber that keeps what it saw, and waits for more."""
+    """Subscriber that keeps its states and events, and can wait for new states."""
 
     def __init__(self, robot: urlink.Robot) -> None:
         self.stream = robot.realtime
@@ -249,7 +250,7 @@ class Watch:
         self.goes_on()
 
     def goes_on(self, condition: Callable[[RealtimeState], object] = lambda state: True) -> None:
-        """Wait until new packets come, of which one meets the condition."""
+        """Wait until a new packet meets the condition."""
         seen = len(self.states)
         until(lambda: any(condition(state) for state in self.states[seen:]), 15)
         adds_up(self.stream.stats)
@@ -262,7 +263,7 @@ def watch(robot: urlink.Robot) -> Watch:
 
 
 @pytest.mark.parametrize(("address", "is_moving"), [("sim://", False), ("sim://ur10?firmware=3.4&motion=demo", True)])
-def test_a_simulated_arm_stands_still_unless_it_is_asked_to_move(address: str, is_moving: bool) -> None:
+def test_simulated_arm_moves_only_on_request(address: str, is_moving: bool) -> None:
     with urlink.connect(address) as robot:
         first = robot.realtime.wait()
         until(lambda: robot.realtime.wait().time > first.time + 0.5)
@@ -271,7 +272,7 @@ def test_a_simulated_arm_stands_still_unless_it_is_asked_to_move(address: str, i
         assert robot.primary.of(urlink.packets.RobotModeData).wait().is_program_running is is_moving
 
 
-def test_fault_protective_stop(controller: Controller, watch: Watch) -> None:
+def test_realtime_shows_a_protective_stop(controller: Controller, watch: Watch) -> None:
     controller.faults.protective_stop()
     watch.goes_on(lambda state: state.safety_mode is SafetyMode.PROTECTIVE_STOP)
     watch.goes_on(lambda state: not state.qd_target.any())
@@ -280,7 +281,7 @@ def test_fault_protective_stop(controller: Controller, watch: Watch) -> None:
     assert watch.stream.stats.reconnects == 0
 
 
-def test_fault_emergency_stop(controller: Controller, watch: Watch) -> None:
+def test_realtime_shows_an_emergency_stop(controller: Controller, watch: Watch) -> None:
     controller.faults.emergency_stop()
     watch.goes_on(lambda state: state.safety_mode is SafetyMode.ROBOT_EMERGENCY_STOP)
     watch.goes_on(lambda state: state.robot_mode is RobotMode.POWER_OFF)
@@ -290,14 +291,14 @@ def test_fault_emergency_stop(controller: Controller, watch: Watch) -> None:
     assert watch.stream.stats.reconnects == 0
 
 
-def test_fault_power_off(controller: Controller, watch: Watch) -> None:
+def test_realtime_shows_power_off_and_on(controller: Controller, watch: Watch) -> None:
     controller.faults.power_off()
     watch.goes_on(lambda state: state.robot_mode is RobotMode.POWER_OFF)
     controller.faults.power_on()
     watch.goes_on(lambda state: state.robot_mode is RobotMode.RUNNING)
 
 
-def test_fault_cut(controller: Controller, watch: Watch) -> None:
+def test_realtime_reconnects_after_a_cut(controller: Controller, watch: Watch) -> None:
     controller.faults.cut()
     until(lambda: watch.stream.stats.reconnects == 1)
     watch.goes_on()
@@ -305,7 +306,7 @@ def test_fault_cut(controller: Controller, watch: Watch) -> None:
     assert watch.stream.stats.skipped < len(bytes(watch.states[0]))
 
 
-def test_fault_reboot_into_another_firmware(controller: Controller, robot: urlink.Robot, watch: Watch) -> None:
+def test_robot_adopts_the_firmware_after_a_reboot(controller: Controller, robot: urlink.Robot, watch: Watch) -> None:
     modes: list[RobotModeData] = []
     robot.primary.subscribe(modes.append, RobotModeData)
     before = robot.realtime.latest
@@ -321,7 +322,7 @@ def test_fault_reboot_into_another_firmware(controller: Controller, robot: urlin
     adds_up(robot.primary.stats)
 
 
-def test_fault_stall_is_noticed_and_ends(controller: Controller) -> None:
+def test_realtime_reconnects_after_a_stall(controller: Controller) -> None:
     with connect(controller, silence=0.1) as robot:
         watch = Watch(robot)
         late = threading.Event()
@@ -335,7 +336,7 @@ def test_fault_stall_is_noticed_and_ends(controller: Controller) -> None:
 
 
 @pytest.mark.parametrize("sizes", [[1], [700, 1, 3], [1460]])
-def test_fault_split(controller: Controller, watch: Watch, sizes: list[int]) -> None:
+def test_realtime_decodes_split_packets(controller: Controller, watch: Watch, sizes: list[int]) -> None:
     controller.faults.split(sizes)
     watch.goes_on()
     watch.goes_on()
@@ -346,7 +347,7 @@ def test_fault_split(controller: Controller, watch: Watch, sizes: list[int]) -> 
     in_order([state.time for state in watch.states])
 
 
-def test_fault_merge(controller: Controller, watch: Watch) -> None:
+def test_realtime_decodes_merged_packets(controller: Controller, watch: Watch) -> None:
     controller.faults.merge(16)
     watch.goes_on()
     watch.goes_on()
@@ -358,13 +359,13 @@ def test_fault_merge(controller: Controller, watch: Watch) -> None:
 
 
 def in_order(times: list[float]) -> None:
-    """Every cycle once: none lost, none doubled."""
+    """Check that the times contain every cycle exactly once."""
     steps = np.round(np.diff(times) * 500).astype(int)
     assert set(steps.tolist()) == {1}
 
 
 @pytest.mark.parametrize("garbage", [b"\x00", b"\xff" * 560, b"\x00\x00\x04\xc4", 4000], ids=repr)
-def test_fault_garbage_between_packets(controller: Controller, watch: Watch, garbage: bytes | int) -> None:
+def test_realtime_skips_garbage_between_packets(controller: Controller, watch: Watch, garbage: bytes | int) -> None:
     controller.faults.garbage(garbage)
     watch.goes_on(lambda state: watch.stream.stats.resyncs)
     stats = watch.stream.stats
@@ -372,13 +373,13 @@ def test_fault_garbage_between_packets(controller: Controller, watch: Watch, gar
     assert stats.skipped >= (garbage if isinstance(garbage, int) else len(garbage))
 
 
-def test_fault_garbage_inside_a_packet(controller: Controller, watch: Watch) -> None:
+def test_realtime_resyncs_after_garbage_inside_a_packet(controller: Controller, watch: Watch) -> None:
     controller.faults.garbage(b"\xde\xad\xbe\xef", inside=True)
     watch.goes_on(lambda state: watch.stream.stats.resyncs)
     assert watch.stream.stats.reconnects == 0
 
 
-def test_fault_garbage_on_the_primary_interface(controller: Controller, robot: urlink.Robot) -> None:
+def test_primary_resyncs_after_garbage(controller: Controller, robot: urlink.Robot) -> None:
     states: list[RobotState] = []
     robot.primary.subscribe(states.append, policy=urlink.block)
     until(lambda: states)
@@ -390,23 +391,23 @@ def test_fault_garbage_on_the_primary_interface(controller: Controller, robot: u
     assert robot.primary.stats.reconnects == 0
 
 
-def test_fault_appended_bytes_are_kept_as_tails(controller: Controller, robot: urlink.Robot) -> None:
+def test_appended_bytes_are_kept_as_tails(controller: Controller, robot: urlink.Robot) -> None:
     controller.faults.append(b"\x01" * 16)
     state = robot.realtime.wait(5)
-    # A later release may have fields in the place of the first of these bytes.
+    # In a later release, the first of these bytes may belong to fields.
     assert state.tail
     assert bytes(state).endswith(b"\x01" * 16)
     assert state.payload_inertia is not None
     assert robot.realtime.stats.tails > 0
     whole = robot.primary.wait(5)
-    # The configuration grew by 4 bytes in 5.25, so that much of its tail is known.
+    # The configuration has had 4 more bytes since 5.25, so its tail is 4 bytes shorter.
     tails = {len(package.tail) for package in whole if not isinstance(package, urlink.packets.ConfigurationData)}
     assert tails == {16}
     assert whole.robot_mode_data is not None
     assert whole.robot_mode_data.robot_mode is RobotMode.RUNNING
 
 
-def test_fault_unknown_packages(controller: Controller, robot: urlink.Robot) -> None:
+def test_primary_delivers_unknown_packages(controller: Controller, robot: urlink.Robot) -> None:
     others: list[urlink.packets.OtherPackage] = []
     robot.primary.of(urlink.packets.OtherPackage).subscribe(others.append)
     robot.primary.wait(5)
@@ -421,8 +422,8 @@ def test_fault_unknown_packages(controller: Controller, robot: urlink.Robot) -> 
     assert robot.primary.stats.unknown >= 2
 
 
-def test_a_recording_of_a_fault_replays_it(controller: Controller, robot: urlink.Robot, tmp_path: Path) -> None:
-    """What a user does with a bug report: record it, and replay it without the robot."""
+def test_recording_replays_a_fault(controller: Controller, robot: urlink.Robot, tmp_path: Path) -> None:
+    """For a bug report, a user records a fault and replays the recording without the robot."""
     path = f"{tmp_path}/fault.urlog"
     with robot.record(path, ["realtime"]):
         watch = Watch(robot)
@@ -434,13 +435,13 @@ def test_a_recording_of_a_fault_replays_it(controller: Controller, robot: urlink
         states = list(replayed.realtime)
         assert replayed.realtime.stats.reconnects == 1
     seen, recorded = list(map(bytes, watch.states)), list(map(bytes, states))
-    begin = recorded.index(seen[0])  # the recorder was there first, and went first
+    begin = recorded.index(seen[0])  # the recorder started first and ended first
     assert recorded[begin:] == seen[: len(recorded) - begin]
 
 
 @pytest.mark.slow
-def test_twenty_robots_lose_nothing() -> None:
-    """Twenty controllers at 125 Hz and their twenty clients, all in this process."""
+def test_twenty_robots_lose_no_state() -> None:
+    """All twenty controllers, at 125 Hz, and their twenty clients are in this process."""
     controllers = [Controller("UR5", "3.4") for _ in range(20)]
     robots: list[urlink.Robot] = []
     try:
@@ -458,7 +459,7 @@ def test_twenty_robots_lose_nothing() -> None:
             assert (stats.failed, stats.skipped, stats.reconnects) == (0, 0, 0)
             assert controller.counters.dropped == 0
             steps = np.round(np.diff(times) * 125).astype(int)
-            # A cycle that the simulator itself skipped, being late, was never sent.
+            # The simulator skips cycles when it is late, and never sends their states.
             assert (steps.sum() - len(steps)) <= controller.counters.skipped
     finally:
         for robot in robots:
@@ -487,9 +488,7 @@ def test_concurrent_first_accesses_share_one_rtde_client(monkeypatch: pytest.Mon
 
 
 @pytest.mark.simulated_time
-def test_view_and_record_name_the_package_when_it_is_not_installed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_view_and_record_name_the_missing_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: ())
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         with pytest.raises(urlink.LocalError, match=r"view in a browser needs the .* pip install urlink-view$"):

@@ -1,4 +1,4 @@
-"""With URLINK_STRICT=1, bytes that nobody knows are errors."""
+"""Tests of URLINK_STRICT=1, which makes unknown bytes an error."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def packets() -> dict[str, bytes]:
 
 
 @pytest.mark.usefixtures("strict")
-def test_tails_and_unknown_types_are_errors(packets: dict[str, bytes]) -> None:
+def test_tails_and_unknown_types_are_errors_when_strict(packets: dict[str, bytes]) -> None:
     for interface in ("realtime", "primary"):
         assert len(urlink.decode(packets[interface], interface)) == 1
     with pytest.raises(PacketError, match="ends in unknown bytes"):
@@ -43,7 +43,7 @@ def test_tails_and_unknown_types_are_errors(packets: dict[str, bytes]) -> None:
 
 
 @pytest.mark.usefixtures("strict")
-def test_a_stream_counts_them_as_failed(packets: dict[str, bytes]) -> None:
+def test_receiver_counts_unknown_bytes_as_failed_when_strict(packets: dict[str, bytes]) -> None:
     counters = StreamCounters()
     realtime = Receiver("realtime", RealtimeProtocol(), counters)
     tailed = with_tail(packets["realtime"], bytes(16))
@@ -56,13 +56,13 @@ def test_a_stream_counts_them_as_failed(packets: dict[str, bytes]) -> None:
     assert (counters.received, counters.failed) == (3, 1)
 
 
-def test_otherwise_they_are_kept(packets: dict[str, bytes]) -> None:
+def test_decode_keeps_tails_when_not_strict(packets: dict[str, bytes]) -> None:
     (state,) = urlink.decode(with_tail(packets["realtime"], b"what may this be"), "realtime")
     assert state.tail == b"what may this be"
 
 
 @pytest.mark.real_time
-def test_the_environment_says_so() -> None:
+def test_environment_variable_sets_strict() -> None:
     program = "from linkcore.wire.framing import is_strict; print(is_strict())"
     for value, said in (("1", "True"), ("0", "False"), ("", "False")):
         done = subprocess.run(

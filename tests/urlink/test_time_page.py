@@ -1,4 +1,4 @@
-"""The tables in docs/timeouts.md and docs/speed-scaling.md match the code."""
+"""Tests that the tables in docs/timeouts.md and docs/speed-scaling.md match the code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from urlink.robot import Robot
 ROOT = Path(__file__).parents[2]
 TIMEOUTS = ROOT / "docs" / "timeouts.md"
 SCALING = ROOT / "docs" / "speed-scaling.md"
-#: What is no part of the way to a robot.
+#: Packages that are not used to reach a robot.
 ELSEWHERE = ("simulator", "cli", "data")
 CALLS: dict[str, Callable[..., object]] = {
     "urlink.connect": urlink.connect,
@@ -48,7 +48,7 @@ def arguments() -> dict[str, float]:
 
 
 def constants() -> dict[str, float]:
-    """The numbers of modules whose names say that they are time-outs."""
+    """Return the constants of all modules with the name of a timeout."""
     values = {}
     for path in sorted((ROOT / "src" / "urlink").rglob("*.py")):
         parts = path.relative_to(ROOT / "src").with_suffix("").parts
@@ -65,24 +65,24 @@ def constants() -> dict[str, float]:
     return values
 
 
-def test_every_time_out_is_on_the_page_with_its_value() -> None:
+def test_page_lists_every_timeout_with_its_value() -> None:
     shown = listed()
     wanted = arguments() | constants()
     assert {name: shown.get(name) for name in wanted} == wanted
     for name, seconds in shown.items():
-        if name not in wanted:  # others whose names say less
+        if name not in wanted:  # constants without TIMEOUT or similar in their name
             module, _, constant = name.rpartition(".")
             assert getattr(importlib.import_module(module), constant) == seconds, name
 
 
 def in_order(name: str) -> int:
-    """Where a motion is in the table: in the order of the methods, `freedrive` of the robot last."""
+    """Return the position of a motion in the table: in the order of the methods, with `freedrive` of the robot last."""
     method = name.partition(",")[0]
     names = [each for each in vars(Motions) if each[0] != "_"]
     return names.index(method) if method in names else len(names)
 
 
-def test_what_the_slider_does_to_each_motion_is_on_the_page() -> None:
+def test_page_lists_the_slider_effect_on_each_motion() -> None:
     rows = [
         f"| `{name}` | {EFFECTS[name][1].half} | {EFFECTS[name][1].zero} |" for name in sorted(EFFECTS, key=in_order)
     ]
@@ -90,7 +90,7 @@ def test_what_the_slider_does_to_each_motion_is_on_the_page() -> None:
     assert f"\n\n{table}\n\n" in SCALING.read_text(), f"put this table into {SCALING.relative_to(ROOT)}:\n{table}"
 
 
-def test_each_class_of_motions_states_what_the_slider_does_to_it() -> None:
+def test_motion_classes_state_the_slider_effect() -> None:
     waiting, silent = [Motion], set()
     stated = {kind for kind, _ in EFFECTS.values()}
     while waiting:
@@ -98,6 +98,6 @@ def test_each_class_of_motions_states_what_the_slider_does_to_it() -> None:
         waiting += kind.__subclasses__()
         if kind.__module__.startswith("urlink.") and kind not in stated:
             silent.add(kind)
-    # The first is the base class of blocks; the motions of groups are made of others.
+    # `BlockMotion` is the base class of blocks, and motions of groups consist of other motions.
     silent -= {BlockMotion, GroupMotion, GroupStream}
     assert not silent, f"decorate with @slider of urlink.motion.slider: {[str(kind) for kind in silent]}"

@@ -1,6 +1,7 @@
-"""Numbers in the wrong unit: refused wherever a user gives them, before anything is sent, with value, unit and limit.
+"""Tests of numbers in the wrong unit: every call refuses them before anything is sent.
 
-The error asks for the unit that was perhaps meant, where the value in that one is within the limit.
+The error names the value, its unit and the limit. It also asks for the unit that was perhaps meant, if the value is
+within the limit in that unit.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ ARM = Arm("UR5e")
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
 POSE: list[float] = ARM.forward(HOME).tolist()
 X, Y, Z, *TURN = POSE
-#: The same in millimetres, and in degrees; and one that is a little too far away for this arm.
+#: `POSE` in millimetres and in degrees, and a pose slightly out of reach of this arm.
 MM = [1e3 * X, 1e3 * Y, 1e3 * Z, *TURN]
 DEGREES = [X, Y, Z, *np.degrees(TURN).tolist()]
 FAR = [1.5, 0.0, 0.4, 0.0, 3.14, 0.0]
@@ -32,7 +33,7 @@ NEAR = [X, Y, Z + 0.02, *TURN]
 
 
 class Tried(NamedTuple):
-    """What a call may use: the robot, and the two interfaces of other libraries over the same controller."""
+    """Robot for the calls, and the interfaces of two other libraries to the same controller."""
 
     robot: urlink.Robot
     control: rtde_control.RTDEControlInterface
@@ -159,7 +160,7 @@ CASES: dict[str, tuple[Callable[[Tried], object], str]] = {
     "solutions degrees": (lambda t: ARM.solutions(DEGREES), IN_DEGREES),
     "from_poses mm": (lambda t: Trajectory.from_poses([0, 1], [MM, MM], ARM, HOME), IN_MM),
     "from_poses degrees": (lambda t: Trajectory.from_poses([0, 1], [DEGREES] * 2, ARM, HOME), IN_DEGREES),
-    # the calls of other libraries
+    # calls of other libraries
     "moveL mm": (lambda t: t.control.moveL(MM), IN_MM),
     "moveL mm/s": (lambda t: t.control.moveL(POSE, 250.0), IN_MM_S),
     "moveL path mm": (lambda t: t.control.moveL([[*MM, 0.1, 0.1, 0.0]]), IN_MM),
@@ -180,7 +181,7 @@ CASES: dict[str, tuple[Callable[[Tried], object], str]] = {
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.real_time
-def test_the_wrong_unit_is_refused(tried: Tried, case: str) -> None:
+def test_calls_refuse_values_in_the_wrong_unit(tried: Tried, case: str) -> None:
     call, message = CASES[case]
     where = tried.robot.realtime.wait(5).q_actual
     with pytest.raises(BadValue, match=message):
@@ -190,20 +191,20 @@ def test_the_wrong_unit_is_refused(tried: Tried, case: str) -> None:
 
 
 @pytest.mark.real_time
-def test_what_is_within_the_limits_is_taken(tried: Tried) -> None:
-    """Within 2 mm of the edge of the reach, at the largest speed, and with a turn that was rounded to four digits."""
+def test_calls_accept_values_within_the_limits(tried: Tried) -> None:
+    """The values are within 2 mm of the edge of the reach, at the largest speed, and a turn rounded to four digits."""
     tried.robot.motion.move_linear(NEAR, speed=5.0, acceleration=40.0).cancel()
     assert Linear([*POSE[:3], 0.0, 0.0, 6.2832]).pose[5] == 6.2832
     stretched = ARM.forward([0.0, 0.0, 0.002, 0.0, 1.0, 0.0])
     assert ARM.inverse(stretched, HOME).shape == (6,)
 
 
-def test_out_of_reach_is_a_value_that_will_not_do() -> None:
+def test_unreachable_is_a_bad_value() -> None:
     assert issubclass(Unreachable, BadValue)
 
 
-def test_rows_that_are_out_of_reach_stay_rows() -> None:
-    """Of many poses, each that cannot be reached is a row of NaN, however far it is."""
+def test_inverse_returns_nan_for_unreachable_rows() -> None:
+    """With many poses, each unreachable pose gives a row of NaN, at any distance."""
     assert np.isnan(ARM.inverse([FAR, MM], HOME)).all()
 
 
@@ -218,5 +219,7 @@ def test_rows_that_are_out_of_reach_stay_rows() -> None:
         (90.0, "", (-3.2, 3.2), ""),
     ],
 )
-def test_the_question(value: float, unit: str, limits: tuple[float, float], question: str) -> None:
+def test_other_unit_asks_for_the_likely_unit(
+    value: float, unit: str, limits: tuple[float, float], question: str
+) -> None:
     assert other_unit(value, unit, *limits) == question

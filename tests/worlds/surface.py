@@ -447,7 +447,7 @@ def _actions() -> Iterator[Action]:
 
 #: Actions by name.
 ACTIONS: Mapping[str, Action] = MappingProxyType({each.name: each for each in _actions()})
-#: Methods of blocks by class, without the methods of every handle, which are used in other ways.
+#: Class of block -> its own methods, without the methods that every handle has, which are called in other places.
 OF_BLOCKS: Mapping[type, Mapping[str, Callable[..., Any]]] = MappingProxyType(
     {
         cls: {
