@@ -92,7 +92,7 @@ ENDLESS = _SLICE if _IS_DEAF else None
 _LOOK = 0.05
 
 
-#: Time in seconds after which a thread that has not begun never will, because a signal interrupted its start.
+#: Time in s that a thread has to begin. After it, `join` assumes that a signal interrupted the start of the thread.
 _BEGINNING = 0.1
 
 
@@ -203,10 +203,13 @@ def is_done(future: Future[T], timeout: float | None = None) -> bool:
 
 
 def join(thread: threading.Thread, timeout: float | None = None) -> bool:
-    """Wait until a thread has ended; False if time is up.
+    """Wait until a thread has ended; return False after `timeout`.
 
-    If a signal interrupted the start of the thread, the thread might never run. It counts as ended if it has not begun
-    after 0.1 s.
+    A signal can interrupt the start of a thread, which then never runs. A thread that has not begun after 0.1 s
+    therefore counts as ended.
+
+    Raises:
+        RuntimeError: If it is the current thread.
     """
 
     def attempt(seconds: float | None) -> bool:

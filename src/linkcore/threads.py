@@ -220,12 +220,8 @@ class CallbackThread:
             return
         thread, has_ended = made
         self._calls.put(None)
-        if (
-            thread is not threading.current_thread()
-            and clock.wait(has_ended.wait, timeout)
-            and thread.ident is not None
-        ):
-            thread.join()
+        if thread is not threading.current_thread() and clock.wait(has_ended.wait, timeout):
+            clock.join(thread)
 
 
 def _run(calls: _Calls, has_ended: ReentrantEvent) -> None:

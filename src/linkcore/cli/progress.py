@@ -152,8 +152,7 @@ class _Screen:
         """Erase the bar, so that the next line of output starts in the first column."""
         self._over.set()
         try:
-            if self._thread.ident is not None:
-                self._thread.join()
+            clock.join(self._thread)
         finally:  # even after Ctrl-C
             for name, stream in self._replaced:
                 setattr(sys, name, stream)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 
+from linkcore import clock
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from urlink.protocol.ports import interface_of
 
@@ -185,7 +186,7 @@ class Server:
         self._is_closing = True
         self._sockets.wake()
         if self._thread is not threading.current_thread():
-            self._thread.join(TIMEOUT)
+            clock.join(self._thread, TIMEOUT)
 
     def call(self, change: Callable[[], object]) -> None:
         """Call a function in the server's thread between two cycles, and wait until it returns.
