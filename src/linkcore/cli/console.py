@@ -15,23 +15,26 @@ from queue import Empty, SimpleQueue
 
 from .. import clock
 from ..errors import LocalError
+from ..threads import started
 
-#: Seconds between two checks for a key on Windows, whose console reports a key only if it is asked for.
+#: Time in s between two checks for a key on Windows, because no call there waits for a key with a timeout.
 _POLL = 0.01
 
-#: Reads bytes; None if none came within the given number of seconds, and b"" if the input has ended.
+#: Function that reads bytes. It returns None if none arrive within the given seconds, and b"" at the end of the input.
 Reader = Callable[[float], "bytes | None"]
 
 
 def read_stdin(timeout: float) -> bytes | None:
-    """Read what stdin has next; return None if nothing came within `timeout` seconds, and b"" at its end.
+    """Read the next bytes of stdin.
+
+    Return None if none arrive within `timeout` seconds, and b"" at the end of stdin.
 
     Raises:
         LocalError: If this system cannot wait for stdin with a timeout.
     """
     if sys.platform == "win32":
         try:
-            return _chunks().get(timeout=timeout)
+            return clock.get(_chunks(), timeout)
         except Empty:
             return None
     try:
@@ -42,7 +45,11 @@ def read_stdin(timeout: float) -> bytes | None:
 
 
 def lines(is_wanted: Callable[[], bool], pause: float = 0.05) -> Iterator[str | None]:
-    """Yield lines of stdin without line ends, until stdin ends or `is_wanted` returns False; None after each pause.
+    """Yield the lines of stdin without line ends, until stdin ends.
+
+    Args:
+        is_wanted: Function that returns False to end the iteration. It is called before each line and each pause.
+        pause: Time in s without input after which None is yielded.
 
     Raises:
         LocalError: If this system cannot wait for stdin with a timeout.
@@ -64,7 +71,7 @@ def lines(is_wanted: Callable[[], bool], pause: float = 0.05) -> Iterator[str | 
 def keys() -> Iterator[Reader]:
     """Set the terminal to send single keys without showing them; restore it afterwards.
 
-    The block gets a function that reads the keys that were pressed.
+    The block gets a function that reads the pressed keys.
 
     Raises:
         LocalError: If stdin is not a terminal, or if this system cannot read single keys.
@@ -106,7 +113,7 @@ if sys.platform == "win32":
 
     @functools.cache
     def _chunks() -> SimpleQueue[bytes]:
-        """Return the queue of what a thread reads from stdin; b"" is its end."""
+        """Start a thread that reads stdin, and return the queue of the bytes; b"" marks the end of stdin."""
         chunks: SimpleQueue[bytes] = SimpleQueue()
         number = sys.stdin.fileno()
 
@@ -116,7 +123,7 @@ if sys.platform == "win32":
                 chunks.put(chunk)
             chunks.put(b"")
 
-        threading.Thread(target=read, name="linkcore stdin", daemon=True).start()
+        started(threading.Thread(target=read, name="linkcore stdin", daemon=True))
         return chunks
 
     def _read(number: int) -> bytes:
