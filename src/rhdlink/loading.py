@@ -88,7 +88,9 @@ def load(
             if moment.is_handshake and database is not None:
                 begins.append(len(rows))
                 if [list(table) for table in tables] != [list(table) for table in (database.write, database.read)]:
-                    raise BadRecording(f"{path}: connection {moment.connection} is to a robot with other variables")
+                    raise BadRecording(
+                        f"{path}: in connection {moment.connection}, the variables of the robot are different"
+                    )
             database = moment.database
             rows.append(b"".join(bytes(table.memory) for table in tables))
             time.append(moment.received.monotonic)

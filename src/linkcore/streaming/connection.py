@@ -135,7 +135,8 @@ class Connection:
                 self.refuse_to_wait("connecting")
                 if is_again:  # the interrupted call cannot continue while this signal handler waits
                     raise LinkTimeout(
-                        f"{self.name} is being connected by the call that this signal handler interrupted"
+                        f"{self.name} is still connecting, and this signal handler interrupted the connecting call; "
+                        "wait for it after the handler has returned"
                     )
             # A reader that ends closes its subscriptions. A new subscription belongs to the next reader.
             clock.wait(partial(self._changed.wait_for, lambda: not self._life.is_ending), self._timeout)

@@ -16,7 +16,7 @@ from .variable_text import with_meaning, words_of
 
 def _word(text: str) -> int:
     if not re.fullmatch(r"[+-]?[0-9]{1,10}", text) or not -(2**31) <= int(text) < 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of 32 bits")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a 32-bit integer")
     return int(text)
 
 

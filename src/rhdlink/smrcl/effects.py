@@ -220,7 +220,7 @@ def go_back(effects: MissionEffects) -> Outcome:
     """`return`: continue after the last `call`."""
     run = effects.run
     if not run.calls:
-        raise LineFault("return without a call")
+        raise LineFault("'return' was executed without a preceding 'call'")
     run.plan.next = run.calls.pop()
     return effects.go_on(never)
 

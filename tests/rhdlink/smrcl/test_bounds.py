@@ -31,7 +31,7 @@ PROFILES = pytest.mark.parametrize("profile", [SOUND, MRC], ids=lambda profile: 
         ('array "q" 10000\n', "there is no room for an array of 10000.000000 values; "),
         ('array "q" -1\n', "there is no room for an array of -1.000000 values; "),
         ('label "a"\narray "q" 1000\ngoto "a"\n', "there is no room for an array of 1000.000000 values; "),
-        ("return\n", "return without a call"),
+        ("return\n", "'return' was executed without a preceding 'call'"),
     ],
 )
 def test_endless_scripts_are_ended(profile: Profile, source: str, reason: str) -> None:

@@ -161,7 +161,7 @@ def test_guard_refuses_while_other_program_runs(slider: float) -> None:
         motion = other.motion.move_joints(START + SWING, speed=0.02)
         robot.realtime.wait_until(lambda state: bool(state.qd_target.any()), 2.0)
         controller.speed_fraction = slider
-        with pytest.raises(Cancelled, match="a program runs or is paused"):
+        with pytest.raises(Cancelled, match="a program is running or paused"):
             Guard(robot, SWING + BESIDE)
         controller.speed_fraction = 1.0
         motion.wait(60.0)

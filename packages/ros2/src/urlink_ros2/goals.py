@@ -100,7 +100,9 @@ def read_goal(message: Any, joints: Sequence[str], here: Any, passed: float = 0.
             return None
         for number, row in enumerate(rows):
             if len(row) != len(order):
-                raise BadValue(f"point {number} has {len(row)} {name}; expected {len(order)}, in all points or in none")
+                raise BadValue(
+                    f"point {number} has {len(row)} {name}; expected {len(order)}, because another point has {name}"
+                )
         return [[row[joint] for joint in order] for row in rows]
 
     times = [seconds(point.time_from_start) for point in message.trajectory.points]

@@ -87,7 +87,9 @@ class ImpedanceParameters:
         if not has_torque:
             self._check_measured(firmware)
         if model is None:
-            raise LocalError("the controller does not report its arm model, so its torques and speeds are unknown")
+            raise LocalError(
+                "the controller does not report the model of the arm, so its torque and speed limits are unknown"
+            )
         seconds = check_number(self.watchdog, "watchdog", 0.05, 10.0, "s")
         ratios = damping_of(self.frame, self.damping)
         tool = None if self.frame == "joints" else self._tool()

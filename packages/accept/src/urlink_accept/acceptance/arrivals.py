@@ -294,7 +294,9 @@ def _drift(evidence: Evidence) -> Measured:
         raise NotTried(f"the arrival of packets was too uneven: {seen}")
     # A drift is steady. A controller that was interrupted, such as a simulated one, becomes late at once.
     if (late := max(float(part.min()) for part in np.array_split(above, 8))) > _STEP:
-        raise NotTried(f"packets were suddenly late by {late * 1e3:.0f} ms: {seen}")
+        raise NotTried(
+            f"packets were suddenly {late * 1e3:.0f} ms late, so the drift of the clock is uncertain: {seen}"
+        )
     return Measured(max(abs(slope) - doubt, 0.0) * 1e6, seen)
 
 

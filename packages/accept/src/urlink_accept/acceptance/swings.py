@@ -227,7 +227,7 @@ def _explained(swings: _Swings, r2: tuple[float, ...], last: float = 1.0) -> tup
     """Return the largest unexplained fraction of a quantity, and a text with the explained fraction of each joint."""
     left = np.array([round(1.0 - r2[joint], _DIGITS) * (last if joint == 5 else 1.0) for joint in swings.joints])
     if np.isnan(left).any():
-        raise NotTried("a joint that has swung shows no variation of its moment or current")
+        raise NotTried("the moment or the current of a moved joint did not vary")
     return float(left.max()), swings.names((r2[joint] for joint in swings.joints), "{:.5f}".format)
 
 

@@ -142,7 +142,7 @@ def _where_it_stands(robot: Robot) -> FloatArray:
         modes.wait_until(lambda mode: not (mode.is_program_running or mode.is_program_paused), _SOON)
         return robot.realtime.wait_until(lambda state: not state.qd_target.any(), _SOON).q_target.copy()
     except LinkTimeout as error:
-        raise Cancelled(f"a program runs or is paused, or the arm moves; stop it first ({error})") from None
+        raise Cancelled(f"a program is running or paused, or the arm is moving; stop it first ({error})") from None
 
 
 def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joint: int | None = None) -> Exercise:
