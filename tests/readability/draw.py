@@ -2,8 +2,9 @@
 
     python tests/readability/draw.py --seed 20261128 > tests/readability/sample.tsv
 
-Each row has the kind, the place and the text. A reader marks a row as good if its meaning is clear at first sight. Draw
-and commit the sample before it is graded, so that no text is improved for the grade.
+Each row has the kind, the place and the text. Commit the sample before it is graded, so that no text is improved for
+the grade. A reader marks a row as good if its meaning is clear at first sight. The result replaces the sample: the
+files `*_grades.tsv` have the same rows with the verdict, and a better version of each bad text.
 """
 
 from __future__ import annotations
