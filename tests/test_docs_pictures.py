@@ -5,8 +5,6 @@ from __future__ import annotations
 import html
 import importlib
 import re
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +16,8 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
 @pytest.fixture
-def folder() -> Iterator[None]:
-    sys.path.insert(0, str(DOCS))
-    yield
-    sys.path.remove(str(DOCS))
+def folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(DOCS)
 
 
 def lines_of(svg: str) -> list[str]:

@@ -617,8 +617,8 @@ class Controller(StrictAttributes):
 def _source(host: str, target: str) -> str | None:
     """Return `host` if it is a loopback address that the system would not choose as source; else None.
 
-    A client accepts a program only from the address
-    of its robot, and each of several controllers on this computer can have its own loopback address.
+    A client accepts a program only from the address of its robot. Each of several controllers on this computer can have
+    its own loopback address.
     """
     try:
         own = ipaddress.ip_address(host)
