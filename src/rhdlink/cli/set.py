@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     """Write a variable, as the master of the robot. A robot has one master at a time, so this command fails while
     another program is master.
 
-    VALUEs are the words of the variable as they are on the wire: integers of 32 bits, one for each word, for example
+    VALUEs are the words of the variable as they are on the wire: 32-bit integers, one for each word, for example
     30000 instead of 0.3 m/s. Many robots stop when their master leaves. This command leaves immediately, unless --hold
     gives a time to stay. Ctrl-C ends this time earlier. THIS MOVES A REAL ROBOT.
 

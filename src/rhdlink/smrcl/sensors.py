@@ -5,7 +5,7 @@ left, front middle, front right and right. The sixth is unused.
 
 Line: a robot usually has 8 sensors from side to side. The leftmost sensor is the last one, so positions increase to the
 left. The calibration converts the raw values to 0 on black and 1 on white, and then they are smoothed. Uncalibrated
-sensors read 0: black everywhere. MRC keeps the sums in floats of 32 bits. Their rounding affects the commands, so this
+sensors read 0: black everywhere. MRC keeps the sums in 32-bit floats. Their rounding affects the commands, so this
 module rounds in the same way.
 """
 

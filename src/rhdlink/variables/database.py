@@ -88,7 +88,7 @@ def _fitting(words: ArrayLike | int, size: int) -> ArrayLike:
     # numpy would silently truncate a float and wrap a number of 64 bits, and the robot would move at another speed.
     if array.dtype != np.int32 and size:
         if array.dtype.kind not in "iub":
-            raise BadValue(f"{words!r} are not integers of 32 bits")
+            raise BadValue(f"{words!r} are not 32-bit integers")
         if not -(2**31) <= int(array.min()) <= int(array.max()) < 2**31:
             raise BadValue(f"{array.min()} to {array.max()} do not fit 32 bits")
     return array
@@ -218,7 +218,7 @@ class VariableTable:
 
         Args:
             identity: Id of the variable.
-            words: Integers of 32 bits, as many as the variable has words, or one integer for all words.
+            words: 32-bit integers, as many as the variable has words, or one integer for all words.
             stamp: Time stamp. The default is the current time of `clock`.
 
         Raises:
@@ -280,7 +280,7 @@ class VariableTable:
             stamp: Time stamp. The default is the current time of `clock`.
 
         Raises:
-            BadValue: If the number of words is wrong, or a word is not an integer of 32 bits.
+            BadValue: If the number of words is wrong, or a word is not a 32-bit integer.
         """
         self.values[selection.cells] = _fitting(words, selection.size - (1 + selection.width) * len(selection.ids))
         self.stamps[selection.rows] = stamp or self.clock()

@@ -205,7 +205,7 @@ class _Integer(_Number[int, A, SupportsIndex]):
         pack = struct.Struct(f"={count}i").pack
 
         def pack_list(values: Any) -> Words:
-            # struct rejects values that are not integers of 32 bits in a tenth of the time. numpy then finds the exact
+            # struct rejects values that are not 32-bit integers in a tenth of the time. numpy then finds the exact
             # error.
             if type(values) is list:
                 with contextlib.suppress(struct.error):

@@ -174,7 +174,7 @@ def test_unknown_arm_has_no_default_stiffness(monkeypatch: pytest.MonkeyPatch) -
         with pytest.raises(urlink.BadValue, match="stiffness has no default for a UR20"):
             robot.motion.impedance()
         monkeypatch.setattr(type(robot.identity), "arm", property(lambda self: None))
-        with pytest.raises(urlink.LocalError, match="does not report its arm model"):
+        with pytest.raises(urlink.LocalError, match="does not report the model of the arm"):
             robot.motion.impedance()
 
 

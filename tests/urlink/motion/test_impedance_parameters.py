@@ -145,5 +145,5 @@ def test_program_reports_stiffness_and_posture_support() -> None:
         _, stiffness, takes_posture = parameters(frame, stiffness=20.0).program(firmware, UR5E)
         assert stiffness.tolist() == [20.0] * 6
         assert takes_posture is takes
-    with pytest.raises(LocalError, match="does not report its arm model"):
+    with pytest.raises(LocalError, match="does not report the model of the arm"):
         parameters("joints").program(DIRECT, None)
