@@ -49,7 +49,8 @@ def demonstrate(controller: Controller, watch: Watch, until: float) -> None:
 
 def tell(when: Stamp | None, text: str) -> None:
     moment = datetime.now() if when is None else datetime.fromtimestamp(when.wall)
-    print(f"{moment:%H:%M:%S.%f}"[:-3], text, flush=True)
+    # One write for the whole line: every subscription prints from its own thread.
+    print(f"{moment:%H:%M:%S.%f}"[:-3] + f" {text}\n", end="", flush=True)
 
 
 def main() -> None:
