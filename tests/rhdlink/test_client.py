@@ -582,8 +582,8 @@ def nothing_more(peer: Peer) -> None:
 @pytest.mark.parametrize(
     ("says", "error", "reason"),
     [
-        (b"", LinkTimeout, "no handshake in time; received 0 bytes of it"),
-        (b"artw", LinkTimeout, "no handshake in time; received 4 bytes of it"),
+        (b"", LinkTimeout, "the handshake did not arrive in time; received 0 bytes of it"),
+        (b"artw", LinkTimeout, "the handshake did not arrive in time; received 4 bytes of it"),
         (b"SSH-2.0-OpenSSH\r\n", WrongPeer, "is not an RHD server"),
         (b"ar" + b"tr\0\0\0\0", PacketError, "expected 'tw'"),
         (b"artw\x7f\xff\xff\xff", PacketError, "counts 2147483647"),
