@@ -96,7 +96,7 @@ class RTDEControlInterface(ControlBlocks):
     ) -> None:
         for each in (Flags.FLAG_USE_EXT_UR_CAP, Flags.FLAG_CUSTOM_SCRIPT):
             if flags & each:
-                raise NotOffered(f"{each.name} is not offered: there is no control script, each call is a motion")
+                raise NotOffered(f"{each.name} is not offered, because there is no control script; omit this flag")
         super().__init__(hostname, frequency)
 
     # -- tool and payload --------------------------------------------------------------------------------

@@ -79,7 +79,7 @@ class Page(Closing):
 
         class Unshared(viser.ViserServer):  # type: ignore[misc]
             def request_share_url(self, verbose: bool = True) -> None:
-                """Do nothing: a client requests it, and the whole internet would see the page."""
+                """Do nothing: otherwise any client could make the page visible to the whole internet."""
 
         # Suppress the output of viser, which is meant for a person who runs viser.
         with _making, _checked(websocket_server, names) as checked, contextlib.redirect_stdout(io.StringIO()):
