@@ -489,7 +489,7 @@ def test_program_model_matches_real_program(firmware: Firmware) -> None:
             expected.append(modelled.cycle(b""))
             bench.run()
         messages = feeding.state(missed + 1)
-        bench.say(messages)
+        bench.deliver(messages)
         expected.append(modelled.cycle(messages))
         bench.run()
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
@@ -506,7 +506,7 @@ def test_coasting_of_program_matches_prediction(firmware: Firmware, watchdog: fl
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append)
     bench.run(2)
-    bench.say(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
+    bench.deliver(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
     most = missable(min(watchdog, 0.1), firmware.rate)
     bench.run(most + 5)
     way = [q[5] for q in targets]
@@ -573,7 +573,7 @@ def test_experiment_of_original_driver_is_reproduced(firmware: Firmware) -> None
     while not led.is_over:
         setpoint, now = bench.motion.setpoint, bench.cycle * bench.period
         messages = led.step(b"", state(50.0 + now, list(setpoint.q), setpoint.qd[5]), 1000.0 + now)
-        bench.say(messages)
+        bench.deliver(messages)
         times = led.times(50.0 + now)
         assert times is not None
         t = times[1]
@@ -582,7 +582,7 @@ def test_experiment_of_original_driver_is_reproduced(firmware: Firmware) -> None
         assert bench.cycle < 10 * firmware.rate
     assert bench.path[-1] == pytest.approx(turned(0.0), abs=0.01)
     assert np.abs(errors[round(0.1 * firmware.rate) :]).max() < 0.005
-    bench.say(led.farewell)
+    bench.deliver(led.farewell)
     bench.run(firmware.rate)
     assert bench.has_finished
 
@@ -607,10 +607,10 @@ def test_repeated_delays_keep_acceleration_bounded(held: int, answered: tuple[in
             states.append(seen()[0])
             bench.run()
         for each in answered:
-            bench.say(led.step(b"", states[each], seen()[1]))
+            bench.deliver(led.step(b"", states[each], seen()[1]))
         for _ in range(3):
             bench.run()
-            bench.say(led.step(b"", *seen()))
+            bench.deliver(led.step(b"", *seen()))
         assert bench.cycle < 12 * firmware.rate
     way = np.array(bench.path)
     # Without the bound, the acceleration is 250 to 370 rad/s², and the simulated arm makes a protective stop.

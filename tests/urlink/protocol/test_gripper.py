@@ -106,7 +106,7 @@ class GripperMachine(RuleBasedStateMachine):
         assert self.gripper.reply(f"SET {name} {value}") == ("ack" if value <= WRITABLE[name] else "?")
 
     @rule(line=st.text("GSETPOACT 019", max_size=12))
-    def say(self, line: str) -> None:
+    def send_line(self, line: str) -> None:
         self.gripper.reply(line)
 
     @rule(width=st.floats(0.0, 0.085), inside=st.booleans())
