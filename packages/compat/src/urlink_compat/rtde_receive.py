@@ -24,7 +24,7 @@ _TIMEOUT = 5.0
 _T = TypeVar("_T")
 
 
-#: Variables that are requested if none are named: those of the getters. Variables that a controller lacks are skipped.
+#: Default variables: the variables of all getters. Variables that a controller lacks are skipped.
 _VARIABLES: list[str] = []
 
 

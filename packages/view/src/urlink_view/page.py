@@ -24,7 +24,7 @@ LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
 #: Pages that may embed this page: notebooks on this computer. Other pages could trick a person into pressing its
 #: buttons.
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
-#: Only one page at a time is created, because a function that starts servers is replaced meanwhile.
+#: Only one page at a time is created, because a function that starts servers is replaced during the creation.
 _making = threading.Lock()
 
 

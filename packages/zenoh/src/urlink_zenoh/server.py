@@ -185,7 +185,7 @@ class _Served:
 
         def put(packet: State) -> None:
             nonlocal firmware, encoding, last
-            # Count all packets that the stream received, including those that the queue of this callback dropped.
+            # Count all packets that the stream received, including packets that the queue of this callback dropped.
             number = (next(taken) + (subscriptions[-1].stats.dropped if subscriptions else 0)) // every
             if number == last or packet.received is None:
                 return
