@@ -128,7 +128,7 @@ class RTDEControlInterface(ControlBlocks):
         return 1.0 / self._robot.firmware.rate
 
     def getJointTorques(self) -> list[float]:
-        """Return the joint torques in Nm without the torques that move the arm itself, as the controller computes them."""
+        """Return the joint torques in Nm that the controller computes, without the torques that move the arm."""
         return [float(each) for each in self._ask("get_joint_torques()").strip("[]").split(",")]
 
     def isProgramRunning(self) -> bool:
