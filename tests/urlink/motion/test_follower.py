@@ -82,17 +82,17 @@ class Feeding:
         #: speed of the last joint after each set-point, rad/s
         self.speeds: list[float] = []
 
-    def state(self, cycles: float = 1, *, own: float | None = None, told: float | None = None) -> bytes:
+    def state(self, cycles: float = 1, *, own: float | None = None, stated: float | None = None) -> bytes:
         """Advance by `cycles` cycles and pass a state.
 
         Args:
             cycles: Cycles of the controller.
             own: Time in s that passes on this computer's clock, if it differs.
-            told: Time in the state, if it differs.
+            stated: Time in the state, if it differs.
         """
         self.time += cycles * self.cycle
         self.now += cycles * self.cycle if own is None else own
-        data = self.follower.step(b"", state(self.time if told is None else told, self.q), self.now)
+        data = self.follower.step(b"", state(self.time if stated is None else stated, self.q), self.now)
         if data and message(data)[1] == FOLLOW:
             self.q = message(data)[0]
             self.sent.append(self.q)
@@ -128,7 +128,7 @@ def test_late_start_equals_missing_as_many_cycles() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "own", "passed"),
+    ("stated", "own", "passed"),
     [
         (0.002, 0.002, 0.002),
         (0.004, 0.004, 0.004),
@@ -146,12 +146,12 @@ def test_late_start_equals_missing_as_many_cycles() -> None:
         (float("inf"), 0.002, 0.002),
     ],
 )
-def test_controller_clock_is_used_only_while_plausible(told: float, own: float, passed: float) -> None:
+def test_controller_clock_is_used_only_while_plausible(stated: float, own: float, passed: float) -> None:
     clock = ControllerTimer(0.002)
     assert clock.passed(100.0, 7.0) == 0.0
-    assert clock.passed(100.0 + told, 7.0 + own) == pytest.approx(passed, abs=1e-12)
+    assert clock.passed(100.0 + stated, 7.0 + own) == pytest.approx(passed, abs=1e-12)
     # The clock continues from the reported time, even a wrong one.
-    following = 100.0 + told + 0.002
+    following = 100.0 + stated + 0.002
     assert clock.passed(following, 7.002 + own) == pytest.approx(0.002, abs=1e-9)
 
 
@@ -242,14 +242,14 @@ def test_early_states_advance_half_as_far_or_not_at_all() -> None:
     assert ways == pytest.approx(3.1 * feeding.cycle * np.array([1.0, 0.5, 0.0, 1.1]), abs=2e-6)
 
 
-@pytest.mark.parametrize("told", [1.0, -5.0, float("nan"), float("inf")])
-def test_implausible_time_moves_arm_by_at_most_one_cycle(told: float) -> None:
+@pytest.mark.parametrize("stated", [1.0, -5.0, float("nan"), float("inf")])
+def test_implausible_time_moves_arm_by_at_most_one_cycle(stated: float) -> None:
     feeding = Feeding(follower())
     program = Program(servoing(NEWEST), feeding.q)
     path = []
     for n in range(313):
-        wrong = feeding.time + told if n > 250 and n % 20 == 0 else None
-        path.append(program.cycle(feeding.state(told=wrong))[5])
+        wrong = feeding.time + stated if n > 250 and n % 20 == 0 else None
+        path.append(program.cycle(feeding.state(stated=wrong))[5])
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
     assert np.abs(np.diff(path)).max() <= 1.1 * fastest + 1e-6
     assert path[-1] == pytest.approx(WAVE.at(314 * feeding.cycle)[0][5], abs=1e-4)
@@ -293,7 +293,7 @@ def test_wrongly_reported_cycles_are_not_caught_up_at_once() -> None:
     for _ in range(250):
         feeding.state()
     before = feeding.sent[-1][5]
-    assert feeding.state(told=feeding.time + 0.09)
+    assert feeding.state(stated=feeding.time + 0.09)
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
     assert abs(feeding.sent[-1][5] - before) <= math.pi * (feeding.cycle + EARLY)
     assert abs(feeding.sent[-1][5] - before) <= 6 * fastest

@@ -215,12 +215,12 @@ def test_programs_compile_with_socket_link(firmware: str) -> None:
 
 
 def test_kept_message_is_repeated_until_muted() -> None:
-    told = KeptMessage(lambda link: [])
+    dialogue = KeptMessage(lambda link: [])
     state = RealtimeState(Firmware(5, 11))
-    assert told.step(b"", state, 0.0) == WAIT_MESSAGE
-    told.values = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert dialogue.step(b"", state, 0.0) == WAIT_MESSAGE
+    dialogue.values = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     for _ in range(2):
-        assert read_message(told.step(b"", state, 0.0))[0] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    told.is_mute = True
-    assert told.step(b"", state, 0.0) == b""
-    assert told.farewell == STOP_MESSAGE
+        assert read_message(dialogue.step(b"", state, 0.0))[0] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    dialogue.is_mute = True
+    assert dialogue.step(b"", state, 0.0) == b""
+    assert dialogue.farewell == STOP_MESSAGE
