@@ -32,7 +32,7 @@ from urlink.tools import (
     split_names,
 )
 
-from .logbook import NOTES, SENT
+from .logbook import DELAYED, NOTES, SENT
 
 
 class Note(NamedTuple):
@@ -169,6 +169,23 @@ class Evidence:
         """Return the content of the last note of a step; None if there is none."""
         found = self.said(step)
         return found[-1].said if found else None
+
+    def delay(self, begin: float, end: float) -> float:
+        """Return the longest delay of this computer between two monotonic times, in s.
+
+        The time for which the step "frozen" suspends this program on purpose does not count.
+        """
+        frozen = [note for note in self.said("frozen") if "seconds" in note.said]
+        worst = 0.0
+        for at, by in self._delays:
+            meant = sum(n.said["seconds"] for n in frozen if at - by <= n.at and n.at - n.said["seconds"] <= at)
+            if at - by <= end and at >= begin:
+                worst = max(worst, by - meant)
+        return worst
+
+    @cached_property
+    def _delays(self) -> list[tuple[float, float]]:
+        return [(note.at, note.said["by"]) for note in self.said(DELAYED)]
 
     def stage(self, number: int) -> tuple[float, float]:
         """Return the monotonic start times of a stage and of the next one, in s.
