@@ -232,6 +232,16 @@ class Evidence:
         return _read([(wire, RtdeProtocol(Requests(names, optional=frozenset(names))))], Outputs)
 
 
+def decoded(evidence: Evidence, wire: Wire, protocol: Any, kind: type) -> Came:
+    """Return the packets of one connection. For RTDE, the protocol is None and follows from the requested names."""
+    if protocol is not None:
+        return _read([(wire, protocol())], kind)
+    received = evidence.received("rtde")
+    sent = [each for each in evidence.wires if each.interface == "rtde" and each.is_sent]
+    names = _names(sent[next(at for at, each in enumerate(received) if each is wire)])
+    return _read([(wire, RtdeProtocol(Requests(names, optional=frozenset(names))))], kind) if names else Came()
+
+
 def _names(sent: Wire) -> tuple[str, ...]:
     """Return the outputs that were first requested, and started, on a connection to RTDE."""
     data, at, is_started = sent.data, 0, False

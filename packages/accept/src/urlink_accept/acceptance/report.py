@@ -6,6 +6,7 @@ Verdicts depend only on the evidence: the same evidence results in the same verd
 from __future__ import annotations
 
 import html
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +19,9 @@ from .agreement import AGREEMENT
 from .arrivals import ARRIVALS
 from .evidence import Evidence
 from .listening import ANSWERS
-from .obedience import OBEDIENCE
+from .obedience import HELD_UP, OBEDIENCE
 from .physics import PHYSICS
+from .reactions import REACTIONS
 from .requirements import Check, NotTried, Requirement
 from .swings import SWINGS
 from .wrist import WRIST_CHECKS
@@ -27,7 +29,16 @@ from .wrist import WRIST_CHECKS
 State = Literal["held", "not held", "not tried"]
 
 #: Requirement -> its check.
-CHECKS: Mapping[str, Check] = {**ARRIVALS, **AGREEMENT, **PHYSICS, **ANSWERS, **OBEDIENCE, **WRIST_CHECKS, **SWINGS}
+CHECKS: Mapping[str, Check] = {
+    **ARRIVALS,
+    **AGREEMENT,
+    **PHYSICS,
+    **ANSWERS,
+    **OBEDIENCE,
+    **REACTIONS,
+    **WRIST_CHECKS,
+    **SWINGS,
+}
 
 
 @dataclass(frozen=True)
@@ -72,9 +83,34 @@ def _verdict(
     except BadValue as error:
         # For example a position that is not a number; another requirement reports it.
         return Verdict(required, "not tried", None, f"it cannot be judged: {error}")
+    if not found.value <= required.limit and (late := evidence.delay(*_judged(required, evidence))) > HELD_UP:
+        return Verdict(
+            required, "not tried", None, f"this computer was busy: it was delayed by {late * 1e3:.0f} ms; {found.seen}"
+        )
     # Do not write "greater than": a value that is not a number must not be held.
     return Verdict(required, "held" if found.value <= required.limit else "not held", *found)
 
+
+#: Steps that requirements of the stages 1 and 2 judge, if they do not have the name of the requirement.
+_STEPS: Mapping[str, tuple[str, ...]] = {
+    "texts": ("sleep",),
+    "program-state": ("sleep",),
+    "move-arrives": ("move",),
+    "slider-scales": ("move",),
+    "follow-scales": ("follow-100", "follow-50", "follow-10"),
+}
+
+
+def _judged(required: Requirement, evidence: Evidence) -> tuple[float, float]:
+    """Return the time span of the step that a requirement judges; an empty span if it judges no step."""
+    notes = [note.at for step in _STEPS.get(required.name, (required.name,)) for note in evidence.said(step)]
+    if required.name in _ARRIVES:
+        return next((note.at for note in evidence.said("listening")), math.inf), evidence.stage(0)[1]
+    return (min(notes), max(notes)) if notes and required.stage in (1, 2) else (math.inf, -math.inf)
+
+
+#: Requirements of stage 0 about the times of arrival.
+_ARRIVES = ("realtime-jitter", "rtde-jitter", "rtde-fresh", "primary-fresh", "realtime-missed")
 
 _WIDTH = 100
 _TITLE = "Acceptance of a controller with urlink"
