@@ -291,16 +291,14 @@ def _flags(evidence: Evidence) -> Measured:
             is_emergency = board.safety_mode in _EMERGENCIES
             is_protective = board.safety_mode == SafetyMode.PROTECTIVE_STOP
             differs = {
-                f"is_power_on is {mode.is_power_on}": is_on
-                and not mode.is_power_on
-                or mode.robot_mode == RobotMode.POWER_OFF
-                and mode.is_power_on,
+                f"is_power_on is {mode.is_power_on}": (is_on and not mode.is_power_on)
+                or (mode.robot_mode == RobotMode.POWER_OFF and mode.is_power_on),
                 f"is_robot_connected is {mode.is_robot_connected}": is_on and not mode.is_robot_connected,
                 f"is_emergency_stopped is {mode.is_emergency_stopped}": mode.is_emergency_stopped != is_emergency,
-                f"is_protective_stopped is {mode.is_protective_stopped}": is_protective
-                and not mode.is_protective_stopped
-                or board.safety_mode == SafetyMode.NORMAL
-                and mode.is_protective_stopped,
+                f"is_protective_stopped is {mode.is_protective_stopped}": (
+                    is_protective and not mode.is_protective_stopped
+                )
+                or (board.safety_mode == SafetyMode.NORMAL and mode.is_protective_stopped),
             }
             for text, is_wrong in differs.items():
                 runs[text] = runs.get(text, 0) + 1 if is_wrong else 0
