@@ -14,7 +14,7 @@ from urlink.tools import Dynamics, motors_of, tool_offset
 
 from .arrivals import known_arm, moments
 from .evidence import Evidence
-from .requirements import Check, Measured, NotTried, counted
+from .requirements import Check, Measured, NotTried, counted, how_different
 
 #: Speed in rad/s below which an arm is at rest, and above which its velocities can be judged.
 _STANDS, _MOVES = 1e-3, 0.02
@@ -169,7 +169,11 @@ def _kinematics(evidence: Evidence) -> Measured:
     apart = np.linalg.norm(expected[:, :3] - pose[some, :3], axis=1)
     turned = np.linalg.norm(poses.compose(poses.invert(expected), pose[some])[:, 3:], axis=1)
     which = "its own calibration" if known.dh_table is not None else "the published lengths"
-    seen = f"at most {apart.max() * 1e3:.3f} mm and {turned.max() * 1e3:.3f} mrad, with {which}"
+    still = not np.ptp(pose, axis=0).any() and np.ptp(q[:, :3], axis=0).max() > _STANDS
+    how = "; tool_vector_actual is frozen" if still else ""
+    if apart.max() > 0.01:
+        how = how or f"; tool_vector_actual: {how_different(expected[:, :3].ravel(), pose[some, :3].ravel())}"
+    seen = f"at most {apart.max() * 1e3:.3f} mm and {turned.max() * 1e3:.3f} mrad, with {which}{how}"
     # A rotation counts as the distance that a point at 1 m from the tool moves.
     return Measured(float(max(apart.max(), turned.max())), seen)
 
@@ -195,7 +199,8 @@ def _gravity(evidence: Evidence) -> Measured:
         if not seen or apart[joint] > worst:
             worst = max(float(apart[joint]), 0.0)
             seen = (
-                f"joint {joint + 1}: {moment[number, joint]:.2f} Nm; expected {expected[joint]:.2f} Nm from the masses"
+                f"M_target of joint {joint + 1}: {moment[number, joint]:.2f} Nm; expected {expected[joint]:.2f} Nm "
+                f"from the masses: {how_different(expected, moment[number])}"
             )
     return Measured(worst, f"{seen}, for an upright arm with {payload[at[0]]:.2f} kg")
 
@@ -228,10 +233,10 @@ def _currents(evidence: Evidence) -> Measured:
         tried += 1
         ratio = current[joint] * constants[joint] / moment[joint]
         if not 1.0 / _CONSTANTS < ratio < _CONSTANTS:
-            said = f"is {ratio:.3g} times the current of the parameter torque_constant ({constants[joint]:g} Nm/A)"
+            said = f"is {ratio:.3g} times as large as the current of the parameter torque_constant ({constants[joint]:g} Nm/A)"
             if ratio < 0.0:
                 said = "has the opposite direction"
-            wrong.append(f"joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
+            wrong.append(f"I_target of joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
     (actual,) = _wanted(evidence, "I_actual")
     actual = actual[stands].mean(axis=0)
     heavy = np.abs(moment) >= _HEAVY
@@ -239,7 +244,8 @@ def _currents(evidence: Evidence) -> Measured:
         slope = float(np.sum(actual[heavy] * current[heavy]) / max(float(np.sum(current[heavy] ** 2)), 1e-12))
         # Static friction carries up to half of the weight.
         if not 0.4 < slope < _CONSTANTS:
-            how = "its sign is inverted" if slope < 0.0 else "impossible torque constants"
+            how = how_different(current, actual)
+            how = how if "sign" in how else f"impossible torque constants, {how}"
             wrong.append(f"I_actual is {slope:.3g} times I_target at rest: {how}")
     if not tried:
         raise NotTried(f"no joint holds {_HEAVY:g} Nm in this posture")
@@ -341,9 +347,10 @@ def _tcp_speed(evidence: Evidence) -> Measured:
         apart = float(np.median(np.abs(expected - v[moving]).max(axis=1)) / size)
         seen.append(f"{speed}: {apart:.2%}")
         if apart > _FRAME:
-            flipped = float(np.median(np.abs(expected + v[moving]).max(axis=1)) / size) < _FRAME
             turned = abs(np.linalg.norm(v[moving]) / np.linalg.norm(expected) - 1.0) < _FRAME
-            how = "its sign is inverted" if flipped else "it is in another frame" if turned else "other values"
+            still = not np.ptp(v[moving], axis=0).any()
+            how = "it is frozen" if still else how_different(expected.ravel(), v[moving].ravel())
+            how = "it is in another frame or order" if how == "other values" and turned else how
             ratio = float(np.sum(v[moving] * expected) / np.sum(expected**2))
             wrong.append(
                 f"{speed} differs from the Jacobian times {qd} by {apart:.0%}: {how}, {ratio:.3g} times as much"
@@ -366,7 +373,7 @@ def _accelerometer(evidence: Evidence) -> Measured:
     size = float(np.linalg.norm(mean))
     if evidence.firmware.is_e_series and (expected := _upright(evidence)) is not None:
         apart = mean - expected
-        how = "; its sign is inverted" if np.linalg.norm(mean + expected) < 2.0 < np.linalg.norm(apart) else ""
+        how = f": {how_different(expected, mean)}" if np.linalg.norm(apart) > 2.0 else ""
         seen = f"tool_accelerometer {np.round(mean, 2).tolist()}; expected {np.round(expected, 2).tolist()} m/s²{how}"
         return Measured(float(np.linalg.norm(apart)), f"{size:.2f} m/s²: {seen}")
     return Measured(abs(size - _GRAVITY), f"{size:.2f} m/s² along {np.round(mean / max(size, 1e-9), 2).tolist()}")

@@ -17,7 +17,7 @@ from urlink.tools import PrimaryProtocol, RealtimeProtocol, parse_robot_mode, pa
 from .evidence import Came, Evidence, decoded
 from .obedience import outcome, span
 from .person import WEIGHT
-from .requirements import Check, Measured, NotTried, counted
+from .requirements import Check, Measured, NotTried, counted, how_different
 from .standing import PAUSE
 
 #: Time in s within which every interface must show a signal: two robot states.
@@ -103,7 +103,9 @@ def _weight(evidence: Evidence) -> Measured:
             continue
         change = after.mean(axis=0)[:3] - before.mean(axis=0)[:3]
         worst = max(worst, float(np.linalg.norm(change - wanted)) / (_GRAVITY * WEIGHT))
-        seen.append(f"{name} tcp_force changed by {np.round(change, 1).tolist()} N")
+        frozen = "it is frozen" if not np.ptp(after, axis=0).any() else how_different(wanted, change)
+        how = f": {frozen}" if np.linalg.norm(change - wanted) > 0.5 * _GRAVITY * WEIGHT else ""
+        seen.append(f"{name} tcp_force changed by {np.round(change, 1).tolist()} N{how}")
     if not seen:
         raise NotTried("this firmware does not report a force")
     return Measured(worst, f"{'; '.join(seen)}; expected {np.round(wanted, 1).tolist()} N in the base frame")

@@ -217,7 +217,7 @@ figure { margin: 1em 0; } figcaption { font-size: 10pt; }
 def as_html(
     evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "", address: str = ""
 ) -> str:
-    """Return the page as HTML without external resources. It depends only on the evidence, the limits, the site and the address."""
+    """Return the page as HTML without external resources. It depends only on the arguments."""
 
     def cell(text: object) -> str:
         return f"<td>{html.escape(printable(text))}</td>"
