@@ -232,8 +232,13 @@ def _difference(field: str, own: Column, other: Column, rounding: float, rows: M
     if same(own, other):
         return ""
     worst = float(np.nanmax(np.abs(own - other)))
+    twins = {name: found for (side, name), found in rows.items() if side != "realtime"}
     for (side, name), found in rows.items():
         pair = (found, other) if side == "realtime" else (own, found)
+        twin = twins.get(name) if side == "realtime" else rows.get(("realtime", name))
+        # Some quantities are equal on every arm, such as I_control and I_target.
+        if twin is not None and twin.shape == own.shape and same(twin, other if side == "realtime" else own):
+            continue
         varies = found.shape == own.shape and np.ptp(found) > 0.0
         if name != field and varies and np.any(own != 0.0) and same(*pair):
             return f"the values of {name} are in its place"

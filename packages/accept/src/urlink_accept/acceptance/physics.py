@@ -233,7 +233,7 @@ def _currents(evidence: Evidence) -> Measured:
         tried += 1
         ratio = current[joint] * constants[joint] / moment[joint]
         if not 1.0 / _CONSTANTS < ratio < _CONSTANTS:
-            said = f"is {ratio:.3g} times as large as the current of the parameter torque_constant ({constants[joint]:g} Nm/A)"
+            said = f"is {ratio:.3g} times as large as with torque_constant, {constants[joint]:g} Nm/A"
             if ratio < 0.0:
                 said = "has the opposite direction"
             wrong.append(f"I_target of joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
