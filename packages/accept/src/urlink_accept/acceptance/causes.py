@@ -26,7 +26,7 @@ _ORDER: Mapping[str, str] = {
     "rtde-protocol": "RTDE does not work",
     "clock-forward": "The controller's time stands still or goes back",
     "reconnect": "The first state of a new connection is old",
-    "measured": "A measurement is frozen",
+    "values-live": "A measurement is frozen",
     "values-possible": "A field has an impossible value",
     "fields-agree": "Two interfaces differ",
     "kinematics": "Positions and the pose of the tool do not belong together",
@@ -84,7 +84,7 @@ def refuted_positions(verdicts: Sequence[Verdict]) -> str:
         # The name of a field, not the end of another name: tcp_force_q_actual would be another field.
         names = any(re.search(rf"(?<!\w){name}(?!\w)", each.seen) for name in _POSITIONS)
         if each.requirement.name in _ABOUT_POSITIONS or (
-            names and each.requirement.name in ("fields-agree", "values-possible", "measured", "velocities")
+            names and each.requirement.name in ("fields-agree", "values-possible", "values-live", "velocities")
         ):
             return f"{each.requirement.name} is NOT HELD: {each.seen}"
     return ""

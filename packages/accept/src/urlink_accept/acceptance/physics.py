@@ -255,12 +255,14 @@ def _currents(evidence: Evidence) -> Measured:
 #: Measured quantities with noise of their own on every arm, and quantities of which six equal ones are suspicious.
 _NOISY, _UNEQUAL = ("q_actual", "I_actual"), ("q_actual", "I_actual", "motor_temperatures", "V_actual")
 #: Duration in s after which a constant measurement is suspicious.
-_CONSTANT = 1.0
+_CONSTANT = 1.5
 
 
 def _alive(evidence: Evidence) -> Measured:
     stands = _stands(evidence)
     times = moments("realtime", evidence.realtime)[stands]
+    if evidence.firmware is None or evidence.firmware.is_cb2:
+        raise NotTried("the noise of a CB2 is not known")
     if times[-1] - times[0] < _CONSTANT:
         raise NotTried(f"the arm was at rest for less than {_CONSTANT:g} s")
     still, tried, wrong = [], 0, []
@@ -400,7 +402,7 @@ def _upright(evidence: Evidence) -> NDArray[np.float64] | None:
 
 
 PHYSICS: Mapping[str, Check] = {
-    "measured": _alive,
+    "values-live": _alive,
     "flags": _flags,
     "tcp-speed": _tcp_speed,
     "values-possible": _possible,
