@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import urlink
@@ -17,8 +18,12 @@ from packages.accept.tests.acceptance.drawn import (
     sound,
     verdicts_with,
 )
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.simulator import Controller
+from urlink.simulator.interfaces.realtime import RealtimeInterface
 from urlink_accept.acceptance.causes import refuted_positions
 from urlink_accept.acceptance.evidence import Evidence, Note
+from urlink_accept.acceptance.person import OfTheSimulator
 from urlink_accept.acceptance.report import as_html, as_text, judge
 from urlink_accept.acceptance.requirements import requirements
 from urlink_accept.acceptance.stages import run
@@ -102,3 +107,21 @@ def test_disturbed_step_is_not_tried(listened: Evidence, by: float, state: str) 
     (verdict,) = judge(evidence, {"latency": requirements()["latency"]})
     assert verdict.state == state
     assert ("this computer was busy" in verdict.seen) == (by > 0.0)
+
+
+def test_stage_that_moves_listens_first_when_stage_0_was_not_requested(tmp_path: Path) -> None:
+    """Positions with the wrong sign are planted in the packets of the controller itself."""
+    path = tmp_path / "run.urlog"
+    with urlink.simulated_time(seed=3), Controller("UR5", "3.15") as controller, pytest.MonkeyPatch.context() as patch:
+        real = RealtimeInterface.packet
+
+        def negated(self: RealtimeInterface) -> bytes:
+            packet = real(self)
+            place = RealtimeState.LAYOUTS.of("3.15").places["q_actual"]
+            values = np.frombuffer(packet, ">f8", 6, place.offset)
+            return packet[: place.offset] + (-values).astype(">f8").tobytes() + packet[place.offset + place.size :]
+
+        patch.setattr(RealtimeInterface, "packet", negated)
+        run(controller.address, path, (2,), lambda number, does: "", person=OfTheSimulator(controller))
+    (stage,) = Evidence(path).said("stage")
+    assert "the joint positions cannot be trusted" in stage.said["refused"]

@@ -16,7 +16,7 @@ from urlink import BadValue, LinkError, Robot, connect
 from urlink.tools import RecordingAddress, SimulatorAddress, local_address, parse_address, simulated
 
 from .causes import refuted_positions
-from .evidence import Evidence
+from .evidence import Evidence, Note
 from .listening import listen
 from .logbook import Logbook
 from .moving import move
@@ -111,15 +111,21 @@ def run(
             controller.close()
 
 
-#: First stage that moves the arm.
-_MOVES = 2
+#: First stage that moves the arm, and time in s to listen to its positions if stage 0 was not requested.
+_MOVES, _LISTENED = 2, 3.0
 
 
 def _wrong_positions(robot: Robot, path: Path) -> str:
     """Return why the evidence so far refutes the joint positions, or ""."""
     robot.realtime.wait(5.0)
+    evidence = Evidence(path)
+    if not evidence.said("stage"):
+        # Stage 0 was not requested, so nothing has listened yet.
+        clock.sleep(_LISTENED)
+        evidence = Evidence(path)
+        evidence.notes.append(Note(0.0, "stage", {"number": 0}))
     positions = {name: each for name, each in requirements().items() if each.stage == 0}
-    why = refuted_positions(judge(Evidence(path), positions))
+    why = refuted_positions(judge(evidence, positions))
     return f"the joint positions cannot be trusted, because {why}" if why else ""
 
 
