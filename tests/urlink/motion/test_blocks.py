@@ -268,7 +268,7 @@ def test_block_times_out_if_program_never_connects(robot: Rehearsal) -> None:
     """No states arrive either, which would report the missing connection after five seconds."""
     begun = clock.now()
     jog = robot.motion.jog()
-    with pytest.raises(LinkTimeout, match="jog: no connection within 6 s"):
+    with pytest.raises(LinkTimeout, match="jog: the program on the robot did not connect within 6 s"):
         jog.__enter__()
     assert clock.now() - begun == pytest.approx(6.0, abs=0.05)
     assert jog.phase is Phase.CANCELLED

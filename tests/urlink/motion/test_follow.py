@@ -236,7 +236,7 @@ def test_feedback_thread_ends_with_motion(led: Rehearsal) -> None:
 def test_impossible_trajectories_are_rejected(led: Rehearsal) -> None:
     far = Trajectory.from_arrays([0, 1], [turned(1), turned(1)])
     wild = Trajectory.from_arrays([0, 0.1], [turned(0), turned(1)])
-    for trajectory, message in ((far, "too far from where the arm is"), (wild, "limit of a UR5e")):
+    for trajectory, message in ((far, "too far from the position of the arm"), (wild, "limit of a UR5e")):
         with pytest.raises(BadValue, match=message):
             led.motion.follow(trajectory)
     for options in ({"goal_tolerance": -1}, {"path_tolerance": 0}, {"watchdog": 0}, {"gain": 1}, {"lookahead_time": 1}):

@@ -338,7 +338,7 @@ def test_arm_is_at_rest_below_two_hundredths_rad_per_second() -> None:
 
 
 def test_start_far_from_arm_is_rejected() -> None:
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         follower().step(b"", state(1.0, turned(0.06)), 10.0)
 
 

@@ -336,7 +336,7 @@ def test_arm_moved_after_pendant_stop_is_not_moved_back(cell: Callable[[str, str
     there = comes_to_rest(one)
     assert np.abs(there - here).max() > 0.1
     for refused in (curve(), Trajectory.from_arrays([0.0, 1.0], np.array([here, READY]))):
-        with pytest.raises(BadValue, match="too far from where the arm is"):
+        with pytest.raises(BadValue, match="too far from the position of the arm"):
             one.robot.motion.follow(refused, **options)
     assert moved_after(one, lambda: None, 0.5) < REST
     one.path.clear()

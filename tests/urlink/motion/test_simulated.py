@@ -157,7 +157,7 @@ def test_consecutive_speeds_keep_arm_moving(connect: Callable[[str, str], Robot]
 def test_trajectory_starting_elsewhere_is_rejected(connect: Callable[[str, str], Robot]) -> None:
     robot = connect("ur5e", "5.11")
     elsewhere = Trajectory.from_arrays([0, 1], [READY + 0.2, READY + 0.2])
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         robot.motion.follow(elsewhere)
 
 

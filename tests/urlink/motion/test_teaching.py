@@ -319,7 +319,7 @@ POINT = {"q": [0] * 6, "pose": [0] * 6}
         ({"format": "poses"}, "expected an object"),
         ({"version": 2}, "unknown version 2; expected 1"),
         ({"model": 5}, '"model" is 5; expected a name or null'),
-        ({"waypoints": {}}, '"waypoints" is not a list'),
+        ({"waypoints": {}}, '"waypoints" must be a list'),
         ({"waypoints": [POINT, [0] * 6]}, 'waypoint 1 has no "q" and "pose"'),
         ({"waypoints": [{"q": [0] * 6}]}, 'waypoint 0 has no "q" and "pose"'),
         ({"waypoints": [{**POINT, "q": [0] * 5}]}, "q of waypoint 0 has the shape"),

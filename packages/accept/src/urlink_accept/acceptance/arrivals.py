@@ -162,7 +162,7 @@ def moments(name: str, packets: Came) -> NDArray[np.float64]:
         raise NotTried(f"{len(packets.states)} packets of {name} arrived; {_FEWEST} are needed")
     times = packets.column(_TIMES[name])
     if times is None:
-        raise NotTried(f"the packets of {name} have no time")
+        raise NotTried(f"the packets of {name} do not contain the time of the controller")
     return times
 
 

@@ -78,7 +78,7 @@ def _stands(evidence: Evidence) -> NDArray[np.bool_]:
     if modes is not None:
         stands &= modes == running
     if not stands.any():
-        raise NotTried("the arm does not run, or is never at rest")
+        raise NotTried("the arm was not running, or it was never at rest")
     return stands
 
 
@@ -262,7 +262,7 @@ def _alive(evidence: Evidence) -> Measured:
     stands = _stands(evidence)
     times = moments("realtime", evidence.realtime)[stands]
     if evidence.firmware is None or evidence.firmware.is_cb2:
-        raise NotTried("the noise of a CB2 is not known")
+        raise NotTried("the noise of a CB2 is unknown")
     if times[-1] - times[0] < _CONSTANT:
         raise NotTried(f"the arm was at rest for less than {_CONSTANT:g} s")
     still, tried, wrong = [], 0, []

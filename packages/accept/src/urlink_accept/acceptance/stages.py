@@ -82,7 +82,7 @@ def run(
     """
     place = parse_address(address)
     if isinstance(place, RecordingAddress):
-        raise BadValue(f"{address} is a recording; expected a running controller, or --replay with a bundle")
+        raise BadValue(f"{address} is a recording; expected the address of a controller, or --replay with a bundle")
     controller = None
     if isinstance(place, SimulatorAddress):
         controller, place = simulated(place)
