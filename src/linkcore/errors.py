@@ -71,7 +71,7 @@ class ConnectFailed(RemoteError, ConnectionError):
 
 
 class ConnectionLost(RemoteError, ConnectionError):
-    """The connection has ended and was not reestablished, or not yet."""
+    """The connection has ended, and has not been made again yet."""
 
 
 class LinkTimeout(RemoteError, TimeoutError):

@@ -245,7 +245,7 @@ class FanOut:
             self._deliveries.pop(delivery, None)
 
     def close(self, *, all: bool) -> None:
-        """Close the sinks that may lose packets, and the sink whose callback makes this call; or all sinks."""
+        """Close all sinks. Without `all`, close those that may lose packets, and the one whose callback calls this."""
         callers = [delivery.sink for delivery in self.deliveries if delivery.runs_here()]
         for route in self._now():
             if all or not route.sink.makes_reader_wait or route.sink in callers:

@@ -330,7 +330,7 @@ class Feed(StrictAttributes, Generic[T]):
         connection = self._connection
         if looked_at and connection.failure is None and not connection.is_over:
             what = f"{looked_at} {self._kind.__name__} from {connection.name}"
-            return LinkTimeout(f"the condition was true for none of {what} within {timeout:g} s")
+            return LinkTimeout(f"no packet met the condition within {timeout:g} s; examined {what}")
         return self._why_nothing(timeout)
 
     def __repr__(self) -> str:
@@ -340,7 +340,7 @@ class Feed(StrictAttributes, Generic[T]):
 def _taking(queue: PacketQueue) -> Callable[[float | None], Any]:
     """Return `queue.next`.
 
-    If this thread makes a pending call, abandoning the call ends the wait.
+    If this thread is making a pending call, abandoning the call ends the wait.
     """
     if pending_call() is None:
         return queue.next

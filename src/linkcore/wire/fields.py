@@ -178,7 +178,7 @@ class _Mask64(Shape):
     def write(self, value: Any) -> int:
         mask = int(value)
         if not 0 <= mask < 1 << 64:
-            raise OverflowError("a mask has 64 bits")
+            raise OverflowError("a mask must fit into 64 bits")
         return mask
 
 

@@ -127,7 +127,7 @@ def test_firmware_option_selects_layout(run: Run, tmp_path: Path) -> None:
     assert run("dissect", str(path), "--firmware", "3.1")[0] == 0
     status, out, err = run("dissect", str(path), "--firmware", "5.4")
     assert (status, err) == (1, "")
-    assert "!! RealtimeState of firmware 5.4: packet too short: expected 1116 bytes, got 1044" in out
+    assert "!! RealtimeState of firmware 5.4: the packet is too short: expected 1116 bytes, got 1044" in out
 
 
 # -- damaged data --------------------------------------------------------------------------------------

@@ -478,7 +478,7 @@ def test_error_inside_state_names_sub_package_and_offset() -> None:
     good = bytes(ToolData())
     body = good + struct.pack(">iB", 36, 2) + good[5:-1]
     data = bytes(urlink.packets.KeyMessage()) + struct.pack(">iB", 5 + len(body), 16) + body
-    with pytest.raises(PacketError, match="in a robot state, packet too short") as caught:
+    with pytest.raises(PacketError, match="in a robot state, the packet is too short") as caught:
         decode(data, "primary")
     error = caught.value
     assert (error.packet, error.expected, error.actual) == ("ToolData", 37, 36)
