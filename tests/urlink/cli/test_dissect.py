@@ -240,7 +240,7 @@ def test_recording_shows_both_interfaces(run: Run, recording: Path) -> None:
     assert [strict(line)["type"] for line in only.splitlines()] == types[20:]
     status, _, err = run("dissect", str(recording), "--interface", "secondary")
     assert status == 1
-    assert "contains no secondary" in err
+    assert "has no channel 'secondary'" in err
 
 
 def test_connections_of_recording_are_dissected_separately(run: Run, tmp_path: Path) -> None:

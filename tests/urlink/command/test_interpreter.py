@@ -237,7 +237,7 @@ def test_interpreter_raises_when_mode_is_unavailable() -> None:
             dead = gone.getsockname()[1]
         served = f"interpreter={controller.ports['interpreter']}"
         with urlink.connect(controller.address.replace(served, f"interpreter={dead}")) as robot:
-            with pytest.raises(ConnectFailed, match="the service may be switched off"):
+            with pytest.raises(ConnectFailed, match="the service might be switched off"):
                 robot.interpreter()
             assert not controller.is_running_program
             with pytest.raises(BadValue):

@@ -485,7 +485,7 @@ def test_error_inside_state_names_sub_package_and_offset() -> None:
     assert error.offset == len(data) - 36
     with pytest.raises(PacketError, match="sub-package 2 does not fit"):
         decode(struct.pack(">iBiB", 17, 16, 7, 99) + b"xx" + struct.pack(">iB", 99, 2), "primary")
-    with pytest.raises(PacketError, match="sub-package header cut off"):
+    with pytest.raises(PacketError, match="the header of a sub-package is cut off"):
         decode(struct.pack(">iBiB", 12, 16, 5, 99) + b"xx", "primary")
 
 

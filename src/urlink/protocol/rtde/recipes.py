@@ -68,8 +68,8 @@ class Recipe(StrictAttributes):
     Args:
         names: Names of the variables; a name may occur twice.
         types: Type of each variable, as the controller reports it.
-        number: Recipe number at the beginning of data packages; None for a controller under protocol 1, which sends
-            none.
+        number: Recipe number at the beginning of data packages; None for a controller under protocol 1, which does not
+            send the number.
         table: Known variables, `OUTPUTS` or `INPUTS`.
 
     Raises:
@@ -148,14 +148,17 @@ class Recipe(StrictAttributes):
         """Check that a data package belongs to this recipe.
 
         Raises:
-            PacketError: If it has another size, or belongs to another recipe.
+            PacketError: If the package has another size, or belongs to another recipe.
         """
         if len(data) != self.size:
             raise PacketError(
-                f"does not fit recipe {self.number}", packet="data package", expected=self.size, actual=len(data)
+                f"its size is not the size of recipe {self.number}",
+                packet="data package",
+                expected=self.size,
+                actual=len(data),
             )
         if self.number is not None and data[3] != self.number:
-            raise PacketError(f"belongs to recipe {data[3]}, not {self.number}", packet="data package", offset=3)
+            raise PacketError(f"it belongs to recipe {data[3]}, not {self.number}", packet="data package", offset=3)
 
     def state_class(self, base: type[Outputs] = Outputs, left_out: tuple[str, ...] = ()) -> type[Outputs]:
         """Return the class of typed states, derived from `base`, with a property for each variable.
