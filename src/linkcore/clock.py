@@ -256,7 +256,7 @@ class Stamp(NamedTuple):
         return now() - self.monotonic
 
 
-# -- commands that may be too old ------------------------------------------------------------------
+# -- commands that might be too old ------------------------------------------------------------------
 
 #: If two ticks are further apart than this time in s, a command might be too old. On a busy machine, two ticks can be
 #: 1.5 s apart without an interruption.

@@ -25,7 +25,7 @@ connections deliver their events in any order.
 `Lifecycle` is used inside the library, and users hold a `Handle`. Both work without a lock: each event is put into a
 dictionary with `setdefault`, which is one step for threads and for signal handlers.
 
-A life that has ended must not be part of a reference cycle, because a program may have switched off the garbage
+A life that has ended must not be part of a reference cycle, because a program might have switched off the garbage
 collector. Therefore it releases its handle and its brake at the end. It keeps and returns copies of its error that have
 never been raised. A raised exception refers to the frames that it passes, and the variables of these frames refer to
 the handle.
@@ -215,7 +215,7 @@ class Lifecycle:
         return self.fire(Event.CANCEL, Cancelled(f"{self.name} was {why}"), brake)
 
     def give_up(self) -> bool:
-        """Cancel it and stop the robot, because the task that awaited it was cancelled."""
+        """Cancel the motion, program or mission, and stop the robot, because the awaiting task was cancelled."""
         return self.cancel("cancelled, because the task that awaited it was cancelled", brake=True)
 
     def fail(self, error: Exception, *, brake: bool = False) -> bool:

@@ -44,13 +44,13 @@ class Started(Protocol):
 
     @property
     def is_over(self) -> bool:
-        """Whether it has ended."""
+        """Whether the motion, program or mission has ended."""
 
     def give_up(self) -> bool:
-        """Cancel it, because the task that awaited it was cancelled."""
+        """Cancel the motion, program or mission, because the awaiting task was cancelled."""
 
     def cancel(self, why: str, *, brake: bool = False) -> bool:
-        """Cancel it, and stop the arm at once if `brake`."""
+        """Cancel the motion, program or mission; with `brake`, stop the arm at once."""
 
 
 class _Lives:
@@ -149,7 +149,7 @@ class PendingCall:
             self.check()
 
     def check(self) -> None:
-        """Raise `Cancelled` if it was abandoned."""
+        """Raise `Cancelled` if the call was abandoned."""
         if self.is_given_up:
             raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 

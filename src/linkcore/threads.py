@@ -80,7 +80,7 @@ def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str)
 
 @contextlib.contextmanager
 def alone(lock: threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
-    """Hold a lock like `held`, but raise at once if a signal handler enters the block of its own thread again.
+    """Hold a lock like `held`, but raise at once if a signal handler enters the block that it has interrupted.
 
     Use it for a block that waits for a peer. A signal handler runs in the thread that it has interrupted. If that
     thread is already in the block, the handler would wait forever.
@@ -305,7 +305,7 @@ class Runnable(Closing, ABC):
     def _begin_once(self) -> None:
         if self._is_used:
             raise Closed(f"this {self._kind} has already run; create a new one")
-        # Set before anything that might fail: a failed attempt may have left devices open, so it cannot be repeated.
+        # Set before anything that might fail: a failed attempt might have left devices open, so it cannot be repeated.
         self._is_used = True
         try:
             self._begin()

@@ -219,7 +219,7 @@ def _as_stored(place: Place, column: NDArray[Any]) -> NDArray[Any]:
 def _read_in_place(place: Place, column: NDArray[Any]) -> None:
     """Convert a column of numbers from the wire, in place, to the values that users get."""
     if place.shape is Mask64:
-        # A mask may be coded as an IEEE double of the same value; see `Mask64`.
+        # A mask might be coded as an IEEE double of the same value; see `Mask64`.
         if column.max() >> np.uint64(48):
             odd = np.flatnonzero(column >> np.uint64(48))
             column[odd] = [Mask64.read(each) for each in column[odd].tolist()]

@@ -293,7 +293,7 @@ class Table(StrictAttributes):
 
         Args:
             names: Names of fields; without names, all fields.
-            library: "pandas" or "polars"; None for the first one that is installed.
+            library: "pandas" or "polars"; None for the first of them that is installed.
 
         Returns:
             A `pandas.DataFrame` with `time` as its index ``t``, or a `polars.DataFrame` with a column ``t``. Both have

@@ -153,7 +153,7 @@ class Listener:
     accepted: deque[End] = field(default_factory=deque)
 
     def close(self) -> None:
-        """Refuse new connections, and reset those that the program has not accepted."""
+        """Refuse new connections, and reset the connections that the program has not accepted."""
         self.computer.listeners.pop(self.port, None)
         for end in self.accepted:
             end.reset()

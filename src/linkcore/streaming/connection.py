@@ -128,7 +128,7 @@ class Connection:
                 process was forked from the process that made the connection.
             Closed: If the connection was closed.
         """
-        self._home.check()  # before the lock is acquired, because a thread of the parent may have held it at the fork
+        self._home.check()  # before the lock is acquired, because a thread of the parent might have held it at the fork
         is_again = is_mine(self._lock)
         with self._changed:
             if self._life.is_ending or not self._is_settled:
@@ -162,7 +162,7 @@ class Connection:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether `start` does not have to wait, because it has connected once, or was closed."""
+        """Whether `start` does not have to wait, because the connection was made once, or was closed."""
         return self._life.phase is not ConnectionPhase.IDLE and self._life.attempt.is_settled
 
     def _begin(self, is_patient: bool) -> None:

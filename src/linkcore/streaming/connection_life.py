@@ -190,7 +190,7 @@ TRANSITIONS: Mapping[_Cause, _Effect] = MappingProxyType(
 class Attempt:
     """Result of the first connection of a reader.
 
-    Each reader has its own attempt, because the next one may start immediately after a failure.
+    Each reader has its own attempt, because the next one might start immediately after a failure.
 
     Attributes:
         is_patient: Whether no caller waits for the connection, so that a failure is retried.

@@ -238,7 +238,7 @@ class Feed(StrictAttributes, Generic[T]):
         """
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         if not (issubclass(self._kind, State) and self._kind.FIELDS):
-            raise BadValue(f"{self._kind.__name__} has no fields of its own to keep; select one of its parts with of()")
+            raise BadValue(f"{self._kind.__name__} has no fields to keep; select one of its parts with of()")
         return History(self._kind, seconds, lambda keep: self.subscribe(keep, inline=True))
 
     def plot(self, *fields: str, seconds: float = 10.0, window: float = 10.0, period: float = 0.2) -> None:

@@ -156,7 +156,7 @@ class StreamCounters:
         self._missing: Missing | None = None
         self._duplicates = 0
         # Queues of running loops, and the number of packets dropped by ended loops. The lock is re-entrant, because a
-        # loop may be garbage-collected in the middle of a change.
+        # loop might be garbage-collected in the middle of a change.
         self._loops: tuple[Loop, ...] = ()
         self._dropped = 0
         self._changing_loops = threading.RLock()
