@@ -216,7 +216,7 @@ def release_of(firmware: Firmware) -> Release:
     """Return the row that is valid for `firmware`.
 
     If `firmware` is later than all rows of its generation, return the newest row of that generation. If its generation
-    is newer than the whole table, return the newest row of the table, because a controller may be newer than this
+    is newer than the whole table, return the newest row of the table, because a controller might be newer than this
     library. A number between two generations of the table, such as 6.1, was never released.
 
     Raises:

@@ -93,12 +93,12 @@ class Dashboard(StrictAttributes, Closing):
         host: Host name or address of the controller.
         port: Port of the dashboard server, 29999 on a real controller; None if it is not served.
         firmware: Function that returns the firmware of the controller. It is called before each command, because the
-            firmware may have changed in between.
+            firmware might have changed in between.
         api_port: Port of the Robot API, 80 on a real controller; None if it is not served.
         timeout: Maximum time to connect, and for the reply to a command, in seconds. Slow commands have more time; see
             `COMMANDS`.
-        undos: Pending undos of the commands to this controller. If None, share those of all objects in this process
-            that command the controller.
+        undos: Pending undos of the commands to this controller. If None, use the undos that all objects in this process
+            share for the controller.
         on_stop: Function that is called before each command that stops or pauses the arm. Its argument is the reason,
             used in messages.
 
@@ -146,8 +146,8 @@ class Dashboard(StrictAttributes, Closing):
         """Power the arm on, release its brakes, and wait until it runs. **The arm might move** as the brakes release.
 
         This method does not unlock a stop: after a protective stop, the arm runs, but cannot move before
-        `unlock_protective_stop`. On CB2, a person starts the arm at the pendant. Later controllers may require a person
-        to confirm the safety settings first.
+        `unlock_protective_stop`. On CB2, a person starts the arm at the pendant. Later controllers might require a
+        person to confirm the safety settings first.
 
         Raises:
             LinkTimeout: If the arm does not run after `timeout` seconds. The error contains the robot mode and the

@@ -52,7 +52,7 @@ class ApiRequest:
         words: Reply of the dashboard server with the same meaning, with a placeholder for the member.
         names: Values of the member -> their names on the dashboard server.
         since: First firmware that has the request. It is valid until the next request for the same command.
-        slow: Maximum time for the answer in seconds, if it is longer than that of other requests.
+        slow: Maximum time for the answer in seconds, if it is longer than for other requests.
     """
 
     method: str

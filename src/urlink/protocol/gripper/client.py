@@ -125,8 +125,8 @@ class Gripper(StrictAttributes):
         port: Port number, 63352 on a real controller.
         timeout: Maximum time to connect, and for each reply, in seconds.
         refused: Function that returns a hint for the error if the connection is refused.
-        undos: Pending undos of the commands to this controller. If None, share those of all objects in this process
-            that command the controller.
+        undos: Pending undos of the commands to this controller. If None, use the undos that all objects in this process
+            share for the controller.
     """
 
     def __init__(
@@ -256,7 +256,7 @@ class Gripper(StrictAttributes):
 
     def status(self) -> GripperStatus:
         """Return the current state."""
-        # Each variable is a separate request, and the fingers may move in between. With this order, a status at rest
+        # Each variable is a separate request, and the fingers might move in between. With this order, a status at rest
         # belongs to the reported request, and the position is the position at rest.
         state, requested, stopped, position, fault = map(self.get, ("STA", "PRE", "OBJ", "POS", "FLT"))
         return GripperStatus(state == 3, position, requested, ObjectStatus(stopped), fault)

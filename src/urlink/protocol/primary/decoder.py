@@ -57,8 +57,8 @@ class PackageDecoder:
     """Decoder of whole packages to typed states.
 
     Args:
-        version: Firmware of the controller. Layouts smaller than those of this firmware are not used. If None, only the
-            sizes decide.
+        version: Firmware of the controller. Smaller layouts than the layouts of this firmware are not used. If None,
+            only the sizes decide.
         notice: Function that is called once for each kind of unknown package or part of a package.
 
     Attributes:

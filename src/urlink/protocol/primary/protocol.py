@@ -47,7 +47,7 @@ _LARGEST_BELIEVED = 8192
 # with more sub-packages, the next package decides, so that the work for each position in the stream is bounded.
 _MOST_PARTS = 16
 
-# Beginning of a robot state or robot message of an accepted size. It uses lookahead, because candidates may overlap.
+# Beginning of a robot state or robot message of an accepted size. It uses lookahead, because candidates might overlap.
 _CANDIDATE = re.compile(rb"(?=\x00\x00[\x00-\x20].[\x10\x14])", re.DOTALL)
 _CANDIDATE_BYTES = 5
 
@@ -99,7 +99,7 @@ class PackageBoundary:
             return size, need
         kind = buffer[at + 4]
         if kind not in KNOWN_TYPES:
-            # The next package may also have an unknown type, but its size is a small number. Other bytes of a stream
+            # The next package might also have an unknown type, but its size is a small number. Other bytes of a stream
             # seldom form such a small number.
             if there < size + _HEAD.size:
                 return size, size + _HEAD.size
@@ -142,7 +142,7 @@ class PackageBoundary:
             if is_whole or (need and _is_header(buffer, at + size)):
                 self._is_begun = True
                 return at, size, need
-        # The last bytes may be the beginning of a candidate.
+        # The last bytes might be the beginning of a candidate.
         return max(start, end - _CANDIDATE_BYTES + 1), 0, _CANDIDATE_BYTES
 
     def peer(self, buffer: bytes | bytearray) -> str | None:

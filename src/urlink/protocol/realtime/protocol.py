@@ -115,7 +115,7 @@ class RealtimeBoundary:
                 continue
             need = size + _HEAD.size
             if end - at < need:
-                # Before then, a packet that continues the time may arrive from the first unchecked position.
+                # Before then, a packet that continues the time might arrive from the first unchecked position.
                 self._judged = end - _HEAD.size + 1 - at
                 return at, 0, min(need, self._judged + self.size) if self.last else need
             next_size, later = _HEAD.unpack_from(buffer, at + size)
@@ -123,7 +123,7 @@ class RealtimeBoundary:
                 self._take(buffer, at, size)
                 return at, size, need
         if timely is None:
-            # The last bytes may be the beginning of a header.
+            # The last bytes might be the beginning of a header.
             return max(start, end - _SIZE_BYTES + 1), 0, _SIZE_BYTES
         if end - timely >= self.size:
             self._take(buffer, timely, self.size)
@@ -198,7 +198,7 @@ class RealtimeProtocol:
 
 
 class _AnyLayout:
-    """Decoder for packets of any size, which may have a tail.
+    """Decoder for packets of any size, which might have a tail.
 
     It is not a method of the protocol, because this would create a reference cycle until the first packet arrives.
 

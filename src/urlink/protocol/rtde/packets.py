@@ -310,7 +310,7 @@ class RtdeBoundary:
             return size, size
         if sizes is None and self._is_begun and _HEAD.size <= size < _LARGEST:
             return self._followed(buffer, at, size)
-        # At the beginning, the peer may be another service. A few more bytes are needed to recognise it.
+        # At the beginning, the peer might be another service. A few more bytes are needed to recognise it.
         return 0, 0 if self._is_begun else _PEER
 
     def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:

@@ -1,7 +1,8 @@
 """Recipes: names and types that are known only at run time, converted to the layout of data packages.
 
-A recipe combines the request of a client and the reply of a controller. Both sides use it. `Recipe.encode` and
-`Recipe.decode` convert values by name. `Recipe.state_class` creates typed states, as fast as those of other interfaces.
+A recipe combines the request of a client and the reply of a controller. Both sides use recipes. `Recipe.encode` and
+`Recipe.decode` convert values by name. `Recipe.state_class` creates typed states, as fast as the states of other
+interfaces.
 """
 
 from __future__ import annotations
@@ -131,7 +132,7 @@ class Recipe(StrictAttributes):
         """Decode one whole data package to name -> value: numbers, tuples of numbers, or their enums.
 
         Raises:
-            PacketError: If the size differs from that of the recipe, or the package belongs to another recipe.
+            PacketError: If the size differs from the size of the recipe, or the package belongs to another recipe.
         """
         self.check(data)
         values = self.layout.unpack(data)
