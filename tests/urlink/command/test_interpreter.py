@@ -352,7 +352,7 @@ def test_invalid_replies_and_statements_are_rejected() -> None:
         unasked.feed(b"ack: 1: x\n")
     for statement, error in (
         ("# nothing", "is not a statement"),
-        (" abort ", "'abort' is not a statement"),
+        (" abort ", "'abort' is a command word, not a statement"),
         (5, "is int; expected a string"),
         ("x = '\0'", "must not contain control characters"),
         ("x = " + "1" * 9000, "at most 8000"),
