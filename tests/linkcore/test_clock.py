@@ -57,7 +57,7 @@ def test_left_is_never_negative_after_the_deadline() -> None:
 
 
 @pytest.mark.parametrize("timeout", [None, float("inf"), 0.0, -1.0, 0.5, 3.5])
-def test_wait_returns_whether_it_happened(timeout: float | None) -> None:
+def test_wait_returns_whether_the_event_happened(timeout: float | None) -> None:
     event = threading.Event()
     if timeout is not None and timeout < 100.0:
         begun = clock.now()
@@ -89,7 +89,7 @@ def test_sleep_ends_when_a_suspend_passes_its_end(suspend: Suspend) -> None:
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, 0.25, 7.25])
-def test_sleep_lasts_as_long_as_asked(seconds: float) -> None:
+def test_sleep_lasts_for_the_requested_time(seconds: float) -> None:
     begun = clock.now()
     clock.sleep(seconds)
     assert clock.now() - begun == pytest.approx(max(seconds, 0.0), abs=1e-3)

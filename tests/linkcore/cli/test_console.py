@@ -45,7 +45,7 @@ def test_lines_yields_none_without_input(writer: TextIO) -> None:
     assert next(lines) == ""
 
 
-def test_lines_ends_when_not_wanted(writer: TextIO) -> None:
+def test_lines_ends_when_the_caller_stops_it(writer: TextIO) -> None:
     send(writer, "one\n")
     wanted = iter([True, False])
     assert list(console.lines(lambda: next(wanted))) == ["one"]

@@ -62,7 +62,7 @@ def dissected(run: Run, data: bytes, tmp_path: Path, *options: str) -> list[dict
 # -- one packet ----------------------------------------------------------------------------------------
 
 
-def test_realtime_packet(run: Run, tmp_path: Path) -> None:
+def test_dissect_prints_realtime_packet(run: Run, tmp_path: Path) -> None:
     data = bytes(RealtimeState("3.4", time=951.5, q_actual=[1, 2, 3, 4, 5, float("nan")], digital_input_bits=5))
     path = tmp_path / "packet.bin"
     path.write_bytes(data)

@@ -256,34 +256,34 @@ def test_port_replies_to_each_line() -> None:
         where = (controller.host, controller.ports["interpreter"])
         with socket.create_connection(where, TIMEOUT) as link, link.makefile("rw", newline="\n") as lines:
 
-            def say(line: str) -> str:
+            def execute(line: str) -> str:
                 lines.write(line + "\n")
                 lines.flush()
                 return lines.readline().rstrip("\n")
 
-            assert say("a = 1") == "discard: 0: a = 1"
-            assert say("statelastexecuted") == "state: 0: statelastexecuted"
+            assert execute("a = 1") == "discard: 0: a = 1"
+            assert execute("statelastexecuted") == "state: 0: statelastexecuted"
             controller.take(
                 "def main():\n  b = 5\n  interpreter_mode()\n  interpreter_mode(clearOnEnd=False)\n"
                 '  textmsg("over")\nend\n'
             )
             until(lambda: controller.program_name == "main")
-            until(lambda: say("sync()").startswith("ack"))
-            assert say('b = b + 1   textmsg("b  is", b)').endswith(': b = b + 1   textmsg("b  is", b)')
-            assert say("interpreter_mode()").startswith("ack")  # an error once it is executed
+            until(lambda: execute("sync()").startswith("ack"))
+            assert execute('b = b + 1   textmsg("b  is", b)').endswith(': b = b + 1   textmsg("b  is", b)')
+            assert execute("interpreter_mode()").startswith("ack")  # an error once it is executed
             until(lambda: controller.program_name is None)
 
             controller.take('def main():\n  interpreter_mode()\n  interpreter_mode()\n  textmsg("over")\nend\n')
-            until(lambda: say("sync()").startswith("ack"))
-            assert say("sleep(0.05)").startswith("ack")
+            until(lambda: execute("sync()").startswith("ack"))
+            assert execute("sleep(0.05)").startswith("ack")
             for word in WORDS:
-                assert say(word).startswith("state: ")
-            replies = [say("x = 1").partition(":")[0] for _ in range(MOST + 5)]
+                assert execute(word).startswith("state: ")
+            replies = [execute("x = 1").partition(":")[0] for _ in range(MOST + 5)]
             assert replies[-1] == "discard"
             assert replies.count("ack") <= MOST
-            until(lambda: say("stateunexecuted").startswith("state: 0"))
+            until(lambda: execute("stateunexecuted").startswith("state: 0"))
             # Executed statements are kept, so even `clear_interpreter()`, which would make room, is discarded.
-            assert say("clear_interpreter()").startswith("discard")
+            assert execute("clear_interpreter()").startswith("discard")
 
 
 def test_program_continues_after_end_interpreter() -> None:

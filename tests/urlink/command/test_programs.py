@@ -289,11 +289,11 @@ def test_program_that_never_begins_raises_timeout() -> None:
     with ScriptedController(start_timeout=0.05) as robot:
         program = run(robot)
 
-        def told() -> bool:
+        def is_notified() -> bool:
             robot.state(RobotMode.IDLE)
             return program.done
 
-        until(told)
+        until(is_notified)
         with pytest.raises(
             LinkTimeout, match=r"did not begin within 0\.05 s.* robot mode is IDLE, no program is running"
         ):

@@ -186,11 +186,11 @@ def test_not_confirmed_names_shown_value(robot: ScriptedController, name: str) -
     act, _, wrong = SHOWN[name]
     setting = Setting(robot, act, 0.3)
 
-    def tell() -> bool:
+    def is_refused() -> bool:
         show(robot, wrong)
         return setting.is_over
 
-    until(tell)
+    until(is_refused)
     assert isinstance(setting.error, NotConfirmed)
     assert "did not show it within 0.3 s: its states show" in str(setting.error)
     assert "no value" not in str(setting.error)
@@ -341,7 +341,7 @@ class Answering:
     def send(self, text: str, values: object = None, *, wait: bool = True) -> None:
         self.sent.append(text)
         for answer in self.answers:
-            (self.realtime if isinstance(answer, RealtimeState) else self.primary).tell(answer)
+            (self.realtime if isinstance(answer, RealtimeState) else self.primary).deliver(answer)
 
     def doubt(self) -> None:
         self.doubts += 1

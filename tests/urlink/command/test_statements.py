@@ -104,7 +104,7 @@ def waits_of(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 def test_statement_is_sent_through_the_interlock(mode: Mode) -> None:
     assert [mode.interpreter.execute("a = 1"), mode.interpreter.execute("a = 2")] == [1, 2]
-    mode.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    mode.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     with pytest.raises(SafetyStop):
         mode.interpreter.execute("a = 3")
     # Commands that end a motion do not ask the interlock.
@@ -332,7 +332,7 @@ def test_mode_begins_when_controller_accepts_a_statement(beginning: Beginning) -
     assert "interpreter_mode()" in beginning.sent[0]
     (name,) = beginning.programs._runs
     beginning.key("PROGRAM_XXX_STARTED", name)
-    beginning.primary.tell(TextMessage((5, 11), text="hello"))
+    beginning.primary.deliver(TextMessage((5, 11), text="hello"))
     assert interpreter.texts == ("hello",)
     assert texts == ["hello"]
     interpreter.cancel()

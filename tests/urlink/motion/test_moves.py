@@ -62,16 +62,16 @@ def test_motion_sends_one_program_and_ends_with_program(
     assert not motion.done
     assert phase_of(motion) is Phase.SENT
     assert [robot.motion.current] == [motion]
-    told: list[Motion] = []
-    motion.add_done_callback(told.append)
+    notified: list[Motion] = []
+    motion.add_done_callback(notified.append)
     robot.begin()
     until(lambda: phase_of(motion) is Phase.RUNNING)
     robot.finish()
     motion.wait(TIMEOUT)
     assert (phase_of(motion), motion.error, motion.progress) == (Phase.DONE, None, 1.0)
-    until(lambda: told == [motion])
-    motion.add_done_callback(told.append)
-    until(lambda: told == [motion, motion])
+    until(lambda: notified == [motion])
+    motion.add_done_callback(notified.append)
+    until(lambda: notified == [motion, motion])
     sent = len(robot.sent)
     motion.cancel()
     assert phase_of(motion) is Phase.DONE

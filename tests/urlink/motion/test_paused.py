@@ -375,7 +375,7 @@ def test_program_ignores_old_set_points_after_displacement(version: str) -> None
     bench = Bench(how.body(ReverseSocket("10.0.0.1", 50001, 7)), firmware, READY)
     bench.run(2)
     for _ in range(round(0.5 * firmware.rate)):
-        bench.say(setpoint([*READY[:5], 0.5 * bench.cycle * bench.period], [0.0] * 5 + [0.5]))
+        bench.deliver(setpoint([*READY[:5], 0.5 * bench.cycle * bench.period], [0.0] * 5 + [0.5]))
         bench.run()
     stale = setpoint([*READY[:5], 0.25], [0.0] * 5 + [0.5])
     there = [*READY[:5], 0.6]

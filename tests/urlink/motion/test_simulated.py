@@ -98,13 +98,13 @@ def test_follow_reaches_end_of_trajectory(
 ) -> None:
     robot = connect(arm, firmware)
     path = tool_path(robot)
-    told: list[TrajectoryFeedback] = []
-    motion = robot.motion.follow(path, **way, feedback=told.append, watchdog=WATCHDOG, goal_time=20.0)
+    received: list[TrajectoryFeedback] = []
+    motion = robot.motion.follow(path, **way, feedback=received.append, watchdog=WATCHDOG, goal_time=20.0)
     motion.wait(TIMEOUT)
     assert motion.phase is Phase.DONE
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
-    assert len(told) > 10
-    assert max(float(np.abs(each.error).max()) for each in told) < 0.3
+    assert len(received) > 10
+    assert max(float(np.abs(each.error).max()) for each in received) < 0.3
     until(lambda: stands(robot))
 
 

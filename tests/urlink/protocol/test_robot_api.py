@@ -226,7 +226,7 @@ def test_missing_command_names_alternative(call: Callable[[Dashboard], object], 
         call(nowhere)
 
 
-def test_missing_request_names_first_firmware_with_it(controller: Controller) -> None:
+def test_missing_request_error_names_first_firmware(controller: Controller) -> None:
     now = X7
     desk = Dashboard("no-such-host.invalid", None, lambda: now, api_port=None)
     with pytest.raises(LocalError, match="has no Robot API"):

@@ -237,7 +237,7 @@ LATER |= {"safety_status": 1108, "reserved_e": 1116, "payload_mass": 1140, "payl
         ("5.10", CB3 | LATER),
     ],
 )
-def test_realtime_offsets(version: str, expected: dict[str, int]) -> None:
+def test_realtime_fields_have_expected_offsets(version: str, expected: dict[str, int]) -> None:
     layout = RealtimeState.LAYOUTS.of(version)
     assert {name: place.offset for name, place in layout.places.items()} == expected
     # Check the bytes as well as the declaration: write each field at its offset and read it back.

@@ -75,7 +75,7 @@ def test_requests_are_sent_in_order() -> None:
     assert [claim.number for claim in dialogue.claims] == [1]
     state = received(transport, plan)[-1]
     assert (state.timestamp, state.actual_q.tolist()) == (0.0, [0.0] * 6)
-    desk.say(timestamp=41.0)
+    desk.send_values(timestamp=41.0)
     data, _ = transport.receive(1.0)
     assert data == bytes(desk.data(timestamp=41.0))
 
