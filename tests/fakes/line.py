@@ -239,7 +239,7 @@ class Programming(Desk):
     def script(self, source: str = "movej(q)", **options: Any) -> Run:
         """Start a script of a user."""
         wrapped = self.programs.wrap(source)
-        options = {"is_motion": False, "left_alone": "it may still run", **options}
+        options = {"is_motion": False, "left_alone": "it might still run", **options}
         return self._start(wrapped, self.programs.life(wrapped.name), **options)
 
     def _start(self, wrapped: Any, life: Lifecycle, **options: Any) -> Run:

@@ -6,8 +6,8 @@
 No thread waits. The loop makes a call when the socket has bytes, their packets are published at once, and a timer
 measures silence.
 
-Other threads may use the connection too, to send and to wait, as the code that commands a robot does. For them the
-thread of the loop is the reader. A call that would wait in this thread is refused, because it would wait for itself.
+Other threads, such as the threads that command a robot, may also send and wait. For them, the thread of the loop is the
+reader. A call that would wait in the thread of the loop is refused, because it would wait for itself.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class LoopConnection(Connection):
         return clock.wait(self._has_ended.wait, timeout)
 
     def _hang_up(self) -> None:
-        """Do nothing, because `_stop` has woken the task, which disconnects."""
+        """Do nothing: `_stop` has woken the task, and the task disconnects."""
 
     def _settle(self) -> None:
         super()._settle()

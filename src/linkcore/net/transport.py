@@ -72,7 +72,7 @@ class Transport(Protocol):
     def round_trip(self) -> float:
         """Duration of the handshake of the last connection, there and back, in s.
 
-        It is `inf` if there was none.
+        It is `inf` if there was no handshake.
         """
 
     def open(self, timeout: float) -> None:
@@ -144,7 +144,7 @@ class TcpTransport:
             LinkTimeout: If the host does not answer in time.
             LocalError: If this process was forked from the process that made the transport. All other methods raise it
                 too.
-            Cancelled: If this thread makes a pending call that was abandoned. See `linkcore.pending_call`.
+            Cancelled: If this thread is making a pending call that was abandoned. See `linkcore.pending_call`.
         """
         self._home.check()
         self.abort()
@@ -255,7 +255,7 @@ class TcpTransport:
         """Send all of `data` within `timeout` seconds, by passing it to the kernel.
 
         Raises:
-            LinkTimeout: If the peer does not accept it in time. Part of it may have been sent.
+            LinkTimeout: If the peer does not accept the data in time. A part of the data might have been sent.
             ConnectionLost: If the connection is lost.
         """
         until = clock.now() + timeout
@@ -273,7 +273,7 @@ class TcpTransport:
 
         Raises:
             ConnectionLost: If the connection is lost.
-            Cancelled: If this thread makes a pending call that was abandoned. See `linkcore.pending_call`.
+            Cancelled: If this thread is making a pending call that was abandoned. See `linkcore.pending_call`.
         """
         connection = self._socket
         if connection is None:
@@ -325,11 +325,11 @@ class TcpTransport:
         connection.close()
 
     def close(self, timeout: float = _DRAIN) -> None:
-        """Disconnect when the peer's kernel has acknowledged all sent data; after `timeout` seconds do as `abort`.
+        """Disconnect when the peer's kernel has acknowledged all sent data, but after `timeout` seconds at the latest.
 
-        `receive` continues meanwhile. Linux and macOS report unacknowledged data, but Windows does not. There, the
-        connection is closed at once, and the kernel continues to deliver the data. Call `abort` if data must not arrive
-        any more.
+        After `timeout`, unacknowledged data is discarded, as by `abort`. `receive` continues during the wait. Linux and
+        macOS report unacknowledged data, but Windows does not. There, the connection is closed at once, and the kernel
+        continues to deliver the data. Call `abort` if data must not arrive any more.
         """
         for pause in self.closing(timeout):
             clock.sleep(pause)
@@ -430,15 +430,16 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
 
 
 def _interrupt(connection: socket.socket) -> None:
-    """End the wait of another thread that connects this socket.
+    """End the wait of another thread that is connecting this socket.
 
-    Except on Linux, it may last until its timeout.
+    On systems other than Linux, the wait might last until its timeout.
     """
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)
 
 
-#: struct linger: whether it is on, and the seconds. It has two ints, but two shorts on Windows (winsock2.h).
+#: struct linger: whether lingering is on, and its time in s. The struct has two ints; on Windows, two shorts
+#: (winsock2.h).
 _LINGER = struct.Struct("hh" if sys.platform == "win32" else "ii")
 
 

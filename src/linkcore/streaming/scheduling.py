@@ -72,7 +72,7 @@ class _Threads:
             with self._lock:
                 left = self._numbers[number] = self._numbers[number] - 1
                 if not left:
-                    self._numbers.pop(number, None)  # a signal handler may have removed it already
+                    self._numbers.pop(number, None)  # a signal handler might have removed it already
                     if self._options != _Options():
                         _give(number, _Options())
 

@@ -140,7 +140,7 @@ def test_close_ends_a_waiting_request(serve: Serve) -> None:
 
     threading.Thread(target=close).start()
     try:
-        with pytest.raises(Closed, match="was closed while GET / waited"):
+        with pytest.raises(Closed, match="was closed while GET / was waiting"):
             client.ask(HttpRequest("GET", "/"), TIMEOUT)
     finally:
         is_over.set()

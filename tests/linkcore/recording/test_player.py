@@ -245,7 +245,7 @@ def test_send_to_a_recording_raises_bad_value(tmp_path: Path) -> None:
 
 def test_missing_channel_raises_bad_recording(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a")])
-    with pytest.raises(BadRecording, match="contains no realtime; it contains 0"):
+    with pytest.raises(BadRecording, match="has no channel 'realtime'; its channels are 0"):
         ReplayTransport(recording, "realtime", ReplayTimeline(recording))
 
 

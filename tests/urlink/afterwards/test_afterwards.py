@@ -217,4 +217,4 @@ def called_meanwhile(rig: Rig, expected: str, *, is_answered: bool) -> None:
     else:
         assert expected == LATE
         assert not is_same or rig.ask("moves")
-        assert failed == "made" if is_answered else "may still" in failed
+        assert failed == "made" if is_answered else "might still" in failed

@@ -237,7 +237,7 @@ def test_interpreter_raises_when_mode_is_unavailable() -> None:
             dead = gone.getsockname()[1]
         served = f"interpreter={controller.ports['interpreter']}"
         with urlink.connect(controller.address.replace(served, f"interpreter={dead}")) as robot:
-            with pytest.raises(ConnectFailed, match="the service may be switched off"):
+            with pytest.raises(ConnectFailed, match="the service might be switched off"):
                 robot.interpreter()
             assert not controller.is_running_program
             with pytest.raises(BadValue):
@@ -352,7 +352,7 @@ def test_invalid_replies_and_statements_are_rejected() -> None:
         unasked.feed(b"ack: 1: x\n")
     for statement, error in (
         ("# nothing", "is not a statement"),
-        (" abort ", "'abort' is not a statement"),
+        (" abort ", "'abort' is a command word, not a statement"),
         (5, "is int; expected a string"),
         ("x = '\0'", "must not contain control characters"),
         ("x = " + "1" * 9000, "at most 8000"),

@@ -207,8 +207,8 @@ def test_setting_without_confirm_does_not_wait(robot: ScriptedController, name: 
     [
         ("5.11", False, "the robot is in local control"),
         ("5.11", None, "check the mode on the pendant"),
-        ("5.11", True, "the controller may have been delayed"),
-        ("3.4", None, "the controller may have been delayed"),
+        ("5.11", True, "the controller might have been delayed"),
+        ("3.4", None, "the controller might have been delayed"),
     ],
 )
 def test_not_confirmed_names_likely_cause(firmware: str, is_remote: bool | None, why: str) -> None:
@@ -468,7 +468,7 @@ def test_likely_cause_is_named_without_dashboard() -> None:
 
     for firmware, why, count in (
         ("5.11", "check the mode on the pendant", 1),
-        ("3.4", "the controller may have been delayed", 0),
+        ("3.4", "the controller might have been delayed", 0),
     ):
         asked.clear()
         with pytest.raises(NotConfirmed, match=why):

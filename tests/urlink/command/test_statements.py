@@ -290,7 +290,7 @@ def test_end_logs_when_controller_does_not_reply(mode: Mode, caplog: pytest.LogC
     mode.peer.answers.append(LinkTimeout("no reply"))
     with pytest.raises(NotRunning):
         mode.interpreter.end()
-    assert "its program may still wait for statements: no reply" in caplog.text
+    assert "its program might still be waiting for statements: no reply" in caplog.text
     assert mode.peer.is_closed
 
 
@@ -366,7 +366,7 @@ def test_program_that_ended_before_the_mode_began_raises(beginning: Beginning, m
 
     monkeypatch.setattr(beginning.programs, "life", life)
     ends: list[tuple[Callable[[Any], object], type[LinkError], str]] = [
-        (lambda life: life.finish(), RemoteError, "interpreter mode ended before it began"),
+        (lambda life: life.finish(), RemoteError, "interpreter mode ended before it accepted a statement"),
         (lambda life: life.fail(NotRunning("no power")), NotRunning, "no power"),
     ]
     for end, error, words in ends:

@@ -191,7 +191,7 @@ def test_gripper_activates_moves_and_reports_faults() -> None:
             gripper.open()
         assert caught.value.fault == 10
         controller.gripper.is_connected = False
-        with pytest.raises(GripperFault, match="no gripper is connected to it"):
+        with pytest.raises(GripperFault, match="no gripper is connected to the controller"):
             gripper.status()
         controller.gripper.is_connected = True
         gripper.deactivate()
@@ -288,7 +288,7 @@ def test_replies_without_line_end_and_wrong_replies(answering: Callable[[dict[st
     assert gripper.position() == 12  # over a new connection
     with pytest.raises(PacketError, match="'OBJ 3' is not a value of STA"):
         gripper.get("STA")
-    with pytest.raises(GripperFault, match="the gripper answered 'no'"):
+    with pytest.raises(GripperFault, match="and answered 'no'"):
         gripper.set(ACT=1)
     with pytest.raises(LinkTimeout, match=r"no reply to 'GET PRE' within 0\.5 s"):
         gripper.get("PRE")

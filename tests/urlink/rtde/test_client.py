@@ -262,7 +262,7 @@ def test_concurrent_sends_are_serialised(monkeypatch: pytest.MonkeyPatch) -> Non
         ({"tool_digital_output": {2: True}}, "output of tool_digital_output=2; expected a whole number from 0 to 1"),
         ({"tool_digital_output": {True: True}}, "output of tool_digital_output=True; expected a whole number"),
         ({"tool_digital_output": {0: 7}}, "expected True or False"),
-        ({"tool_digital_output": 4}, "expected bits of 0x3"),
+        ({"tool_digital_output": 4}, "expected a number that sets only bits of 0x3"),
         ({"input_int_register_24": 2**31}, "expected -2147483648 to 2147483647"),
         ({"input_int_register_24": 1.0}, "expected a whole number"),
         ({"external_force_torque": [0, 0, 0]}, "expected 6 finite numbers"),
