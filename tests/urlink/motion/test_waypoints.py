@@ -138,7 +138,7 @@ def test_server_answers_when_arm_is_at_rest() -> None:
 
     elsewhere = Served()
     elsewhere.angle = 0.06
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         elsewhere.step(b"0\n")
 
 
