@@ -188,7 +188,7 @@ class Lifecycle:
 
     @property
     def is_wanted(self) -> bool:
-        """Whether the robot may still begin it: it has not ended, and the call that sent it was not abandoned."""
+        """Whether the robot might still start it: it has not ended, and the call that sent it was not abandoned."""
         return not (self.is_over or (self._call is not None and self._call.is_given_up))
 
     @property
