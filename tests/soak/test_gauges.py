@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import random
-import sys
 import threading
 
 import pytest
 
+from tests import platforms
 from tests.soak.gauges import Sample, sample, slope, trends
 
 
@@ -38,7 +38,7 @@ def test_slope() -> None:
     assert slope([(0.0, 1.0), (1.0, 3.0), (2.0, 500.0), (3.0, 7.0), (4.0, 9.0)]) == 2.0
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="/proc is read")
+@platforms.needs_linux
 @pytest.mark.real_time
 def test_what_is_held_is_seen() -> None:
     # Objects that a collection frees in between are fewer than half of those that this test makes.
