@@ -321,7 +321,8 @@ class Runnable(Closing, ABC):
 
     def _serve_to_end(self) -> None:
         try:
-            self._serve()
+            with clock.fine_timer():
+                self._serve()
         finally:
             self._ended.set()
 

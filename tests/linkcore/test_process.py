@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from linkcore import process
+from tests import platforms
 
 
 class Part:
@@ -36,7 +37,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     monkeypatch.setattr(process, "_watched", set())
     monkeypatch.setattr(atexit, "register", lambda call, *of: found.update(exit=lambda: call(*of)))
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
-    monkeypatch.setattr(os, "register_at_fork", lambda after_in_child: found.update(fork=after_in_child))
+    monkeypatch.setattr(os, "register_at_fork", lambda after_in_child: found.update(fork=after_in_child), raising=False)
     before = signal.getsignal(signal.SIGTERM)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     yield found
@@ -85,6 +86,7 @@ def test_notebook_cell_abandons_when_interrupted(
     assert not part.is_end
 
 
+@platforms.needs_fork
 def test_forked_child_does_not_abandon_parts(events: dict[str, Any]) -> None:
     part = Part()
     process.abandon_at_end(part)
@@ -118,7 +120,7 @@ print(os.waitstatus_to_exitcode(status), lock.acquire(timeout=60))
 
 
 @pytest.mark.real_time
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+@platforms.needs_fork
 def test_free_in_child_frees_the_lock_in_a_forked_child_only() -> None:
     command = [sys.executable, "-c", _FORKS_WHILE_A_THREAD_HOLDS_A_LOCK]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100)

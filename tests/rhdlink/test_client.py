@@ -46,6 +46,7 @@ from rhdlink.replica import Replica
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import SymbolRow
+from tests import platforms
 from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless, entries, nothing_more_after_greeting, serving
 from tests.rhdlink import recorded
 from tests.waiting import until
@@ -853,7 +854,7 @@ def test_kept_value_of_a_removed_variable_is_counted(caplog: pytest.LogCaptureFi
 
 
 @pytest.mark.real_time
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
+@platforms.needs_fork
 def test_forked_child_cannot_sync_or_end_the_connection() -> None:
     with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
         robot.sync()

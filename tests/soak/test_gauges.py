@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import random
-import sys
 import threading
 
 import pytest
 
+from tests import platforms
 from tests.soak.gauges import Sample, sample, slope, trends
 
 
@@ -38,7 +38,7 @@ def test_slope_ignores_outlier() -> None:
     assert slope([(0.0, 1.0), (1.0, 3.0), (2.0, 500.0), (3.0, 7.0), (4.0, 9.0)]) == 2.0
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the sample is read from /proc")
+@platforms.needs_linux
 @pytest.mark.real_time
 def test_sample_counts_new_descriptor_thread_and_objects() -> None:
     # A garbage collection frees fewer objects than half of those that this test makes.

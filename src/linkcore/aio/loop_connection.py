@@ -20,7 +20,8 @@ from typing import Any
 from .. import clock
 from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
-from ..net.awaited import AwaitedTransport, watch
+from ..net.awaited import AwaitedTransport
+from ..net.watching import forget, watch
 from ..streaming.connection import Connection
 from ..streaming.receiver import Receiver
 from ..streaming.scheduling import urgent
@@ -289,7 +290,6 @@ class LoopConnection(Connection):
 
         Raises:
             ConnectionLost: If it was closed meanwhile.
-            LocalError: If the loop cannot wait for sockets.
         """
         descriptor = self._transport.fileno()
         if descriptor < 0:
@@ -300,7 +300,7 @@ class LoopConnection(Connection):
     def _watch_no_more(self) -> None:
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
-            self._loop.remove_reader(descriptor)
+            forget(self._loop, descriptor)
         self._call_in(None)
 
     def _end(self, error: Exception | None) -> None:
@@ -359,7 +359,7 @@ class LoopConnection(Connection):
         if not self._full and self._over is not None and not self._over.done():
             try:
                 self._watch()
-            except (ConnectionLost, LocalError) as error:
+            except ConnectionLost as error:
                 self._end(error)
             else:
                 self._set_timer()

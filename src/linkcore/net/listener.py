@@ -13,6 +13,7 @@ which makes them here too. The same rules for host names apply to every port tha
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
 import weakref
@@ -125,6 +126,8 @@ class TcpListener:
         except ConnectionError as error:
             raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
         except OSError as error:
+            if error.errno == errno.ENOTCONN:  # reset before it was accepted (Wine)
+                raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
             raise mapped(error, f"waiting on {where}", timeout, ConnectFailed) from error
         transport = TcpTransport(numeric_host(peer[0]), peer[1], silence=_SILENCE)
         transport.adopt(connection)

@@ -614,11 +614,12 @@ class SelectorLoop:
         if self._select_from is not None:
             return self._selector.select(0) if select.select(self._select_from, (), (), seconds)[0] else []
         # Wait for whole milliseconds, rounded down, because the selector rounds up. Then sleep for the rest.
-        whole = int(seconds * 1e3) * 1e-3
-        events = self._selector.select(whole)
-        if not events and whole == 0.0:
-            clock.sleep(seconds)
-        return events
+        until = clock.now() + seconds
+        events = self._selector.select(int(seconds * 1e3) * 1e-3)
+        if events:
+            return events
+        clock.sleep(clock.left(until))
+        return self._selector.select(0)
 
     def _register(self, link: socket.socket, before: int, after: int, data: Connection | ListeningPort) -> None:
         if not before:

@@ -195,9 +195,10 @@ class TcpTransport:
             if timeout != self._receive_timeout:
                 self._set_receive_timeout(connection, max(timeout, 0.0))
             data = connection.recv(_CHUNK)
-        except BlockingIOError:
-            raise LinkTimeout(f"{self.name}: nothing received within {max(timeout, 0.0):g} s") from None
         except OSError as error:
+            # On Windows, the timeout is Python's own, whose error has no number.
+            if isinstance(error, BlockingIOError) or (isinstance(error, TimeoutError) and error.errno is None):
+                raise LinkTimeout(f"{self.name}: nothing received within {max(timeout, 0.0):g} s") from None
             raise mapped(error, self.name, timeout, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
@@ -443,6 +444,10 @@ def _interrupt(connection: socket.socket) -> None:
 _LINGER = struct.Struct("hh" if sys.platform == "win32" else "ii")
 
 
+#: Option of Windows: seconds after which unacknowledged data ends the connection.
+_TCP_MAXRT = 5
+
+
 def _prepare(connection: socket.socket, silence: float) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(1, 0))
@@ -453,6 +458,10 @@ def _prepare(connection: socket.socket, silence: float) -> None:
         # considered lost on this side too.
         milliseconds = min(max(round(silence * 1e3), 1), 2**31 - 1)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
+    elif sys.platform == "win32":
+        # Whole seconds (ws2ipdef.h); 0 would be the system's default. Not verified on Windows; Wine rejects it.
+        with contextlib.suppress(OSError):
+            connection.setsockopt(socket.IPPROTO_TCP, _TCP_MAXRT, min(max(math.ceil(silence), 1), 2**31 - 1))
     _set_receive_timeout(connection, silence)
 
 
@@ -536,6 +545,6 @@ def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: t
         return otherwise(f"{doing}: no such host ({error.strerror})")
     if isinstance(error, ConnectionRefusedError):
         return otherwise(f"{doing}: connection refused; is the controller on, and is the port right?")
-    if error.errno == errno.EBADF:
+    if error.errno in (errno.EBADF, errno.ENOTSOCK):  # ENOTSOCK on Windows
         return otherwise(f"{doing}: closed by this program")
     return otherwise(f"{doing}: {error.strerror or error}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 
 import pytest
@@ -10,6 +9,7 @@ import pytest
 from linkcore.errors import BadValue, LinkTimeout
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.silence import SilenceMonitor
+from tests import platforms
 from tests.fakes.link import ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
@@ -217,7 +217,7 @@ stream.close()
 
 @pytest.mark.real_time
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no usleep that could hold the interpreter lock")
+@platforms.needs_signals
 def test_stall_of_this_process_is_not_silence() -> None:
     out = output_of(_STALLED)
     assert out.split("\n")[0] == "True 0 connected []"

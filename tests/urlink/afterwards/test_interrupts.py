@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import random
-import signal
 from collections.abc import Iterator
 
 import pytest
 
+from tests import platforms
 from tests.urlink.afterwards.interrupts import KINDS, WITHIN, arms, interrupted
 from urlink.robot import Robot
 
 pytestmark = [
     pytest.mark.real_time,
     pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="interrupting at a chosen moment needs SIGALRM of POSIX"),
+    platforms.needs_signals,
 ]
 
 
