@@ -7,14 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests import platforms
 from tests.urlink.afterwards.interrupts import KINDS, WITHIN, arms, interrupted
 from urlink.robot import Robot
 
 pytestmark = [
     pytest.mark.real_time,
     pytest.mark.slow,
-    platforms.needs_signals,
 ]
 
 
