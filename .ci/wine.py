@@ -107,7 +107,7 @@ def _build_math(lab: Path) -> None:
     users = [*lab.glob("site/numpy/**/*.pyd"), *lab.glob("site/numpy.libs/*.dll")]
     needed = set[str]()
     for path in users:
-        dump = ["x86_64-w64-mingw32-objdump", "-p", path]
+        dump = ["x86_64-w64-mingw32-objdump", "-p", str(path)]
         listing = subprocess.run(dump, check=True, capture_output=True, text=True).stdout
         table = listing.partition(f"DLL Name: {MATH}.dll")[2].partition("\n\n")[0].splitlines()[2:]
         needed |= {line.split()[-1] for line in table if line.strip()}
