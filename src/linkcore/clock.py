@@ -77,17 +77,17 @@ def fine_timer() -> Iterator[None]:
 
     Only sleeps are exact without it, from CPython 3.11. Other systems do not need it, and nothing happens there.
     """
-    if sys.platform != "win32":
-        yield
-        return
-    import ctypes
+    if sys.platform == "win32":
+        import ctypes
 
-    multimedia = ctypes.WinDLL("winmm")
-    multimedia.timeBeginPeriod(1)
-    try:
+        multimedia = ctypes.WinDLL("winmm")
+        multimedia.timeBeginPeriod(1)
+        try:
+            yield
+        finally:
+            multimedia.timeEndPeriod(1)
+    else:
         yield
-    finally:
-        multimedia.timeEndPeriod(1)
 
 
 def left(until: float) -> float:

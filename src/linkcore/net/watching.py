@@ -98,14 +98,14 @@ class _Watcher:
 
     def _ready(self, waiting: list[_Watched], woken: socket.socket) -> list[_Watched]:
         """Wait until at least one socket is ready, or the thread is woken."""
-        readers = [each.descriptor for each in waiting if not each.for_room]
+        readers = [woken.fileno(), *(each.descriptor for each in waiting if not each.for_room)]
         writers = [each.descriptor for each in waiting if each.for_room]
         try:
             # On Windows, a refused connection is an exceptional condition, and does not give room to send.
-            found = select.select([woken, *readers], writers, writers, _LOOK)
+            found = select.select(readers, writers, writers, _LOOK)
         except (OSError, ValueError):  # a socket was closed by another thread; its callback finds out which one
             return waiting
-        if woken in found[0]:
+        if woken.fileno() in found[0]:
             woken.recv(4096)
         return [each for each in waiting if each.descriptor in (found[1] + found[2] if each.for_room else found[0])]
 

@@ -27,10 +27,11 @@ else:
     class Loop(asyncio.SelectorEventLoop):
         """Event loop without the methods that the default loop of Windows does not have."""
 
-        def add_reader(self, *arguments: Any) -> None:
-            raise NotImplementedError
+    def _missing(*arguments: Any) -> Any:
+        raise NotImplementedError
 
-        remove_reader = add_writer = remove_writer = add_reader  # type: ignore[assignment]
+    for _name in ("add_reader", "remove_reader", "add_writer", "remove_writer"):
+        setattr(Loop, _name, _missing)
 
 
 @pytest.fixture
