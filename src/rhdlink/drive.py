@@ -390,7 +390,7 @@ class Drive(StrictAttributes, Closing):
             self._motions.end(Closed(f"{self._link.name}: the drive has ended; create a new Drive"))
 
     def _rest(self) -> None:
-        """Stop the robot's time until a motion is requested."""
+        """In lockstep, stop advancing the robot's time until a motion is requested."""
         while self._motions.is_idle and not self._closing.is_set():
             clock.wait(self._wake.wait)
             self._wake.clear()

@@ -183,7 +183,7 @@ class HttpParser:
             name, value = key.decode("ascii").lower(), content.decode("latin-1")
             if name in headers and headers[name] != value:
                 if name == "content-length":
-                    raise self._error(f"its headers give two lengths of its body: {headers[name]} and {value}")
+                    raise self._error(f"conflicting Content-Length headers: {headers[name]} and {value}")
                 value = f"{headers[name]}, {value}"
             headers[name] = value
         return start, headers

@@ -395,7 +395,7 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
         part[carried] = 0
         fits = (whole >= _LEAST) & (whole <= _MOST)
         if not fits.all():
-            raise BadValue(f"{numbers[~fits][0]} does not fit; expected Millionths, {_LEAST} to {_MOST}")
+            raise BadValue(f"{numbers[~fits][0]} is out of range for Millionths; expected {_LEAST} to {_MOST}")
         return np.stack((whole, part), axis=1).astype(np.int32).reshape(-1)
 
 

@@ -125,7 +125,7 @@ def robot() -> Iterator[ScriptedController]:
 
 
 def show(robot: ScriptedController, what: dict[str, Any]) -> None:
-    """Send a state on each interface that shows the values of `what`."""
+    """On each interface, send a state that shows the values of `what`."""
     axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
     offset = {f"tcp_offset_{axis}": value for axis, value in zip(axes, what.get("tcp", [0] * 6), strict=True)}
     packages = [

@@ -224,7 +224,7 @@ class DriveToPoint(ControlledMotion):
             Forward(path.straight_direction * path.straight) if turns_back else FollowDirection()
         )
         # Each piece, and the direction of its speed. If the path turns back, the straight piece is a `fwd`, which slows
-        # down before the turning point and has its direction in its distance.
+        # down before the turning point; the sign of its distance gives its direction.
         self._pieces = [
             (ArcTurn(self._radius, path.first, is_piece=True) if path.first else None, path.first_direction),
             (straight if path.straight else None, 1 if turns_back else path.straight_direction),

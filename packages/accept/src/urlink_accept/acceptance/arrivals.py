@@ -312,7 +312,7 @@ def _drift(evidence: Evidence) -> Measured:
     doubt = (2.0 * float(np.quantile(above, 0.05)) + _STAMPED) / length
     seen = f"{-slope * 1e6:+.0f} ppm, with an uncertainty of {doubt * 1e6:.0f} ppm, in {times[-1] - times[0]:.1f} s"
     if doubt > _MOST_DOUBT:
-        raise NotTried(f"the arrival of packets was too uneven: {seen}")
+        raise NotTried(f"packets arrived too irregularly to measure the drift of the clock: {seen}")
     # A drift is steady. A controller that was interrupted, such as a simulated one, becomes late at once.
     if (late := max(float(part.min()) for part in np.array_split(above, 8))) > _STEP:
         raise NotTried(

@@ -162,7 +162,7 @@ def _kinematics(evidence: Evidence) -> Measured:
         raise NotTried("this firmware does not report the TCP")
     last = evidence.primary.states[-1].cartesian_info
     if last is None or tool_offset(last) != tcp:
-        raise NotTried("the TCP was changed meanwhile")
+        raise NotTried("the TCP changed during the test")
     q, pose = _wanted(evidence, "q_actual", "tool_vector_actual")
     some = np.linspace(0, len(q) - 1, min(len(q), 200)).astype(int)
     expected = known.kinematics.forward(q[some], tcp)
