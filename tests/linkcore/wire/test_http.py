@@ -104,7 +104,7 @@ def test_interim_response_is_skipped_and_204_has_no_body() -> None:
         (
             "response",
             b"HTTP/1.1 200 OK\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n",
-            "conflicting Content-Length headers: 1 and 2",
+            "conflicting Content-Length headers",
         ),
         ("response", b"HTTP/1.1 200 OK\r\nContent-Length: -1\r\n\r\n", "its Content-Length is '-1'"),
         ("response", b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % (LONGEST_BODY + 1), "at most 1048576 bytes"),
