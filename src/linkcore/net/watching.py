@@ -54,7 +54,7 @@ class _Watcher:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = weakref.ref(loop)  # the loop is a key of `_watchers`, so its value must not keep it
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal handler may watch a socket too
         self._callbacks: dict[_Watched, Callable[[], object]] = {}
         self._reported: set[_Watched] = set()  # their callbacks have not been called yet, so they are not waited for
         self._waker: socket.socket | None = None  # None if no thread is running
