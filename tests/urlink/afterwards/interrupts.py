@@ -293,19 +293,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--within", type=float, default=WITHIN, help="latest interrupt, in s (default: 0.1)")
     options = parser.parse_args(argv)
     if sys.platform == "win32" and _OWN_CONSOLE not in os.environ:
-        again = [sys.executable, "-u", "-m", "tests.urlink.afterwards.interrupts", *(argv or sys.argv[1:])]
-        with subprocess.Popen(
-            again,
-            env={**os.environ, _OWN_CONSOLE: "1"},
+        command = [
+            sys.executable,
+            "-u",
+            "-m",
+            "tests.urlink.afterwards.interrupts",
+            *(sys.argv[1:] if argv is None else argv),
+        ]
+        environment = {**os.environ, _OWN_CONSOLE: "1"}
+        # A process with its own console gets only the output that it is given.
+        done = subprocess.run(
+            command,
+            env=environment,
             creationflags=subprocess.CREATE_NO_WINDOW,
-            stdout=subprocess.PIPE,  # without a pipe, the output would go to the hidden console
-            stderr=subprocess.STDOUT,
-            text=True,
-        ) as process:
-            assert process.stdout is not None
-            for line in process.stdout:
-                print(line, end="", flush=True)
-        return process.returncode
+            check=False,
+            stdin=subprocess.DEVNULL,
+            stdout=sys.stdout,
+            stderr=sys.stderr,
+        )
+        return done.returncode
     chance = random.Random(options.seed)
     wrong = 0
     with arms() as robots:

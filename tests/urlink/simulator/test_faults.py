@@ -18,7 +18,6 @@ from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration, ScheduledFault, parse_fault
 from urlink.simulator.faults import FAULTS
 from urlink.simulator.faults.link import (
-from tests import platforms
     LinkFaults,
     Segmenter,
     with_garbage_inside,
@@ -362,8 +361,7 @@ def test_client_can_reconnect_after_a_cut(controller: Controller, connect: Conne
     link.packet()
     other.packet()
     controller.faults.cut("realtime")
-    # Under Wine, `recv` reports a reset as an orderly end.
-    with pytest.raises(AssertionError if platforms.IS_WINE else ConnectionResetError):
+    with pytest.raises(ConnectionResetError):
         link.until(lambda packet: False)
     assert len(connect(controller, "realtime").packet()) == 1220
     other.packet()
