@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -53,6 +54,32 @@ def test_exit_abandons_open_parts_only(events: dict[str, Any]) -> None:
     assert kept.reasons == ["the interpreter exits"]
     assert kept.is_end
     assert closed.reasons == []
+
+
+@pytest.mark.real_time
+def test_exit_abandons_open_parts_while_a_thread_opens_and_closes_others(events: dict[str, Any]) -> None:
+    """At the switch interval of the test, a copy of a WeakSet fails in about one of forty exits."""
+    kept, has_ended = Part(), threading.Event()
+    process.abandon_at_end(kept)
+
+    def open_and_close() -> None:
+        while not has_ended.is_set():
+            part = Part()
+            process.abandon_at_end(part)
+            process.forget(part)
+
+    thread = threading.Thread(target=open_and_close)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    thread.start()
+    try:
+        for _ in range(1000):
+            events["exit"]()
+    finally:
+        has_ended.set()
+        thread.join()
+        sys.setswitchinterval(interval)
+    assert len(kept.reasons) == 1000
 
 
 def test_sigterm_abandons_and_ends_the_process(events: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
