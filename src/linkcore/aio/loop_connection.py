@@ -290,6 +290,7 @@ class LoopConnection(Connection):
 
         Raises:
             ConnectionLost: If it was closed meanwhile.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         descriptor = self._transport.fileno()
         if descriptor < 0:
@@ -359,7 +360,7 @@ class LoopConnection(Connection):
         if not self._full and self._over is not None and not self._over.done():
             try:
                 self._watch()
-            except ConnectionLost as error:
+            except (ConnectionLost, LocalError) as error:
                 self._end(error)
             else:
                 self._set_timer()

@@ -49,6 +49,7 @@ class AwaitedTcp(TcpTransport):
         Raises:
             ConnectFailed: If the connection is refused, or the host is unreachable or unknown.
             LinkTimeout: If the host does not answer in time.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         self.abort()
         try:
@@ -65,6 +66,7 @@ class AwaitedTcp(TcpTransport):
         Raises:
             LinkTimeout: If nothing arrives in time.
             ConnectionLost: If the peer closes or resets the connection, or this program closes it.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         until = clock.now() + timeout
         while (received := self.receive_waiting()) is None:

@@ -15,6 +15,9 @@ import weakref
 from collections.abc import Callable
 from typing import NamedTuple
 
+from ..errors import LocalError
+from ..threads import started
+
 
 def watch(
     loop: asyncio.AbstractEventLoop, descriptor: int, callback: Callable[[], object], *, for_room: bool = False
@@ -22,6 +25,9 @@ def watch(
     """Let the loop call `callback` when bytes have arrived, or with `for_room`, when there is room to send.
 
     Call it in the thread of the loop.
+
+    Raises:
+        LocalError: If the loop needs a thread for this, and the system refuses another thread.
     """
     try:
         (loop.add_writer if for_room else loop.add_reader)(descriptor, callback)
@@ -49,7 +55,7 @@ class _Watched(NamedTuple):
 class _Watcher:
     """Thread that waits for the sockets of one event loop.
 
-    Only the thread of the loop changes the table of callbacks. The thread of the watcher reads copies of it.
+    The thread of the loop adds and removes callbacks. This thread removes them only if the loop is closed.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -64,11 +70,17 @@ class _Watcher:
             self._callbacks[watched] = callback
             self._reported.discard(watched)
             if self._waker is None:
-                woken, self._waker = socket.socketpair()
+                woken, waker = socket.socketpair()
                 # A daemon, because a program may end without closing its loop.
-                threading.Thread(
-                    target=self._run, args=(woken, self._waker), name="asyncio sockets", daemon=True
-                ).start()
+                thread = threading.Thread(target=self._run, args=(woken, waker), name="asyncio sockets", daemon=True)
+                try:
+                    started(thread)
+                except LocalError:
+                    del self._callbacks[watched]
+                    woken.close()
+                    waker.close()
+                    raise
+                self._waker = waker
             else:
                 self._wake()
 

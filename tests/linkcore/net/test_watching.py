@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import socket
 import sys
+import threading
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any
 
 import pytest
 
-from linkcore.errors import ConnectFailed, ConnectionLost
+from linkcore.errors import ConnectFailed, ConnectionLost, LocalError
 from linkcore.net.awaited import AwaitedTcp
 from linkcore.net.watching import forget, watch
 from tests.waiting import threads_named, until
@@ -121,3 +122,25 @@ def test_forgotten_callback_is_not_called(run: Callable[..., object]) -> None:
         calls = run(forgotten(ours, theirs))
     assert isinstance(calls, list)
     assert set(calls) == {"first"}
+
+
+def test_watch_raises_and_recovers_when_no_thread_can_be_started(
+    run: Callable[..., object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    async def watch_twice(ours: socket.socket, theirs: socket.socket) -> None:
+        loop, readable = asyncio.get_running_loop(), asyncio.Event()
+        with monkeypatch.context() as patch:
+            patch.setattr(threading.Thread, "start", refuse)
+            with pytest.raises(LocalError, match="no thread could be started for asyncio sockets"):
+                watch(loop, ours.fileno(), readable.set)
+        watch(loop, ours.fileno(), readable.set)
+        theirs.sendall(b"a")
+        await readable.wait()
+        forget(loop, ours.fileno())
+
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        run(watch_twice(ours, theirs))
