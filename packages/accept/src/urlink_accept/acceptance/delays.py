@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from linkcore import clock
-from urlink import LocalError
+from urlink.tools import started
 
 #: Interval between two wake-ups, and smallest delay that is reported, in s.
 _STEP, _LEAST = 0.01, 0.002
@@ -27,10 +27,7 @@ class DelayMeter:
         self._thread = threading.Thread(target=self._measure, name="urlink-accept delays", daemon=True)
 
     def __enter__(self) -> DelayMeter:
-        try:
-            self._thread.start()
-        except RuntimeError as error:
-            raise LocalError(f"no thread could be started to measure the delays of this computer: {error}") from None
+        started(self._thread)
         return self
 
     def __exit__(self, *exc: object) -> None:

@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 from linkcore import clock
 from urlink import RealtimeState
 from urlink.simulator import Controller
+from urlink.tools import GRAVITY
 
 from ..identification.exercise import input_is_on
 
@@ -95,7 +96,7 @@ class OfTheSimulator:
             "protective-stop": controller.faults.protective_stop,
             "unlock": controller.faults.clear,
             "stop-at-rest": controller.faults.protective_stop,
-            "weight": lambda: controller.push((0.0, 0.0, -9.82 * WEIGHT, 0.0, 0.0, 0.0)),
+            "weight": lambda: controller.push((0.0, 0.0, -GRAVITY * WEIGHT, 0.0, 0.0, 0.0)),
             "no-weight": lambda: controller.push((0.0,) * 6),
             "press": self._press,
         }

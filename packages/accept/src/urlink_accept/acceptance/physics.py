@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from urlink.arm import poses
 from urlink.packets import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
-from urlink.tools import Dynamics, motors_of, tool_offset
+from urlink.tools import GRAVITY, Dynamics, motors_of, tool_offset
 
 from .arrivals import known_arm, moments
 from .evidence import Evidence
@@ -20,7 +20,6 @@ from .requirements import Check, Measured, NotTried, counted, how_different
 _STANDS, _MOVES = 1e-3, 0.02
 #: Moment in Nm above which the current has the direction of the moment despite friction.
 _HEAVY = 5.0
-_GRAVITY = 9.82
 #: Factor by which the torque constants of an arm differ at most from the table.
 _CONSTANTS = 1.7
 #: Fraction of the acceleration at rest along the axis of the base of an upright arm.
@@ -154,12 +153,18 @@ def _velocities(evidence: Evidence) -> Measured:
     return counted(wrong, f"derivatives agree: {', '.join(tried)}")
 
 
-def _kinematics(evidence: Evidence) -> Measured:
-    known, _ = known_arm(evidence)
+def _first_tcp(evidence: Evidence) -> list[float]:
+    """Return the first reported TCP, in m and rad in the frame of the flange."""
     info = next((state.cartesian_info for state in evidence.primary.states if state.cartesian_info is not None), None)
     tcp = None if info is None else tool_offset(info)
     if tcp is None:
         raise NotTried("this firmware does not report the TCP")
+    return tcp
+
+
+def _kinematics(evidence: Evidence) -> Measured:
+    known, _ = known_arm(evidence)
+    tcp = _first_tcp(evidence)
     last = evidence.primary.states[-1].cartesian_info
     if last is None or tool_offset(last) != tcp:
         raise NotTried("the TCP changed during the test")
@@ -324,10 +329,7 @@ _EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STO
 
 def _tcp_speed(evidence: Evidence) -> Measured:
     known, _ = known_arm(evidence)
-    info = next((state.cartesian_info for state in evidence.primary.states if state.cartesian_info is not None), None)
-    tcp = None if info is None else tool_offset(info)
-    if tcp is None:
-        raise NotTried("this firmware does not report the TCP")
+    tcp = _first_tcp(evidence)
     begin, end = evidence.stage(2)[0], evidence.stage(3)[0]
     begin = min(begin, end)
     packets = evidence.realtime.between(begin, np.inf)
@@ -378,7 +380,7 @@ def _accelerometer(evidence: Evidence) -> Measured:
         how = f": {how_different(expected, mean)}" if np.linalg.norm(apart) > 2.0 else ""
         seen = f"tool_accelerometer {np.round(mean, 2).tolist()}; expected {np.round(expected, 2).tolist()} m/s²{how}"
         return Measured(float(np.linalg.norm(apart)), f"{size:.2f} m/s²: {seen}")
-    return Measured(abs(size - _GRAVITY), f"{size:.2f} m/s² along {np.round(mean / max(size, 1e-9), 2).tolist()}")
+    return Measured(abs(size - GRAVITY), f"{size:.2f} m/s² along {np.round(mean / max(size, 1e-9), 2).tolist()}")
 
 
 def _upright(evidence: Evidence) -> NDArray[np.float64] | None:
@@ -397,7 +399,7 @@ def _upright(evidence: Evidence) -> NDArray[np.float64] | None:
     if np.abs(weight).max() < _HEAVY or float(np.sum(weight * moment[at])) < 0.5 * float(np.sum(weight**2)):
         return None
     turned = [poses.rotvec_to_matrix(known.kinematics.forward(q[n])[3:])[2] for n in at]
-    mean: NDArray[np.float64] = _GRAVITY * np.mean(turned, axis=0)
+    mean: NDArray[np.float64] = GRAVITY * np.mean(turned, axis=0)
     return mean
 
 

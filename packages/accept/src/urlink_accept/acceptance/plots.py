@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from urlink.tools import JOINTS
+
 from .arrivals import moments
 from .evidence import Came, Evidence
 from .requirements import NotTried
@@ -26,14 +28,11 @@ def plots(evidence: Evidence) -> str:
     made = (
         ("Packets per second", list(_rates(evidence))),
         ("Delay after the quickest packet, in ms", list(_delays(evidence))),
-        ("Joint positions q_actual, in rad", list(_columns(evidence.realtime, "q_actual", _JOINTS))),
+        ("Joint positions q_actual, in rad", list(_columns(evidence.realtime, "q_actual", JOINTS))),
         ("Force tcp_force, in N", list(_columns(evidence.realtime, "tcp_force", ("x", "y", "z")))),
     )
     begin = min((float(line[1][0]) for _, lines in made for line in lines), default=0.0)
     return "".join(_plot(title, lines, begin) for title, lines in made if lines)
-
-
-_JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 
 
 def _rates(evidence: Evidence) -> Iterator[_Line]:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from urlink import PacketError, RealtimeState
-from urlink.packets import RobotState, SafetyMode
+from urlink.packets import RobotMode, RobotState, SafetyMode
 from urlink.rtde import Outputs
-from urlink.tools import PrimaryProtocol, RealtimeProtocol, parse_robot_mode, parse_safety_mode, parse_truth
+from urlink.tools import GRAVITY, PrimaryProtocol, RealtimeProtocol, parse_robot_mode, parse_safety_mode, parse_truth
 
 from .evidence import Came, Evidence, decoded
 from .obedience import outcome, span
@@ -22,7 +22,6 @@ from .standing import PAUSE
 
 #: Time in s within which every interface must show a signal: two robot states.
 _SHOWN = 0.25
-_GRAVITY = 9.82
 
 
 def _is_stopped(mode: Any) -> bool:
@@ -93,7 +92,7 @@ def _weight(evidence: Evidence) -> Measured:
     at = {note.said["event"]: note.at for note in evidence.said("weight")}
     begin = span(evidence, "weight")[0]
     worst, seen = 0.0, []
-    wanted = np.array([0.0, 0.0, -_GRAVITY * WEIGHT])
+    wanted = np.array([0.0, 0.0, -GRAVITY * WEIGHT])
     for name, packets, read in _columns(evidence, "tcp_force", "actual_TCP_force", "force_mode_data"):
         if name not in ("realtime", "rtde"):
             continue
@@ -102,9 +101,9 @@ def _weight(evidence: Evidence) -> Measured:
         if before is None or after is None:
             continue
         change = after.mean(axis=0)[:3] - before.mean(axis=0)[:3]
-        worst = max(worst, float(np.linalg.norm(change - wanted)) / (_GRAVITY * WEIGHT))
+        worst = max(worst, float(np.linalg.norm(change - wanted)) / (GRAVITY * WEIGHT))
         frozen = "it is frozen" if not np.ptp(after, axis=0).any() else how_different(wanted, change)
-        how = f": {frozen}" if np.linalg.norm(change - wanted) > 0.5 * _GRAVITY * WEIGHT else ""
+        how = f": {frozen}" if np.linalg.norm(change - wanted) > 0.5 * GRAVITY * WEIGHT else ""
         seen.append(f"{name} tcp_force changed by {np.round(change, 1).tolist()} N{how}")
     if not seen:
         raise NotTried("this firmware does not report a force")
@@ -120,22 +119,15 @@ def _shown(step: str) -> Check:
         begin, end = notes["asks"], notes["asked"]
         is_stop = step == "stop-at-rest"
         wrong, tried = [], []
-        expected: dict[str, Any] = {}
-        fields = (
-            (("safety_mode", "safety_mode", "masterboard_data"),)
-            if is_stop
-            else (("robot_mode", "robot_mode", "robot_mode_data"),)
-        )
-        for field, rtde, package in fields:
-            for name, packets, read in _columns(evidence, field, rtde, package):
-                modes = [read(state) for state in packets.between(begin, end).states]
-                if not modes:
-                    continue
-                tried.append(f"{name} {field}")
-                good = [_is_stopped(int(m)) if is_stop else int(m) < 7 for m in modes]
-                if not all(good):
-                    wrong.append(f"{name} {field} is {modes[good.index(False)]} during the {_DURING[step]}")
-                expected.setdefault(field, int(modes[-1]))
+        field, package = ("safety_mode", "masterboard_data") if is_stop else ("robot_mode", "robot_mode_data")
+        for name, packets, read in _columns(evidence, field, field, package):
+            modes = [read(state) for state in packets.between(begin, end).states]
+            if not modes:
+                continue
+            tried.append(f"{name} {field}")
+            good = [_is_stopped(int(m)) if is_stop else int(m) < RobotMode.RUNNING for m in modes]
+            if not all(good):
+                wrong.append(f"{name} {field} is {modes[good.index(False)]} during the {_DURING[step]}")
         for name in ("primary", "secondary"):
             for state in getattr(evidence, name).between(begin, end).states:
                 mode = state.robot_mode_data
@@ -150,7 +142,7 @@ def _shown(step: str) -> Check:
                 if asked == "safetymode" and is_stop:
                     is_right = _is_stopped(parse_safety_mode(asked, said["reply"]))
                 elif asked == "robotmode" and not is_stop:
-                    is_right = int(parse_robot_mode(said["reply"], evidence.firmware.is_cb2)) < 7
+                    is_right = int(parse_robot_mode(said["reply"], evidence.firmware.is_cb2)) < RobotMode.RUNNING
                 elif asked == "running" and not is_stop:
                     is_right = not parse_truth(asked, said["reply"])
                 else:

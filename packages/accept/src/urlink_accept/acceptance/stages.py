@@ -166,7 +166,7 @@ def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbo
 
 
 def _is_loopback(host: str) -> bool:
-    """Return whether the controller is on this computer, so that it is a simulator."""
+    """Whether the controller is on this computer, so that it is a simulator."""
     return host == "localhost" or host == "::1" or host.startswith("127.")
 
 
