@@ -97,8 +97,6 @@ def test_callback_is_called_until_the_bytes_are_read(run: Callable[..., object])
 
 
 def test_forgotten_callback_is_not_called(run: Callable[..., object]) -> None:
-    """Even if the thread has already reported the socket to the loop."""
-
     async def forgotten(ours: socket.socket, theirs: socket.socket) -> list[str]:
         loop, called = asyncio.get_running_loop(), asyncio.Event()
         calls: list[str] = []
@@ -122,6 +120,44 @@ def test_forgotten_callback_is_not_called(run: Callable[..., object]) -> None:
         calls = run(forgotten(ours, theirs))
     assert isinstance(calls, list)
     assert set(calls) == {"first"}
+
+
+def test_callback_is_not_called_if_forgotten_after_its_report(
+    run: Callable[..., object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def forgotten(ours: socket.socket, theirs: socket.socket) -> list[str]:
+        loop, called = asyncio.get_running_loop(), asyncio.Event()
+        calls: list[str] = []
+        reported = threading.Semaphore(0)
+        call_soon = loop.call_soon_threadsafe
+
+        def report(*arguments: Any) -> object:
+            handle = call_soon(*arguments)
+            reported.release()
+            return handle
+
+        def first() -> None:
+            calls.append("first")
+            ours.recv(1)
+            forget(loop, theirs.fileno())
+            loop.call_soon(called.set)  # runs after the call for the other socket
+
+        with monkeypatch.context() as patch:
+            patch.setattr(loop, "call_soon_threadsafe", report)
+            theirs.sendall(b"a")
+            ours.sendall(b"b")
+            watch(loop, ours.fileno(), first)
+            watch(loop, theirs.fileno(), lambda: calls.append("second"))
+            # The loop is blocked until both sockets are reported.
+            assert reported.acquire(timeout=TIMEOUT)
+            assert reported.acquire(timeout=TIMEOUT)
+        await called.wait()
+        forget(loop, ours.fileno())
+        return calls
+
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        assert run(forgotten(ours, theirs)) == ["first"]
 
 
 def test_watch_raises_and_recovers_when_no_thread_can_be_started(
