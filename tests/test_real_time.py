@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests import platforms
 from tests.real_time import SHARE, is_marked
 
 pytest_plugins = ["pytester"]
@@ -55,7 +55,7 @@ def test_unmarked_test_with_system_calls_fails(pytester: pytest.Pytester) -> Non
     result.stdout.fnmatch_lines_random([f"*{said}: mark it simulated_time*" for said in USES])
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="time is simulated on Linux alone")
+@platforms.needs_linux
 def test_page_examples_run_in_simulated_time(pytester: pytest.Pytester) -> None:
     waits = ">>> import time\n>>> begun = time.monotonic()\n>>> time.sleep(3600)\n"
     waits += ">>> time.monotonic() - begun > 3599\nTrue\n"

@@ -1,4 +1,4 @@
-"""The ROS 2 adapter with mocks of ROS 2: `halt` stops every motion of the arm, including requested ones."""
+"""The ROS 2 adapter with mocks of ROS 2: `halt` stops every motion of the arm, and states name the right frames."""
 
 from __future__ import annotations
 
@@ -64,6 +64,14 @@ def ticking() -> urlink.Expiry:
     expiry = urlink.Expiry(4.0)
     expiry.tick()
     return expiry
+
+
+def test_wrench_is_published_in_the_base_frame(adapter: Any, robot: urlink.Robot) -> None:
+    state = robot.realtime.wait()
+    adapter.states.StatePublishers(MagicMock(), ["elbow_joint"], "left_base").publish(state)
+    message = adapter.states.WrenchStamped.return_value
+    assert message.header.frame_id == "left_base"
+    assert [message.wrench.force.x, message.wrench.force.y, message.wrench.force.z] == state.tcp_force[:3].tolist()
 
 
 def test_halt_stops_a_script(adapter: Any, robot: urlink.Robot) -> None:

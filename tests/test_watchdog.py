@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests import platforms
+
 pytestmark = pytest.mark.real_time
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,7 +67,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the test blocks signals, which needs a POSIX system")
+@platforms.needs_signals
 @pytest.mark.parametrize(
     ("name", "stack"),
     [

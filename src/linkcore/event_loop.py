@@ -99,9 +99,9 @@ async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
 
 
 async def finished(ending: asyncio.Future[T]) -> T:
-    """Wait for a future that must not be interrupted.
+    """Wait until a future is done, even if the current task is cancelled.
 
-    A task that is cancelled meanwhile ends after the future.
+    The task then ends after the future is done.
     """
     try:
         await asyncio.wait({ending})
@@ -142,7 +142,7 @@ class _Threads:
     Args:
         name: Name of the threads.
         most: Maximum number of threads; math.inf for no limit.
-        kept: Number of threads that stay when there is nothing to do.
+        kept: Number of threads that keep running when there is nothing to do.
     """
 
     def __init__(self, name: str, most: float, kept: float) -> None:
@@ -237,13 +237,13 @@ class _Threads:
                     future.set_result(call())
                 except BaseException as error:
                     future.set_exception(error)
-            del future, call  # while this thread is idle, it must not keep a robot
+            del future, call  # an idle thread must not keep a robot object alive
 
 
 class Workers:
     """Threads of one robot for its calls, and separate threads for stops, which never wait for a call.
 
-    A thread for calls is started when it is needed, and stays.
+    A thread for calls is started when it is needed, and keeps running.
 
     Args:
         name: Name of the threads.
@@ -272,7 +272,7 @@ class Workers:
         """Make a call in a thread.
 
         Raises:
-            Closed: If it was closed.
+            Closed: If this object was closed.
             LocalError: If the system has no thread left.
         """
         self.is_used = True
@@ -282,7 +282,7 @@ class Workers:
         """Make a call that stops the robot or closes something, in a separate thread for stops.
 
         Raises:
-            Closed: If it was closed.
+            Closed: If this object was closed.
             LocalError: If the system has no thread left, and no thread for stops exists yet.
         """
         self.is_used = True
@@ -347,7 +347,8 @@ class Workers:
         try:
             self.stop(call)
         except (Closed, LocalError):
-            call()  # the robot is closed, so the call does not have to wait; or the system has no thread left
+            # The robot was closed, so the call does not wait; or the system has no thread left, so call it here.
+            call()
 
     def close(self) -> None:
         """Make no more calls. The threads end after their current calls. Does not wait. Idempotent."""

@@ -25,7 +25,7 @@ connections deliver their events in any order.
 `Lifecycle` is used inside the library, and users hold a `Handle`. Both work without a lock: each event is put into a
 dictionary with `setdefault`, which is one step for threads and for signal handlers.
 
-A life that has ended must not be part of a reference cycle, because a program may have switched off the garbage
+A life that has ended must not be part of a reference cycle, because a program might have switched off the garbage
 collector. Therefore it releases its handle and its brake at the end. It keeps and returns copies of its error that have
 never been raised. A raised exception refers to the frames that it passes, and the variables of these frames refer to
 the handle.
@@ -122,7 +122,7 @@ class Lifecycle:
     Args:
         name: Name, used in log and error messages.
         callbacks: Thread that calls the callbacks of users.
-        waiting: Context that surrounds each wait for the end. It may admit other threads meanwhile, or refuse to wait.
+        waiting: Context that surrounds each wait for the end. It may release a lock during the wait, or refuse to wait.
 
     Attributes:
         brake: Function that stops the robot; may raise `LinkError`. It is called if the life ends early and the robot
@@ -152,12 +152,12 @@ class Lifecycle:
         self.enter()
 
     def enter(self) -> None:
-        """Record that it is started by the call that this thread executes now.
+        """Record that the current call of this thread starts the motion, program or mission.
 
-        A block is made by one call, and entered by another call that might come much later.
+        A handle that is used as a block is created by one call, and entered by another call, possibly much later.
 
         Raises:
-            Cancelled: If that call was abandoned.
+            Cancelled: If the current call was abandoned.
         """
         self._call = current_call()
         order = None if self._call is None else self._call.order
@@ -183,12 +183,12 @@ class Lifecycle:
 
     @property
     def is_over(self) -> bool:
-        """Whether it has ended, as DONE, CANCELLED or FAILED."""
+        """Whether the motion, program or mission has ended, as DONE, CANCELLED or FAILED."""
         return None in self._marks
 
     @property
     def is_wanted(self) -> bool:
-        """Whether it may still start: it has not ended, and the call that started it was not abandoned."""
+        """Whether the robot might still start it: it has not ended, and the call that sent it was not abandoned."""
         return not (self.is_over or (self._call is not None and self._call.is_given_up))
 
     @property
@@ -200,26 +200,26 @@ class Lifecycle:
     # -- events --------------------------------------------------------------------------------------
 
     def begin(self, at: float = math.nan) -> bool:
-        """Record that the robot has begun it.
+        """Record that the robot has begun the motion, program or mission.
 
-        Like all of these, return False if repeated or after the end.
+        Like every method that records an event, return False if the event was recorded before, or after the end.
         """
         return self.fire(Event.BEGIN, at=at)
 
     def finish(self) -> bool:
-        """Record that it has finished normally."""
+        """Record that the motion, program or mission has finished normally."""
         return self.fire(Event.FINISH)
 
     def cancel(self, why: str, *, brake: bool = False) -> bool:
-        """Record that it was cancelled here; with `brake`, stop the robot."""
+        """Record that this process has cancelled it; with `brake`, stop the robot as well."""
         return self.fire(Event.CANCEL, Cancelled(f"{self.name} was {why}"), brake)
 
     def give_up(self) -> bool:
-        """Cancel it and stop the robot, because the task that awaited it was cancelled."""
+        """Cancel the motion, program or mission, and stop the robot, because the awaiting task was cancelled."""
         return self.cancel("cancelled, because the task that awaited it was cancelled", brake=True)
 
     def fail(self, error: Exception, *, brake: bool = False) -> bool:
-        """Record that it has failed; with `brake`, stop the robot."""
+        """Record the error that has ended it early; with `brake`, stop the robot as well."""
         return self.fire(Event.FAIL, error, brake)
 
     def fire(self, event: Event, error: Exception | None = None, brake: bool = False, *, at: float = math.nan) -> bool:
@@ -279,7 +279,7 @@ class Lifecycle:
     # -- waiting for the end -------------------------------------------------------------------------
 
     def on_end(self, release: Callable[[], object]) -> None:
-        """Call `release` when it ends, in the thread that ends it.
+        """Call `release` when the motion, program or mission ends, in the thread that ends it.
 
         This is for functions of the library that neither wait nor raise.
         """
@@ -288,13 +288,13 @@ class Lifecycle:
             _drain(self._releases, regardless)
 
     def call_back(self, callback: Callable[[], object]) -> None:
-        """Call `callback` when it has ended, in the thread for callbacks."""
+        """Call `callback` when the motion, program or mission has ended, in the thread for callbacks."""
         self._done_callbacks.append(callback)
         if self.future.done():
             _drain(self._done_callbacks, self._callbacks.call)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until it has ended; return False if it has not ended within `timeout` seconds.
+        """Wait for the end of the motion, program or mission; return False after `timeout` seconds.
 
         Raises:
             LocalError: If called from the thread that would have to deliver the result.
@@ -346,7 +346,7 @@ class Handle(StrictAttributes):
 
     @property
     def done(self) -> bool:
-        """Whether it has ended, in any way."""
+        """Whether the motion, program or mission has ended, for whatever reason."""
         return self._life.is_over
 
     @property
@@ -358,7 +358,7 @@ class Handle(StrictAttributes):
         return self._life.error
 
     def wait(self, timeout: float = 60.0, *, cancel: bool = True) -> None:
-        """Wait until it has ended. This also works in done callbacks.
+        """Wait until the motion, program or mission has ended. This also works in done callbacks.
 
         Args:
             timeout: Maximum wait in seconds. After a time-out it keeps running, and you can wait for it again.
@@ -396,9 +396,9 @@ class Handle(StrictAttributes):
                 self.cancel()  # has an effect only if a second Ctrl-C has interrupted the first call
 
     def cancel(self) -> None:
-        """Cancel it, and let the robot brake.
+        """Cancel the motion, program or mission, and let the robot brake.
 
-        Returns before the robot is at rest; no effect if it has ended.
+        The call returns before the robot is at rest. It has no effect after the end.
         """
         if self._life.cancel("cancelled", brake=True):
             _log.info("%s was cancelled", self.name)
@@ -468,7 +468,7 @@ class Motion(Handle):
 
     Args:
         life: Life of the motion.
-        measure: Function that returns the completed part, from 0 to 1; values outside are clipped.
+        measure: Function that returns the completed part, from 0 to 1; values outside this range are clipped.
     """
 
     def __init__(self, life: Lifecycle, measure: Callable[[], float] = lambda: 0.0) -> None:

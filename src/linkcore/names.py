@@ -176,7 +176,7 @@ def missing_plugin(distribution: str, purpose: str) -> str:
 class _Brought:
     """Finder for a subpackage from another distribution.
 
-    Each of its modules is one module under both names.
+    Each module of the subpackage is the same object under both names.
 
     Args:
         package: Package that the subpackage belongs to.
@@ -254,7 +254,7 @@ class StrictAttributes:
                 setattr(cls, name, _explaining_arguments(method))
 
     def _hint(self, name: str) -> str | None:
-        """Return the end of the error message for a missing public name; None for the usual hints."""
+        """Return a hint for the end of the error about a missing public name; None for the usual hints."""
         return None
 
     if not TYPE_CHECKING:  # type checkers would conclude that the object has every attribute

@@ -32,9 +32,9 @@ _orders = itertools.count(1)
 
 
 def next_order() -> int:
-    """Return the number of a call or a stop.
+    """Return the next number for a call or a stop.
 
-    It is larger than all earlier numbers of all threads.
+    The number is larger than every earlier number in any thread.
     """
     return next(_orders)
 
@@ -44,13 +44,13 @@ class Started(Protocol):
 
     @property
     def is_over(self) -> bool:
-        """Whether it has ended."""
+        """Whether the motion, program or mission has ended."""
 
     def give_up(self) -> bool:
-        """Cancel it, because the task that awaited it was cancelled."""
+        """Cancel the motion, program or mission, because the awaiting task was cancelled."""
 
     def cancel(self, why: str, *, brake: bool = False) -> bool:
-        """Cancel it, and stop the arm at once if `brake`."""
+        """Cancel the motion, program or mission; with `brake`, stop the arm at once."""
 
 
 class _Lives:
@@ -131,9 +131,9 @@ class PendingCall:
 
     @contextlib.contextmanager
     def interruptible(self, wake: Callable[[], object]) -> Iterator[None]:
-        """Surround a wait by a block: when the call is abandoned, `wake` is called to end the wait.
+        """Surround a wait with a block, and call `wake` to end the wait if the call is abandoned.
 
-        `wake` must not wait itself.
+        `wake` itself must not wait.
 
         Raises:
             Cancelled: If the call was abandoned, even if the wait ended with another error or with a result.
@@ -149,7 +149,7 @@ class PendingCall:
             self.check()
 
     def check(self) -> None:
-        """Raise `Cancelled` if it was abandoned."""
+        """Raise `Cancelled` if the call was abandoned."""
         if self.is_given_up:
             raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 
@@ -182,8 +182,8 @@ class Call:
 
     Attributes:
         order: Number of this call.
-        has_started: Whether the call has started its motion or program, and only waits for the end. If this wait times
-            out, nothing is cancelled.
+        has_started: Whether the call has started its motion or program, and is only waiting for the end. If this wait
+            times out, nothing is cancelled.
         outer: Outer call, or None.
     """
 
@@ -249,13 +249,13 @@ def starts_motion(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenat
 
 
 def current_call() -> PendingCall | Call | None:
-    """Return the call that this thread makes, or None."""
+    """Return the call that this thread is making, or None."""
     call: PendingCall | Call | None = getattr(_here, "call", None)
     return call
 
 
 def stopped_here() -> int:
-    """Return the number of a stop that this thread makes now.
+    """Return the number of the stop that this thread is making now.
 
     A signal handler may stop the robot in the middle of a call, and then start another motion. This motion counts as
     entered after the stop, although it is entered within the interrupted call.
@@ -275,9 +275,9 @@ def has_started() -> None:
 
 
 def check_wanted() -> None:
-    """Raise if this thread makes a call that was abandoned.
+    """Raise if this thread is making a call that was abandoned.
 
-    It is called before anything is sent.
+    Call this function before anything is sent.
 
     Raises:
         Cancelled: If the call was abandoned.
@@ -288,7 +288,7 @@ def check_wanted() -> None:
 
 
 def pending_call() -> PendingCall | None:
-    """Return the pending call that this thread makes, or None."""
+    """Return the pending call that this thread is making, or None."""
     call = current_call()
     return call._task if isinstance(call, Call) else call
 
@@ -296,7 +296,7 @@ def pending_call() -> PendingCall | None:
 def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
     """Surround a wait; see `PendingCall.interruptible`.
 
-    No effect unless this thread makes a pending call.
+    No effect unless this thread is making a pending call.
     """
     call = pending_call()
     return contextlib.nullcontext() if call is None else call.interruptible(wake)
@@ -305,7 +305,7 @@ def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManag
 def on_give_up(undo: Callable[[], object]) -> None:
     """Call `undo` if the pending call of this thread is abandoned; see `PendingCall.on_give_up`.
 
-    It has no effect unless this thread makes a pending call.
+    It has no effect unless this thread is making a pending call.
     """
     call = pending_call()
     if call is not None:
@@ -313,9 +313,9 @@ def on_give_up(undo: Callable[[], object]) -> None:
 
 
 def regardless(call: Callable[[], T]) -> T:
-    """Make a call that may send even if the current call was abandoned.
+    """Make a call that may send data even if the current call was abandoned.
 
-    It is for calls that stop the robot, or that complete an earlier decision.
+    Use this function for calls that stop the robot, or that complete an earlier decision.
     """
     outer, _here.call = current_call(), None
     try:

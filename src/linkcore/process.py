@@ -1,13 +1,13 @@
 """Rules for the end of this process and for its forked children.
 
 A forked child must not use the connections of its parent. When this process ends, the programs that it has started on
-robots are stopped. Three kinds of ends can be noticed:
+robots are stopped. This module detects three events:
 
 - The interpreter exits, even because of an exception such as `KeyboardInterrupt`.
 - The process receives SIGTERM.
 - A cell of a notebook is interrupted. The process continues in this case.
 
-SIGKILL, `os._exit` and a crash of the interpreter cannot be noticed.
+SIGKILL, `os._exit` and a crash of the interpreter cannot be detected.
 
 The handler of SIGTERM is installed only if the program has no other handler, and only from the main thread, as Python
 requires. After the robots were stopped, SIGTERM ends the process as it would have without the handler.
@@ -43,7 +43,7 @@ class HomeProcess:
 
     @property
     def is_here(self) -> bool:
-        """Whether the current process has created the object, rather than a forked child of that process."""
+        """Whether the current process has created the object; False in a forked child of that process."""
         return os.getpid() == self._number
 
     def check(self) -> None:
@@ -99,13 +99,14 @@ class Abandonable(Protocol):
         """
 
 
-_open: weakref.WeakSet[Abandonable] = weakref.WeakSet()
+#: Parts by their `id`. A WeakSet cannot be copied while another thread changes it.
+_open: weakref.WeakValueDictionary[int, Abandonable] = weakref.WeakValueDictionary()
 _watched: set[str] = set()
 
 
 def abandon_at_end(part: Abandonable) -> None:
     """Call `part.abandon` when this process ends, unless `forget` was called or `part` was collected before."""
-    _open.add(part)
+    _open[id(part)] = part
     if "exit" not in _watched:
         _watched.add("exit")
         atexit.register(_abandon_all, "the interpreter exits", True)
@@ -121,13 +122,16 @@ def abandon_at_end(part: Abandonable) -> None:
 
 
 def forget(part: Abandonable) -> None:
-    """Do nothing for `part` when this process ends: it was closed."""
-    _open.discard(part)
+    """Do not call `part.abandon` when this process ends, because `part` was closed."""
+    _open.pop(id(part), None)
 
 
 def _abandon_all(why: str, is_end: bool) -> None:
-    for part in tuple(_open):
-        part.abandon(why, is_end)
+    # `valuerefs` copies the references in one step. `values` would fail if another thread adds a part meanwhile.
+    for reference in _open.valuerefs():
+        part = reference()
+        if part is not None:
+            part.abandon(why, is_end)
 
 
 def _watch_sigterm() -> None:

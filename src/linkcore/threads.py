@@ -53,7 +53,7 @@ def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator
     got: list[bool] = []
 
     def attempt(seconds: float | None) -> bool:
-        # One step acquires the lock and notes it. Ctrl-C between two steps would leave the lock locked forever.
+        # One step acquires the lock and records this. Ctrl-C between two steps would leave the lock locked forever.
         got.extend(map(lock.acquire, (True,), (-1 if seconds is None else seconds,)))
         return got[-1]
 
@@ -80,16 +80,16 @@ def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str)
 
 @contextlib.contextmanager
 def alone(lock: threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
-    """Hold a lock like `held`, in a block that waits for a peer and that a signal handler must not enter again.
+    """Hold a lock like `held`, but raise at once if a signal handler enters the block that it has interrupted.
 
-    A handler runs in the thread that it has interrupted. If this thread is in the block already, the handler would wait
-    forever.
+    Use it for a block that waits for a peer. A signal handler runs in the thread that it has interrupted. If that
+    thread is already in the block, the handler would wait forever.
 
     Raises:
         LinkTimeout: If other threads hold the lock for longer, or at once if the current thread holds it.
     """
     if is_mine(lock):
-        raise LinkTimeout(f"{otherwise} (the call that this signal handler has interrupted)")
+        raise LinkTimeout(f"{otherwise} (this signal handler has interrupted the other call, so it cannot wait for it)")
     with held(lock, timeout, otherwise):
         yield
 
@@ -112,11 +112,11 @@ class ReentrantEvent:
         self._is_set = False
 
     def is_set(self) -> bool:
-        """Whether it was set, and has not been cleared since."""
+        """Whether the event was set, and has not been cleared since."""
         return self._is_set
 
     def set(self) -> None:
-        """Set it, and wake the threads that wait for it."""
+        """Set the event, and wake the threads that are waiting for it."""
         with self._changed:
             self._is_set = True
             self._changed.notify_all()
@@ -126,7 +126,7 @@ class ReentrantEvent:
         self._is_set = False
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it is set; return False if it is not set within `timeout` seconds."""
+        """Wait until the event is set; return False if it is not set within `timeout` seconds."""
         if self._is_set:
             return True
         with self._changed:
@@ -257,7 +257,7 @@ class Runnable(Closing, ABC):
     Args:
         kind: Kind of server, used in errors and as the name of its thread.
         close_timeout: Maximum wait of `close` for the thread, in s.
-        holds: Name of the object that blocks the end, used in the error if `close` times out.
+        holds: Name of the object that might prevent the end, used in the error if `close` times out.
 
     Attributes:
         failure: Error that ended it on its own; None while it runs, and after `stop`.
@@ -305,7 +305,7 @@ class Runnable(Closing, ABC):
     def _begin_once(self) -> None:
         if self._is_used:
             raise Closed(f"this {self._kind} has already run; create a new one")
-        # Set before anything that might fail: a failed attempt may have left devices open, so it cannot be repeated.
+        # Set before anything that might fail: a failed attempt might have left devices open, so it cannot be repeated.
         self._is_used = True
         try:
             self._begin()
@@ -321,7 +321,8 @@ class Runnable(Closing, ABC):
 
     def _serve_to_end(self) -> None:
         try:
-            self._serve()
+            with clock.fine_timer():
+                self._serve()
         finally:
             self._ended.set()
 
@@ -363,16 +364,16 @@ class Runnable(Closing, ABC):
             _log.exception("the %s has ended", self._kind)
 
     def stop(self) -> None:
-        """Make it end after this round.
+        """Make the server end after its current round.
 
-        Any thread, callback, plugin or signal handler may call this.
+        Any thread, callback, plugin or signal handler may call this method.
         """
         # A flag and a byte into a pipe need no lock. The code that a signal handler interrupts might hold a lock.
         self._is_stopping = True
         self._wake()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it has ended; return False if it has not ended in time.
+        """Wait until the server has ended; return False if it has not ended in time.
 
         Args:
             timeout: Maximum wait in seconds; None or infinity for no limit.

@@ -12,7 +12,7 @@
         robot.sync()
         print(robot.encl)
 
-Importing it starts nothing and touches no network.
+Importing the package starts no thread and opens no connection.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ class Connection:
             raise ConnectFailed(f"{error} before sending a byte; are all its client slots in use?") from error
         except LinkTimeout as error:
             raise LinkTimeout(
-                f"{transport.name}: no handshake in time; received {decoder.waiting} bytes of it"
+                f"{transport.name}: the handshake did not arrive in time; received {decoder.waiting} bytes of it"
             ) from error
         except PacketError as error:
             # An error at the first byte means another kind of server, such as SSH or HTTP, rather than a faulty RHD

@@ -390,15 +390,15 @@ class Drive(StrictAttributes, Closing):
             self._motions.end(Closed(f"{self._link.name}: the drive has ended; create a new Drive"))
 
     def _rest(self) -> None:
-        """Stop the robot's time until there is a motion."""
+        """In lockstep, stop advancing the robot's time until a motion is requested."""
         while self._motions.is_idle and not self._closing.is_set():
             clock.wait(self._wake.wait)
             self._wake.clear()
 
     @property
     def _stands(self) -> bool:
-        """Whether its speed is zero, and the robot has received the zero speed."""
-        return not self._vehicle.outputs.has_speed and self._execution.is_told
+        """Whether the commanded speed is zero, and the robot has received this command."""
+        return not self._vehicle.outputs.has_speed and self._execution.is_unchanged
 
     def close(self) -> None:
         """Stop the robot and end the drive. Idempotent.

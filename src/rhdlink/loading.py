@@ -89,7 +89,7 @@ def load(
                 begins.append(len(rows))
                 if [list(table) for table in tables] != [list(table) for table in (database.write, database.read)]:
                     raise BadRecording(
-                        f"{path}: in connection {moment.connection}, the variables of the robot are different"
+                        f"{path}: the robot has other variables in connection {moment.connection} than before"
                     )
             database = moment.database
             rows.append(b"".join(bytes(table.memory) for table in tables))

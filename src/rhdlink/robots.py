@@ -1,7 +1,8 @@
 """Ready-made classes for the robots of docs/protocols/rhd.md, Names of variables.
 
-Scales and units are those of the original's drivers. Variables that not every robot of a kind has are optional: if one
-is missing, using it raises `NotThere`. To declare more variables, or to declare them differently, derive a class.
+Scales and units are taken from the drivers of the original. Variables that not every robot of a kind has are optional:
+if one is missing, using it raises `NotThere`. To declare more variables, or to declare them differently, derive a
+class.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class Ackerman(Variables):
 class Gps(Variables):
     """A robot with the GPS plugin.
 
-    Names are spelled as in the plugin, which states no units; those here are NMEA's.
+    Names are spelled as in the plugin. The plugin states no units; the units here are the units of NMEA.
     """
 
     GPSeasting = Read(Millionths, unit="m", doc="UTM")

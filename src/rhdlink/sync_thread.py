@@ -77,7 +77,7 @@ class SyncThread(StrictAttributes, Closing):
     def _run(self) -> None:
         try:
             self._sync_until_closed()
-        except BaseException as error:  # SystemExit too: otherwise no other thread would learn of it
+        except BaseException as error:  # SystemExit too; otherwise no other thread would notice it
             _log.exception("%s ended because of an exception", self._thread.name)
             self.failure = error
 
@@ -96,7 +96,7 @@ class SyncThread(StrictAttributes, Closing):
                 if self._closing.is_set():
                     return
                 self.failures += 1
-                if self.failures & (self.failures - 1) == 0:  # each power of two: the disk must not fill
+                if self.failures & (self.failures - 1) == 0:  # log only each power of two
                     _log.warning("%s: sync failed (%d failures so far): %s", self._thread.name, self.failures, error)
                 wait = next(waits, None)
                 if wait is None:
@@ -105,7 +105,7 @@ class SyncThread(StrictAttributes, Closing):
             else:
                 wait = None
                 self.syncs += 1
-                waits = self._backoff.waits()  # after a success it begins with the shortest wait again
+                waits = self._backoff.waits()  # after a success, begin with the shortest delay again
             finally:
                 del sync  # otherwise the robot object would live as long as this thread waits
             if wait is not None:

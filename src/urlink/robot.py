@@ -341,7 +341,8 @@ class Robot(StrictAttributes, Closing):
         """
         streams = [("rtde", each) if isinstance(each, Stream) else (each, self._stream(each)) for each in interfaces]
         if len({name for name, _ in streams}) < len(streams):
-            raise BadValue(f"interfaces has {', '.join(name for name, _ in streams)}; expected each of them only once")
+            given = ", ".join(name for name, _ in streams)
+            raise BadValue(f"interfaces contains {given}; expected each of them only once")
         recorder = _recorder(path)
         try:
             for name, stream in streams:

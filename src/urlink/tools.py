@@ -46,7 +46,7 @@ from linkcore.recording.mcap_file import McapFile as McapFile, Topic as Topic
 from linkcore.recording.packets import states_of as states_of
 from linkcore.streaming.peer_clock import lowest_edge as lowest_edge
 from linkcore.text import printable as printable, similar as similar, strict_json as strict_json
-from linkcore.threads import Closing as Closing, ReentrantEvent as ReentrantEvent
+from linkcore.threads import Closing as Closing, ReentrantEvent as ReentrantEvent, started as started
 from linkcore.wire.cycles import gaps_of as gaps_of
 
 # For arms: their files, their parameters, and computations with them.
@@ -58,7 +58,7 @@ from .arm.arm_file import (
     Estimate as Estimate,
     read_arm_file as read_arm_file,
 )
-from .arm.dynamics import Dynamics as Dynamics
+from .arm.dynamics import GRAVITY as GRAVITY, Dynamics as Dynamics
 from .arm.kinematics.geometry import ArmLink as ArmLink, Geometry as Geometry, angles as angles, chain as chain
 from .arm.motors import (
     FULL_SPEED as FULL_SPEED,

@@ -64,7 +64,7 @@ def test_names_for_type_checkers_equal_lazy_names(package: ModuleType) -> None:
     assert package.__file__ is not None
     tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
     (branch,) = (node for node in tree.body if isinstance(node, ast.If))
-    told = {}
+    resolved = {}
     for node in branch.body:
         assert isinstance(node, ast.ImportFrom)
         module = importlib.import_module("." * node.level + (node.module or ""), package.__name__)
@@ -72,9 +72,9 @@ def test_names_for_type_checkers_equal_lazy_names(package: ModuleType) -> None:
             assert alias.asname == alias.name, "type checkers export a name only if it is imported as itself"
             whole = f"{module.__name__}.{alias.name}"
             is_module = hasattr(module, "__path__") and importlib.util.find_spec(whole) is not None
-            told[alias.name] = importlib.import_module(whole) if is_module else getattr(module, alias.name)
-    assert sorted(told) == dir(package)
-    for name, value in told.items():
+            resolved[alias.name] = importlib.import_module(whole) if is_module else getattr(module, alias.name)
+    assert sorted(resolved) == dir(package)
+    for name, value in resolved.items():
         assert getattr(package, name) is value
 
 

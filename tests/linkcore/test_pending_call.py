@@ -146,7 +146,7 @@ def test_abandoned_pending_call_cancels_its_motion(arm: Arm) -> None:
     assert arm.brakes == 1
 
 
-def test_regardless_leaves_the_call_and_returns_to_it(arm: Arm) -> None:
+def test_regardless_hides_the_call_and_restores_it(arm: Arm) -> None:
     pending = PendingCall()
     seen: list[Any] = []
     pending.make(lambda: seen.extend([regardless(current_call), current_call()]))

@@ -35,8 +35,8 @@ class DatabaseModel(RuleBasedStateMachine):
         self.updated, self.changed, self.fresh = set[int](), set[int](), set[int]()
         self.received = set[int]()
         self.set_here = set[int]()
-        self.told: list[DirtySet] = [DirtySet(count), DirtySet(count)]
-        self.untold: list[set[int]] = [set(), set()]
+        self.dirty_sets: list[DirtySet] = [DirtySet(count), DirtySet(count)]
+        self.unsent: list[set[int]] = [set(), set()]
 
     def some(self, data: st.DataObject) -> list[int]:
         everything = list(range(len(self.lengths)))
@@ -95,26 +95,26 @@ class DatabaseModel(RuleBasedStateMachine):
         self.received = set()
 
     @rule()
-    def tell(self) -> None:
+    def notify_peers(self) -> None:
         ids = self.table.dirty.take()
         assert ids.tolist() == sorted(self.set_here)
-        for dirty, untold in zip(self.told, self.untold, strict=True):
+        for dirty, unsent in zip(self.dirty_sets, self.unsent, strict=True):
             dirty.add_many(ids, ordered=True)
-            untold |= self.set_here
+            unsent |= self.set_here
         self.set_here = set()
 
     @rule(who=st.integers(0, 1), data=st.data())
     def tell_of_one(self, who: int, data: st.DataObject) -> None:
         identity = data.draw(st.integers(0, len(self.lengths) - 1))
-        self.told[who].add(identity)
-        self.untold[who].add(identity)
+        self.dirty_sets[who].add(identity)
+        self.unsent[who].add(identity)
 
     @rule(who=st.integers(0, 1))
     def take(self, who: int) -> None:
-        dirty = self.told[who]
-        assert bool(dirty) == bool(self.untold[who])
-        assert dirty.take().tolist() == sorted(self.untold[who])
-        self.untold[who] = set()
+        dirty = self.dirty_sets[who]
+        assert bool(dirty) == bool(self.unsent[who])
+        assert dirty.take().tolist() == sorted(self.unsent[who])
+        self.unsent[who] = set()
         assert not dirty
 
     @invariant()

@@ -328,7 +328,7 @@ class Wide(Plugin):
         self.big = [tick] * 4000
 
 
-def test_15_client_that_does_not_read_delays_no_other() -> None:
+def test_15_client_that_does_not_read_delays_no_other_client() -> None:
     with Host([Wide()], period=0.002, port=0, client_timeout=30.0) as host, RawClient(host.port, b"") as deaf:
         deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
         deaf.send(b"ar")

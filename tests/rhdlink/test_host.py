@@ -28,6 +28,7 @@ from rhdlink.host.server import TickSchedule
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
+from tests import platforms
 from tests.fakes.clock import Clock
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
@@ -909,7 +910,7 @@ def test_start_raises_when_the_address_cannot_be_used() -> None:
 
 
 @pytest.mark.real_time
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
+@platforms.needs_fork
 def test_forked_child_does_not_end_the_host_of_its_parent() -> None:
     with Host([Echo()], port=0, period=0.002) as host, RawClient(host.port) as client:
         client.greeting()

@@ -389,7 +389,7 @@ def test_slot_taken_during_a_handshake_is_not_reused() -> None:
     assert slow is not None
     granted(served)
     assert served.receive(slow, b"ar") == b""
-    assert slow.failure == "all slots were taken meanwhile"
+    assert slow.failure == "no free slot was left when access was requested"
     assert (served.refused_clients, served.bad_clients) == (1, 0)
     assert slow.slot is None
 

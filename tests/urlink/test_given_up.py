@@ -145,7 +145,7 @@ def test_connect_keeps_undoing_after_its_timeout(controller: Controller) -> None
         until(lambda: not controller.is_running_program, TIMEOUT)
 
 
-def test_newer_program_supersedes_an_abandoned_one(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_newer_program_supersedes_an_abandoned_program(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.command.channel._UNDO_TIMEOUT", 0.0)
     with urlink.connect(controller.address) as other:
         give_up(controller, play)

@@ -260,7 +260,7 @@ def test_stop_stops_every_arm() -> None:
 
 
 @pytest.mark.slow
-def test_no_arm_starts_when_one_cannot() -> None:
+def test_no_arm_starts_when_one_arm_cannot_start() -> None:
     with pair(8) as both:
         controller = both.right.controller
         controller.call(controller.faults.protective_stop)
@@ -417,7 +417,7 @@ def test_replace_and_clear_take_effect_in_all_arms_at_once(firmwares: tuple[str,
 
 
 @pytest.mark.slow
-def test_replace_changes_no_arm_when_one_refuses() -> None:
+def test_replace_changes_no_arm_when_one_arm_refuses() -> None:
     with pair(22) as both, both.group.stream() as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)

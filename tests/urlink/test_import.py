@@ -58,11 +58,11 @@ NOT_NEEDED_TO_READ = (
 PROGRAM = """
 import json, sys, threading
 import numpy
-told = []
-sys.addaudithook(lambda event, arguments: told.append(event))
+audited = []
+sys.addaudithook(lambda event, arguments: audited.append(event))
 before = set(sys.modules)
 {statement}
-events = sorted({{event for event in told if event.split(".")[0] in ("socket", "subprocess", "os", "_thread")}})
+events = sorted({{event for event in audited if event.split(".")[0] in ("socket", "subprocess", "os", "_thread")}})
 print(json.dumps({{
     "events": events,
     "threads": threading.active_count(),
@@ -77,8 +77,8 @@ def outcome(statement: str) -> dict[str, Any]:
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    audited: dict[str, Any] = json.loads(done.stdout)
+    return audited
 
 
 @pytest.fixture(scope="module")

@@ -91,7 +91,7 @@ CASES: dict[str, tuple[Callable[[Tried], object], str]] = {
     "Linear blend mm": (lambda t: Linear(POSE, blend=20), "blend is 20 m; expected .* 2 m " + IN_MM),
     "Circular via mm": (lambda t: Circular(MM, NEAR), IN_MM),
     "Circular degrees": (lambda t: Circular(POSE, DEGREES), IN_DEGREES),
-    "path far": (lambda t: t.robot.motion.path([Linear(FAR)]), "waypoint 0: the path to it is out of reach"),
+    "path far": (lambda t: t.robot.motion.path([Linear(FAR)]), "waypoint 0: the path to this waypoint is out of reach"),
     "schedule degrees": (lambda t: scheduled(t.robot, Q_DEGREES), r"q\[1\] \(shoulder\) is -90 rad.*" + IN_DEGREES),
     "schedule far": (lambda t: scheduled(t.robot, Linear(FAR)), "cannot bring its tool"),
     "force frame mm": (lambda t: pressed(t.robot, MM), "position in frame .*" + IN_MM),

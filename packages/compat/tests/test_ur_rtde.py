@@ -107,7 +107,7 @@ def test_io_sets_outputs_and_registers(controller: Controller, caplog: pytest.Lo
             assert io.setConfigurableDigitalOut(0, True)
             with caplog.at_level(logging.WARNING):
                 assert not io.setInputIntRegister(24, 1)
-            assert "another client or a fieldbus uses input_int_register_24" in caplog.text
+            assert "another client or a fieldbus holds input_int_register_24" in caplog.text
         until(lambda: controller.speed_fraction == 0.5 and bool(controller.signals.digital_outputs >> 8 & 1))
         assert io.setStandardDigitalOut(3, False)
         other.set_speed_slider(1.0)

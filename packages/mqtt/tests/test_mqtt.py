@@ -123,7 +123,7 @@ def test_command_with_retain_flag_is_not_executed(server: Server, panels: Panels
         ("move_joints", {"arguments": {"q": [0.0]}}, "BadValue", "q"),
         ("move_joints", {"arguments": {"q": HOME, "wait": True}}, "BadValue", "wait"),
         ("move_joints", {"arguments": {"q": HOME, "goal": 1}}, "BadValue", "goal"),
-        ("dance", {}, "BadValue", "no command 'dance'"),
+        ("dance", {}, "BadValue", "unknown command 'dance'"),
         ("enable", {"age": 0}, "BadValue", "age"),
         ("enable", {"age": 3600.0}, "BadValue", "at most 60"),
         ("enable", {"time": None}, "BadValue", "time"),

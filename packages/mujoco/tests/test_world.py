@@ -148,13 +148,13 @@ def test_invalid_arguments_raise_clear_errors(table: Path, tmp_path: Path) -> No
     with pytest.raises(urlink.BadValue, match="identifier such as 'left'"):
         MujocoWorld(table, {"an arm": controller})
     world = MujocoWorld(table, controller)
-    with pytest.raises(urlink.BadValue, match=r"no body is named 'cup'; expected one of .*box"):
+    with pytest.raises(urlink.BadValue, match=r"unknown body 'cup'; expected one of .*box"):
         world.pose("cup")
     with pytest.raises(urlink.BadValue, match="has no free joint"):
         world.place("arm/wrist_1_link", (0.0,) * 6)
     with pytest.raises(urlink.BadValue, match="six finite numbers"):
         world.place("box", (0.0,) * 5)
-    with pytest.raises(urlink.BadValue, match="no camera is named 'back'; the file has front"):
+    with pytest.raises(urlink.BadValue, match="unknown camera 'back'; expected one of front"):
         world.picture("back")
     with pytest.raises(urlink.BadValue, match="a state of this world"):
         world.reset(np.zeros(3))

@@ -108,7 +108,7 @@ def test_trajectory_with_reordered_joints_sends_feedback(robot: urlink.Robot, dr
     assert robot.realtime.wait().q_actual == pytest.approx(FAR, abs=0.01)
 
 
-def test_client_cancels_trajectory_and_its_end_cancels_too(robot: urlink.Robot, drive: Drive) -> None:
+def test_cancelled_goal_and_ended_client_stop_the_arm(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         done = drive("follow", goal((0.0, START), (8.0, FAR)), "cancel")
         assert done["status"] == 5

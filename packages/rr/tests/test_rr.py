@@ -255,7 +255,7 @@ def test_homing_signals_speed_and_payload(arm: Any, node: Any, robot: urlink.Rob
     arm.setf_signal("digital_out_2", np.array([1.0]))
     assert arm.getf_signal("digital_out_2").tolist() == [1.0]
     assert robot.io.digital_out(2)
-    with pytest.raises(RR.InvalidArgumentException, match="no signal"):
+    with pytest.raises(RR.InvalidArgumentException, match="unknown signal"):
         arm.getf_signal("steam_whistle")
     arm.speed_ratio = 0.5
     until(lambda: arm.speed_ratio == pytest.approx(0.5, abs=0.01))

@@ -162,7 +162,7 @@ def test_client_moves_robot_and_sets_outputs(
         ("move_joints", {"q": ["a"] * 6}, "q"),
         ("move_joints", {}, "missing a required argument"),
         ("follow", {"time": [0, 1], "q": [HOME, FAR], "feedback": "x"}, "unexpected argument 'feedback'"),
-        ("close", {}, "no command 'close'"),
+        ("close", {}, "unknown command 'close'"),
     ],
 )
 def test_bad_arguments_raise_errors_of_robot(

@@ -6,8 +6,8 @@
 No thread waits. The loop makes a call when the socket has bytes, their packets are published at once, and a timer
 measures silence.
 
-Other threads may use the connection too, to send and to wait, as the code that commands a robot does. For them the
-thread of the loop is the reader. A call that would wait in this thread is refused, because it would wait for itself.
+Other threads, such as the threads that command a robot, may also send and wait. For them, the thread of the loop is the
+reader. A call that would wait in the thread of the loop is refused, because it would wait for itself.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from typing import Any
 from .. import clock
 from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
-from ..net.awaited import AwaitedTransport, watch
+from ..net.awaited import AwaitedTransport
+from ..net.watching import forget, watch
 from ..streaming.connection import Connection
 from ..streaming.receiver import Receiver
 from ..streaming.scheduling import urgent
@@ -165,7 +166,7 @@ class LoopConnection(Connection):
         return clock.wait(self._has_ended.wait, timeout)
 
     def _hang_up(self) -> None:
-        """Do nothing, because `_stop` has woken the task, which disconnects."""
+        """Do nothing: `_stop` has woken the task, and the task disconnects."""
 
     def _settle(self) -> None:
         super()._settle()
@@ -289,7 +290,7 @@ class LoopConnection(Connection):
 
         Raises:
             ConnectionLost: If it was closed meanwhile.
-            LocalError: If the loop cannot wait for sockets.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         descriptor = self._transport.fileno()
         if descriptor < 0:
@@ -300,7 +301,7 @@ class LoopConnection(Connection):
     def _watch_no_more(self) -> None:
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
-            self._loop.remove_reader(descriptor)
+            forget(self._loop, descriptor)
         self._call_in(None)
 
     def _end(self, error: Exception | None) -> None:

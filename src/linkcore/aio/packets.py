@@ -29,7 +29,7 @@ class LoopQueue(BoundedQueue):
             this peer when the queue is full, until it is half empty. Bytes that were read at the same moment, at most
             64 KiB, are still accepted, so the queue can exceed the limit by about 60 packets.
         connection: Connection that is not read while the queue is full.
-        lifespan: Seconds after its arrival for which a packet can be taken; None for no limit.
+        lifespan: Maximum age of a packet in seconds after its arrival; None for no limit.
     """
 
     def __init__(self, policy: Policy, connection: LoopConnection, lifespan: float | None = None) -> None:
@@ -62,7 +62,7 @@ class LoopQueue(BoundedQueue):
         """Wait for a packet, and return it; return None after `timeout`, or when `is_over` is true.
 
         Raises:
-            LocalError: If another task already waits for a packet.
+            LocalError: If another task is already waiting for a packet.
         """
         timer: asyncio.TimerHandle | None = None
         is_late = False
@@ -74,7 +74,9 @@ class LoopQueue(BoundedQueue):
             self._wake_consumer()
 
         if self._waiter is not None:
-            raise LocalError("another task waits for packets of this iterator; use a separate iterator for each task")
+            raise LocalError(
+                "another task is already waiting for a packet of this iterator; use a separate iterator for each task"
+            )
         loop = asyncio.get_running_loop()
         try:
             while (packet := self.take()) is None:
@@ -160,7 +162,7 @@ class Packets(StrictAttributes, Generic[T]):
 
         Raises:
             RemoteError, Closed: If the first connection cannot be made.
-            LocalError: If another task already waits for a packet.
+            LocalError: If another task is already waiting for a packet.
         """
         if self._parts:
             return self._parts.popleft()

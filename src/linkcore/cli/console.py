@@ -115,7 +115,10 @@ if sys.platform == "win32":
     def _chunks() -> SimpleQueue[bytes]:
         """Start a thread that reads stdin, and return the queue of the bytes; b"" marks the end of stdin."""
         chunks: SimpleQueue[bytes] = SimpleQueue()
-        number = sys.stdin.fileno()
+        try:
+            number = sys.stdin.fileno()
+        except (OSError, ValueError) as error:
+            raise LocalError(f"cannot wait for stdin: {error}") from None
 
         def read() -> None:
             # Not `sys.stdin.buffer`: its lock would be held by this thread when the interpreter exits.

@@ -1,6 +1,7 @@
 """Output of the command `dissect` of every package: the bytes of a file or of stdin, piece by piece.
 
-A piece is a packet, or bytes that belong to no packet. Each package cuts the bytes, and describes their meaning.
+A piece is a packet, or bytes that belong to no packet. Each Python package cuts the bytes of its protocols into pieces,
+and describes their meaning.
 """
 
 from __future__ import annotations

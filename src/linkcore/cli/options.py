@@ -183,7 +183,7 @@ class Exportable(Protocol):
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Texts about data that could not be read."""
+        """Descriptions of the data that could not be read."""
 
     def export(
         self,

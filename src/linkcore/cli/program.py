@@ -154,7 +154,7 @@ def program(
 class _Version(argparse.Action):
     """Action that prints the version.
 
-    It finds the version only then, because this imports many modules.
+    The version is looked up only when the option is used, because the look-up imports many modules.
     """
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:

@@ -27,8 +27,8 @@ class ProgressBar:
     """Progress of work on stderr. It is a context manager; call it with the completed fraction.
 
     On a terminal, one line below the output is redrawn five times a second. It disappears when something is printed,
-    and returns when nothing was printed for half a second. Elsewhere a plain line is printed after 2 s and then after
-    pauses that double up to a minute. Shorter work shows nothing.
+    and appears again when nothing was printed for half a second. Elsewhere, a plain line is printed after 2 s and then
+    after pauses that double up to a minute. For shorter work, nothing is shown.
 
     If two blocks are nested, the bar that was called last is shown.
 
@@ -58,7 +58,8 @@ class ProgressBar:
         if screen is not None and not self._quiet:
             screen.bar = self
             if text is not None:
-                # The program continues, so a question on the same line was answered.
+                # The program has continued. So if it asked a question on this line, the user has answered, and the
+                # cursor is at the beginning of a line again.
                 screen.is_at_start = True
 
     def next(self, text: str) -> None:

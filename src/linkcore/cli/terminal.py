@@ -117,7 +117,7 @@ _T = TypeVar("_T")
 def drawing(
     plain: bool, tell: Callable[[str], None], line: Callable[[_T], str], panel: Callable[[_T], RenderableType]
 ) -> Iterator[tuple[Callable[[_T], None], float]]:
-    """Provide a function that shows a value, and the seconds between two values.
+    """Yield a function that shows a value, and the interval in s at which to call the function.
 
     On a terminal, rich draws the panel of a value over the previous one, ten times a second. Elsewhere, and with
     `plain`, one line per second is printed.

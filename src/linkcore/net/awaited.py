@@ -7,15 +7,15 @@ import contextlib
 import errno
 import os
 import socket
-from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
 from .. import clock
 from ..clock import Stamp
-from ..errors import ConnectFailed, LinkTimeout, LocalError, unraised
+from ..errors import ConnectFailed, LinkTimeout, unraised
 from ..event_loop import happened, within
 from .transport import TcpTransport, Transport
+from .watching import forget, watch
 
 #: Results of a non-blocking `connect` that is still in progress; 10035 is WSAEWOULDBLOCK of Windows.
 _IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK, 10035)
@@ -49,7 +49,7 @@ class AwaitedTcp(TcpTransport):
         Raises:
             ConnectFailed: If the connection is refused, or the host is unreachable or unknown.
             LinkTimeout: If the host does not answer in time.
-            LocalError: If the loop cannot wait for sockets.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         self.abort()
         try:
@@ -66,7 +66,7 @@ class AwaitedTcp(TcpTransport):
         Raises:
             LinkTimeout: If nothing arrives in time.
             ConnectionLost: If the peer closes or resets the connection, or this program closes it.
-            LocalError: If the loop cannot wait for sockets.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         until = clock.now() + timeout
         while (received := self.receive_waiting()) is None:
@@ -86,23 +86,6 @@ class AwaitedTcp(TcpTransport):
             self.abort()
 
 
-def watch(
-    loop: asyncio.AbstractEventLoop, descriptor: int, callback: Callable[[], object], *, for_room: bool = False
-) -> None:
-    """Let the loop call `callback` when bytes have arrived, or with `for_room`, when there is room to send.
-
-    Raises:
-        LocalError: If the loop cannot wait for sockets.
-    """
-    try:
-        (loop.add_writer if for_room else loop.add_reader)(descriptor, callback)
-    except NotImplementedError:
-        raise LocalError(
-            f"{type(loop).__name__} cannot wait for sockets; on Windows, run the program with "
-            "asyncio.SelectorEventLoop, which can wait for them"
-        ) from None
-
-
 async def _is_ready(descriptor: int, seconds: float, *, for_room: bool = False) -> bool:
     """Wait until bytes have arrived, or there is room; return False after `seconds`."""
     loop = asyncio.get_running_loop()
@@ -111,7 +94,7 @@ async def _is_ready(descriptor: int, seconds: float, *, for_room: bool = False) 
     try:
         return await within(max(seconds, 0.0), ready)
     finally:
-        (loop.remove_writer if for_room else loop.remove_reader)(descriptor)
+        forget(loop, descriptor, for_room=for_room)
 
 
 async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, float]:

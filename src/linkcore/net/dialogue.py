@@ -1,6 +1,7 @@
 """Short questions and answers over TCP, such as single lines, on a connection that is made when it is needed.
 
-An answer does not name its question; they are matched only by their order. So threads take turns. After a failed
+An answer does not name its question, so only the order shows which answer belongs to which question. Therefore threads
+take turns. After a failed
 exchange the connection is closed, because a late answer would be mistaken for the answer to the next question. The next
 question uses a new connection. A question that might have reached the peer is never asked again.
 
@@ -36,7 +37,7 @@ class DialogueProtocol(Protocol):
     def settling(self) -> float | None:
         """Seconds without further bytes after which an answer is complete.
 
-        It is None if its end can be recognised.
+        It is None if the answer itself shows where it ends.
         """
 
     def ask(self, text: str) -> bytes:
@@ -71,7 +72,7 @@ class Dialogue:
         self._name = name
         self._timeout = timeout
         self._lock = threading.RLock()
-        self._asker: int | None = None  # the thread that waits for an answer
+        self._asker: int | None = None  # the thread that is waiting for an answer
         self._protocol: DialogueProtocol | None = None
 
     def ask(
@@ -82,7 +83,7 @@ class Dialogue:
         gate: Callable[[Callable[[], object]], object] = lambda send: send(),
         given_up: Callable[[], object] | None = None,
     ) -> str:
-        """Ask, and wait for the answer.
+        """Send a question, and wait for the answer.
 
         Args:
             text: Question.
@@ -101,10 +102,10 @@ class Dialogue:
             LinkError: If the protocol or the gate raises it.
         """
         if self._asker == threading.get_ident():
-            # This is a signal handler, and the interrupted thread waits for an answer on the connection.
+            # This is a signal handler, and the interrupted thread is waiting for an answer on the connection.
             return self._ask_beside(text, timeout, gate, given_up)
         until = clock.now() + timeout
-        busy = f"{self._name}: {text!r} was not sent, because another thread waited for its reply for {timeout:g} s"
+        busy = f"{self._name}: {text!r} was not sent, because another thread was waiting for a reply for {timeout:g} s"
         is_sent, answer = False, None
 
         def send() -> None:
@@ -134,7 +135,7 @@ class Dialogue:
                     given_up()
                     hint = f"; {MAY_STILL}"
                 if self.is_closed and isinstance(error, ConnectionLost):
-                    raise Closed(f"{self._name} was closed while {text!r} waited for a reply{hint}") from error
+                    raise Closed(f"{self._name} was closed while {text!r} was waiting for a reply{hint}") from error
                 if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
                     error.args = (f"{error}{hint}",)
                 raise
@@ -144,7 +145,7 @@ class Dialogue:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a thread waits for an answer."""
+        """Whether a thread is waiting for an answer."""
         return self._asker is not None
 
     def _ask_beside(
@@ -164,7 +165,7 @@ class Dialogue:
             beside.close()
 
     def close(self) -> None:
-        """Disconnect permanently; a question that waits in another thread ends with `Closed`.
+        """Disconnect permanently. If another thread is waiting for an answer, its call raises `Closed`.
 
         Idempotent.
         """

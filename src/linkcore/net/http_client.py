@@ -112,7 +112,7 @@ class HttpClient:
             if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
                 if self._is_closed:
                     what = f"{request.method} {request.target}"
-                    raise Closed(f"{transport.name} was closed while {what} waited for a reply{hint}") from error
+                    raise Closed(f"{transport.name} was closed while {what} was waiting for a reply{hint}") from error
                 error.args = (f"{error}{hint}",)
             raise
         finally:

@@ -1,4 +1,4 @@
-"""A process that reads a connection for its parent process, which may hold its interpreter's lock for a long time.
+"""A process that reads a connection for its parent process, even while the parent holds its interpreter's lock.
 
 It reads and stamps the bytes at once, keeps the newest packet in shared memory, and passes all bytes as records through
 a pipe. If the parent does not read, up to 16 MiB are buffered. Then this process stops reading, so that nothing is
@@ -39,7 +39,8 @@ _LOOK = 0.5
 
 CONNECTED = b"C"  # the connection was made; the payload is the duration of its handshake in s
 DATA = b"D"  # the payload is the received bytes
-LOST = b"L"  # it could not be made, or was lost; the payload is the class of the error, a space, and the message
+# The connection could not be made, or was lost; the payload is the class of the error, a space, and the message.
+LOST = b"L"
 
 _HEADER = struct.Struct("<cIdd")
 
@@ -117,7 +118,7 @@ class Slot:
     def get(self) -> tuple[int, bytes, Stamp] | None:
         """Return the number of the packet, the packet, and the arrival time of its bytes.
 
-        Return None if there is none.
+        Return None if there is no packet.
         """
         for _ in range(_LOOKS):
             number, length, checksum, monotonic, wall = _SLOT.unpack_from(self._memory)
@@ -224,7 +225,7 @@ def _relay(transport: TcpTransport, pipe: _Pipe, newest: Slot, framer: Framer, p
 def _is_wanted(parent: int, reads: list[int], writes: list[int]) -> tuple[bool, list[Any]]:
     """Wait for an event.
 
-    Return whether the parent process still runs, and the readable descriptors.
+    Return whether the parent process is still running, and the readable descriptors.
     """
     ready, _, _ = select.select([*reads, 0], writes, [], _LOOK)
     if (0 in ready and not os.read(0, 1)) or os.getppid() != parent:

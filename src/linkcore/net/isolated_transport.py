@@ -52,9 +52,13 @@ class IsolatedTransport:
         self, host: str, port: int, *, silence: float, boundary: str, decode: Callable[[bytes, Stamp], Any]
     ) -> None:
         if sys.platform == "win32":
-            raise LocalError("isolate=True shares memory by descriptors, which Windows does not support; omit it")
+            raise LocalError(
+                "isolate=True needs to share a file descriptor, which Windows does not support; omit isolate"
+            )
         if not sys.executable:
-            raise LocalError("isolate=True needs a Python interpreter to start, but sys.executable is not set; omit it")
+            raise LocalError(
+                "isolate=True starts a Python interpreter, but sys.executable is not set; set it, or omit isolate"
+            )
         self.name = f"{host}:{port}"
         self.round_trip = math.inf
         self._arguments = {"host": host, "port": port, "silence": silence, "boundary": boundary}
@@ -74,7 +78,7 @@ class IsolatedTransport:
     def newest(self) -> Any | None:
         """Return the newest packet that the other process has read; None if there is none.
 
-        It is decoded in this call, so no other thread of this process must have run before.
+        The packet is decoded in this call, so the result does not depend on another thread of this process.
 
         Raises:
             PacketError: If no layout can hold the packet.
@@ -179,7 +183,7 @@ class IsolatedTransport:
                     process.stdout.close()
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Raise, because this transport cannot send.
+        """Raise an error, because this transport cannot send.
 
         Raises:
             LocalError: If called.
@@ -187,7 +191,7 @@ class IsolatedTransport:
         self.send_some(data)
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Raise; see `send`."""
+        """Raise an error; see `send`."""
         raise LocalError(f"{self.name} is read by another process, so this program cannot send to it")
 
     def wait_for_room(self, timeout: float) -> bool:
@@ -196,7 +200,7 @@ class IsolatedTransport:
 
     def abort(self) -> None:
         """End the process, and with it the connection. Idempotent, in any thread."""
-        if not self._home.is_here:  # the reading process belongs to the parent of this one
+        if not self._home.is_here:  # the reading process belongs to the parent of this process
             return
         with self._lock:
             process, self._process = self._process, None

@@ -6,12 +6,14 @@ which makes them here too. The same rules for host names apply to every port tha
 - `""` is every IPv4 address of this computer. The peers are robots and their tools, whose programs open sockets only to
   IPv4 addresses.
 - `"::"` is every address of either family (dual stack), if the system has IPv6.
-- A name or an address is this address. If a name has addresses of both families, its IPv4 address is used.
+- Any other address is used as it is. A host name is resolved; if it has addresses of both families, the IPv4 address is
+  used.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
 import weakref
@@ -106,7 +108,7 @@ class TcpListener:
         Raises:
             LinkTimeout: If no peer connects in time.
             ConnectFailed: If the listener was closed.
-            ConnectionLost: If the peer has disconnected again.
+            ConnectionLost: If the peer has connected and already disconnected.
             LocalError: If this process was forked from the process that listens.
         """
         self._home.check()
@@ -124,6 +126,8 @@ class TcpListener:
         except ConnectionError as error:
             raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
         except OSError as error:
+            if error.errno == errno.ENOTCONN:  # reset before it was accepted (Wine)
+                raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
             raise mapped(error, f"waiting on {where}", timeout, ConnectFailed) from error
         transport = TcpTransport(numeric_host(peer[0]), peer[1], silence=_SILENCE)
         transport.adopt(connection)
@@ -132,7 +136,7 @@ class TcpListener:
     def close(self) -> None:
         """Stop listening, and wake a thread that waits in `accept`.
 
-        Accepted connections stay. Idempotent.
+        Accepted connections stay open. Idempotent.
         """
         listener, self._socket = self._socket, None
         if listener is None:

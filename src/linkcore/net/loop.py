@@ -60,7 +60,8 @@ _BACKLOG, _ACCEPTS = 64, 16
 _KERNEL_BUFFER = 1 << 18
 # Minimum time in s for serving events, even if the owner is already late. Otherwise its clients would starve.
 _LEAST_SLICE = 1e-3
-# Pause in s after the process ran out of descriptors. Without it, the kernel would immediately report the same again.
+# Pause in s after the process ran out of descriptors. Without the pause, the kernel would immediately report the same
+# waiting client again.
 _OUT_OF_DESCRIPTORS = 0.2
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 # `select` accepts only descriptors below this number.
@@ -85,10 +86,10 @@ class Handler:
         """Process received bytes. The handler must find the boundaries of frames itself."""
 
     def drained(self) -> None:
-        """Notice that the kernel has accepted all written data, after some of it was buffered."""
+        """Handle the end of buffering: the kernel has now accepted all written data."""
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
-        """Notice that the connection is closed. No other method is called after this one.
+        """Handle the end of the connection. No other method is called after this one.
 
         Args:
             reason: Reason, for a log.
@@ -130,7 +131,7 @@ class Connection:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is connected, and neither `close` nor `finish` was called."""
+        """Whether the client is connected, and neither `close` nor `finish` was called."""
         return self._is_open and not self._is_finishing
 
     @property
@@ -143,8 +144,8 @@ class Connection:
     def write(self, data: bytes) -> None:
         """Send `data`: as much as the kernel accepts now, and the rest later.
 
-        No effect on a closed connection. The connection of a client that does not read is reset if more than
-        `output_limit` bytes of the port would be buffered.
+        This has no effect on a closed connection. If the client does not read, so that more than the `output_limit` of
+        the port would be buffered, the connection is reset.
         """
         if not self.is_open or self._is_deaf:
             return
@@ -337,7 +338,7 @@ class ListeningPort:
         self._watch()
 
     def refuse(self) -> None:
-        """Let the kernel refuse connections until `listen` is called. Connected clients stay."""
+        """Let the kernel refuse connections until `listen` is called. Clients stay connected."""
         if not self.is_listening:
             return
         self.is_listening = False
@@ -357,7 +358,7 @@ class ListeningPort:
         self._watch()
 
     def close(self) -> None:
-        """Stop listening. Connected clients stay."""
+        """Stop listening. Clients stay connected."""
         self.is_listening = False
         self._watch()
         self._socket.close()
@@ -416,7 +417,7 @@ class ListeningPort:
     def _has_slot(self) -> bool:
         """Whether a slot is free for a new client.
 
-        If not, it takes the slot of the client that is idle for longest.
+        If no slot is free, the slot of the client that has been idle for longest is freed.
         """
         if len(self.connections) < self._limit:
             return True
@@ -613,11 +614,12 @@ class SelectorLoop:
         if self._select_from is not None:
             return self._selector.select(0) if select.select(self._select_from, (), (), seconds)[0] else []
         # Wait for whole milliseconds, rounded down, because the selector rounds up. Then sleep for the rest.
-        whole = int(seconds * 1e3) * 1e-3
-        events = self._selector.select(whole)
-        if not events and whole == 0.0:
-            clock.sleep(seconds)
-        return events
+        until = clock.now() + seconds
+        events = self._selector.select(int(seconds * 1e3) * 1e-3)
+        if events:
+            return events
+        clock.sleep(clock.left(until))
+        return self._selector.select(0)
 
     def _register(self, link: socket.socket, before: int, after: int, data: Connection | ListeningPort) -> None:
         if not before:

@@ -73,8 +73,8 @@ class PolledConnection:
     def send(self, data: bytes) -> bool:
         """Send all of `data` at once.
 
-        Return False if it is not open, or if the peer does not accept all of the data. In the second case the
-        connection is closed.
+        Return False if the connection is not open, or if the peer does not accept all of the data. In the second case,
+        the connection is closed.
         """
         if self.state != "open" or self._socket is None:
             return False

@@ -72,7 +72,7 @@ class Transport(Protocol):
     def round_trip(self) -> float:
         """Duration of the handshake of the last connection, there and back, in s.
 
-        It is `inf` if there was none.
+        It is `inf` if there was no handshake.
         """
 
     def open(self, timeout: float) -> None:
@@ -144,7 +144,7 @@ class TcpTransport:
             LinkTimeout: If the host does not answer in time.
             LocalError: If this process was forked from the process that made the transport. All other methods raise it
                 too.
-            Cancelled: If this thread makes a pending call that was abandoned. See `linkcore.pending_call`.
+            Cancelled: If this thread is making a pending call that was abandoned. See `linkcore.pending_call`.
         """
         self._home.check()
         self.abort()
@@ -195,9 +195,10 @@ class TcpTransport:
             if timeout != self._receive_timeout:
                 self._set_receive_timeout(connection, max(timeout, 0.0))
             data = connection.recv(_CHUNK)
-        except BlockingIOError:
-            raise LinkTimeout(f"{self.name}: nothing received within {max(timeout, 0.0):g} s") from None
         except OSError as error:
+            # On Windows, the timeout is Python's own, whose error has no number.
+            if isinstance(error, BlockingIOError) or (isinstance(error, TimeoutError) and error.errno is None):
+                raise LinkTimeout(f"{self.name}: nothing received within {max(timeout, 0.0):g} s") from None
             raise mapped(error, self.name, timeout, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
@@ -255,7 +256,7 @@ class TcpTransport:
         """Send all of `data` within `timeout` seconds, by passing it to the kernel.
 
         Raises:
-            LinkTimeout: If the peer does not accept it in time. Part of it may have been sent.
+            LinkTimeout: If the peer does not accept the data in time. A part of the data might have been sent.
             ConnectionLost: If the connection is lost.
         """
         until = clock.now() + timeout
@@ -273,7 +274,7 @@ class TcpTransport:
 
         Raises:
             ConnectionLost: If the connection is lost.
-            Cancelled: If this thread makes a pending call that was abandoned. See `linkcore.pending_call`.
+            Cancelled: If this thread is making a pending call that was abandoned. See `linkcore.pending_call`.
         """
         connection = self._socket
         if connection is None:
@@ -325,11 +326,11 @@ class TcpTransport:
         connection.close()
 
     def close(self, timeout: float = _DRAIN) -> None:
-        """Disconnect when the peer's kernel has acknowledged all sent data; after `timeout` seconds do as `abort`.
+        """Disconnect when the peer's kernel has acknowledged all sent data, but after `timeout` seconds at the latest.
 
-        `receive` continues meanwhile. Linux and macOS report unacknowledged data, but Windows does not. There, the
-        connection is closed at once, and the kernel continues to deliver the data. Call `abort` if data must not arrive
-        any more.
+        After `timeout`, unacknowledged data is discarded, as by `abort`. `receive` continues during the wait. Linux and
+        macOS report unacknowledged data, but Windows does not. There, the connection is closed at once, and the kernel
+        continues to deliver the data. Call `abort` if data must not arrive any more.
         """
         for pause in self.closing(timeout):
             clock.sleep(pause)
@@ -430,16 +431,21 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
 
 
 def _interrupt(connection: socket.socket) -> None:
-    """End the wait of another thread that connects this socket.
+    """End the wait of another thread that is connecting this socket.
 
-    Except on Linux, it may last until its timeout.
+    On systems other than Linux, the wait might last until its timeout.
     """
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)
 
 
-#: struct linger: whether it is on, and the seconds. It has two ints, but two shorts on Windows (winsock2.h).
+#: struct linger: whether lingering is on, and its time in s. The struct has two ints; on Windows, two shorts
+#: (winsock2.h).
 _LINGER = struct.Struct("hh" if sys.platform == "win32" else "ii")
+
+
+#: Option of Windows: seconds after which unacknowledged data ends the connection.
+_TCP_MAXRT = 5
 
 
 def _prepare(connection: socket.socket, silence: float) -> None:
@@ -452,6 +458,10 @@ def _prepare(connection: socket.socket, silence: float) -> None:
         # considered lost on this side too.
         milliseconds = min(max(round(silence * 1e3), 1), 2**31 - 1)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
+    elif sys.platform == "win32":
+        # Whole seconds (ws2ipdef.h); 0 would be the system's default. Not verified on Windows; Wine rejects it.
+        with contextlib.suppress(OSError):
+            connection.setsockopt(socket.IPPROTO_TCP, _TCP_MAXRT, min(max(math.ceil(silence), 1), 2**31 - 1))
     _set_receive_timeout(connection, silence)
 
 
@@ -535,6 +545,6 @@ def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: t
         return otherwise(f"{doing}: no such host ({error.strerror})")
     if isinstance(error, ConnectionRefusedError):
         return otherwise(f"{doing}: connection refused; is the controller on, and is the port right?")
-    if error.errno == errno.EBADF:
+    if error.errno in (errno.EBADF, errno.ENOTSOCK):  # ENOTSOCK on Windows
         return otherwise(f"{doing}: closed by this program")
     return otherwise(f"{doing}: {error.strerror or error}")

@@ -49,7 +49,7 @@ C = TypeVar("C", bound=_Closeable)
 class Undo(Generic[C]):
     """Functions that undo a command.
 
-    They outlive the object that gave the command, and should not refer to it.
+    The functions outlive the object that gave the command, and should not refer to that object.
 
     Attributes:
         client: Function that returns a new client of the peer. The client connects when it is used, and is closed after
@@ -124,7 +124,7 @@ class PendingUndos:
 
     @contextlib.contextmanager
     def command(self, name: str, timeout: float, undo: Undo[Any] | None = None) -> Iterator[Callable[[], None]]:
-        """Surround a command by a block, and first undo the abandoned commands to this peer.
+        """Surround a command with a block, and first undo the abandoned commands to this peer.
 
         Args:
             name: Name of the command. An answered command replaces earlier ones of the same name.
@@ -211,7 +211,7 @@ class PendingUndos:
         """Add a command that was answered, unless a newer one has replaced it."""
         if self._answered.get(name) is undo:
             self._add(name, undo)
-            if self._thread is None and name in self._pending:  # no thread could be started; the current one may wait
+            if self._thread is None and name in self._pending:  # no other thread could be started; this one may wait
                 self._try(name, undo)
 
     def _remove(self, *names: str) -> None:

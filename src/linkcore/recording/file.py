@@ -75,7 +75,7 @@ def described(path: str | os.PathLike[str], channel: int, payload: bytes, key: s
     try:
         info = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        raise BadRecording(f"{path}: channel {channel} is not described in JSON") from error
+        raise BadRecording(f"{path}: the description of channel {channel} is not valid JSON") from error
     if not isinstance(info, dict) or not isinstance(info.get(key), str):
         raise BadRecording(f"{path}: channel {channel} has no {key}")
     return info
@@ -185,7 +185,7 @@ class RecordingWriter(StrictAttributes):
             BadRecording: If the end record cannot be written.
         """
         with self._lock:
-            if self._is_closing:  # possibly by the call that a signal handler has interrupted
+            if self._is_closing:  # a signal handler might have interrupted the call that closes it
                 return
             self._is_closing = True
             try:
@@ -299,4 +299,4 @@ class RecordingFile:
             if info["name"] == name:
                 return number
         there = ", ".join(info["name"] for info in self.channels.values()) or "nothing"
-        raise BadRecording(f"{self.path} contains no {name}; it contains {there}")
+        raise BadRecording(f"{self.path} has no channel {name!r}; its channels are {there}")

@@ -29,14 +29,14 @@ from .file import FRAME, HEAD, LARGEST, MAGIC, Kind, Progress, unseen
 _ALL = 0xFFFFFFFF
 #: Number of records that one checksum covers: some hundred kB, which fit into the cache of a processor.
 _BATCH = 256
-#: Number of batches for which a thread is worth its time: some MB.
+#: Minimum number of batches for which starting a thread saves time: some MB.
 _SHARE = 16
 
 Crcs = NDArray[np.uint32]
 
 
 def intact(data: Any, start: int, stride: int, count: int) -> NDArray[np.bool_]:
-    """Return for each of several records of the same size whether its checksum is correct.
+    """Return whether the checksum of each record is correct, for several records of the same size.
 
     Args:
         data: Buffer with the bytes of the records.
@@ -94,7 +94,7 @@ def _columns(size: int) -> Crcs:
 
 
 def _filled(columns: Crcs) -> Crcs:
-    """Return the same for each value of each byte of a CRC, shape (4, 256), lowest byte first."""
+    """Return the advanced CRC for each value of each byte of a CRC, shape (4, 256), lowest byte first."""
     tables = np.zeros((4, 256), np.uint32)
     for bit in range(8):
         tables[:, 1 << bit : 2 << bit] = tables[:, : 1 << bit] ^ columns[bit::8, None]

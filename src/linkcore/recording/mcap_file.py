@@ -110,7 +110,7 @@ _NAMES |= {"f4": "float32", "i1": "int8", "u1": "uint8", "b1": "bool"}
 
 
 def definition(text: str, *others: tuple[str, str]) -> str:
-    """Return a definition and the definitions of its types, in the format of ROS."""
+    """Return the definition of a message followed by the definitions of its types, in the format of ROS."""
     return "\n".join([text, *(f"{'=' * 80}\nMSG: {name}\n{each}" for name, each in others)])
 
 
@@ -216,7 +216,7 @@ class McapFile:
 def write_mcap(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
     """Write a topic for each table, with a message for each row.
 
-    Its type has the fields of the table.
+    The type of the messages has the fields of the table.
     """
 
     def topics(start: float, stop: float) -> list[Topic]:

@@ -91,7 +91,7 @@ def chosen(
         if table is None:
             first_table = next(iter(tables.values()), None)
             if first_table is None:
-                raise BadValue(f"there is no field {field!r}: nothing was recorded")
+                raise BadValue(f"there is no field {field!r}, because nothing was recorded")
             first_table.arrays(field)  # raises; the message suggests similar names
         else:
             found.setdefault(table, []).append(field)
@@ -114,7 +114,7 @@ def _only(path: Path, tables: Mapping[str, Table], suffix: str) -> Table:
     if len(tables) != 1:
         there = ", ".join(tables) or "none"
         raise BadValue(
-            f"a {suffix} file can hold only one table, and these are {there}; select fields of one table, or use .h5 "
+            f"a {suffix} file can hold only one table, but there are {there}; select fields of one table, or use .h5 "
             "or .mat"
         )
     return next(iter(tables.values()))

@@ -153,7 +153,7 @@ class Listener:
     accepted: deque[End] = field(default_factory=deque)
 
     def close(self) -> None:
-        """Refuse new connections, and reset those that the program has not accepted."""
+        """Refuse new connections, and reset the connections that the program has not accepted."""
         self.computer.listeners.pop(self.port, None)
         for end in self.accepted:
             end.reset()
@@ -419,7 +419,7 @@ class Network:
         return self._routes[key]
 
     def carries(self, source: Computer, target: Computer) -> bool:
-        """Whether a packet that would arrive now does arrive."""
+        """Whether a packet from `source` that reaches `target` now is received."""
         return source.is_on and not self.route(source, target).is_silent
 
     def silence(self, source: Computer, target: Computer) -> None:
@@ -450,7 +450,7 @@ class Network:
     def connect(self, end: End, host: str, port: int, finished: Callable[[int], object]) -> None:
         """Make a connection, and call `finished` with 0 or an error number.
 
-        If `end` is closed before, `finished` is not called.
+        If `end` is closed before that, `finished` is not called.
         """
         target = self.find(host, end.computer)
         scheduler = self.scheduler

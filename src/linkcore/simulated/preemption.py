@@ -90,7 +90,7 @@ class Preemption:
         return self._by_name[key]
 
     def _lines(self, chance: random.Random) -> Tracer:
-        """Return a trace function that yields occasionally, for functions of one name in one module."""
+        """Return a trace function that occasionally switches to another thread, for one name in one module."""
         low, high = _LINES
         mean = low * (high / low) ** chance.random()
         left = [1 + int(chance.expovariate(1.0 / mean))]

@@ -147,7 +147,7 @@ class Scheduler:
         return task
 
     def spawn(self, name: str, computer: TaskComputer, *, is_ready: bool = True) -> Task:
-        """Make a task whose thread waits for its baton."""
+        """Make a task; its thread must call `begin` first, and waits there until the task may run."""
         task = Task(name, len(self.tasks), computer)
         self.tasks.append(task)
         if is_ready:
@@ -174,7 +174,7 @@ class Scheduler:
         else:
             self._hand_over(self._next())
 
-    # -- what a running task does ------------------------------------------------------------------------
+    # -- called by the running task ----------------------------------------------------------------------
 
     def step(self) -> None:
         """Let a little simulated time pass, and possibly let another task run."""
@@ -226,7 +226,7 @@ class Scheduler:
             return None
         return self.now + max(seconds, 0.0) / self.running.computer.rate
 
-    # -- what anybody does while a task runs -------------------------------------------------------------
+    # -- called by any thread while a task is running ----------------------------------------------------
 
     def make_ready(self, task: Task) -> None:
         """Put a task into the queue of tasks that can run."""
@@ -331,7 +331,7 @@ class Scheduler:
             raise error
 
     def _take(self, task: Task) -> None:
-        """Wait for the baton. Ctrl-C during the wait is raised when the task has the baton."""
+        """Wait until the task may run. If Ctrl-C is pressed during the wait, the exception is raised afterwards."""
         while True:
             try:
                 task.baton.acquire()
@@ -355,7 +355,7 @@ class Scheduler:
     def _ring(self, task: Task) -> None:
         """Handle the alarm of a task.
 
-        The deadline has passed, or a later wait has a later deadline, or the task does not wait.
+        There are three cases: the deadline has passed, a later wait has a later deadline, or the task is not waiting.
         """
         task.alarm = _NEVER
         deadline = task.deadline

@@ -89,7 +89,7 @@ class Socket(Pollable):
         self._bound: tuple[str, int] | None = None
         self._listener: Listener | None = None
         self._end = end
-        #: None, -1 during a connection attempt, or its outcome.
+        #: Outcome of the connection attempt: None before it, -1 while it is in progress, then 0 or an error number.
         self._connecting: int | None = None
         # Size that a waiting `recv` requests, and bytes that the kernel has passed to it while it could not return.
         self._asked = 0

@@ -96,9 +96,9 @@ class Connection:
 
     @property
     def failure(self) -> Exception | None:
-        """Error that ended it for good, as a copy that may be raised.
+        """Error that ended the connection permanently, as a copy that may be raised.
 
-        It is None if it was closed on purpose.
+        It is None if the connection was closed on purpose.
         """
         failure = self._life.failure
         return None if failure is None else unraised(failure)
@@ -126,9 +126,9 @@ class Connection:
             RemoteError: If connecting fails; the next use tries again.
             LocalError: If the system has no thread left, if the reader calls this while it is not connected, or if this
                 process was forked from the process that made the connection.
-            Closed: If it was closed.
+            Closed: If the connection was closed.
         """
-        self._home.check()  # before the lock is acquired, because a thread of the parent may have held it at the fork
+        self._home.check()  # before the lock is acquired, because a thread of the parent might have held it at the fork
         is_again = is_mine(self._lock)
         with self._changed:
             if self._life.is_ending or not self._is_settled:
@@ -162,7 +162,7 @@ class Connection:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether `start` does not have to wait, because it has connected once, or was closed."""
+        """Whether `start` does not have to wait, because the connection was made once, or was closed."""
         return self._life.phase is not ConnectionPhase.IDLE and self._life.attempt.is_settled
 
     def _begin(self, is_patient: bool) -> None:
@@ -229,8 +229,9 @@ class Connection:
         anything sent later as the missing part.
 
         Raises:
-            LinkTimeout: If the peer does not accept the data within `timeout` seconds, or if this is called in a signal
-                handler that has interrupted another call of `send`, whose bytes may have been sent in part.
+            LinkTimeout: If the peer does not accept the data within `timeout` seconds. Also if a signal handler calls
+                this after it has interrupted another call of `send`, because a part of the bytes of that call might
+                have been sent.
             RemoteError, LocalError, Closed: See `start` and `send_some`.
         """
         self.start()
@@ -253,11 +254,11 @@ class Connection:
     def send_some(self, data: bytes | memoryview) -> int:
         """Pass to the kernel as many bytes as it accepts at once; return their number.
 
-        Uses no wait and no lock.
+        This method never waits, and acquires no lock.
 
         Raises:
             ConnectionLost: If it is not connected.
-            Closed: If it was closed, or has ended.
+            Closed: If the connection was closed, or has ended.
         """
         if self.state is not ConnectionState.CONNECTED:
             if self.is_over:

@@ -190,13 +190,14 @@ TRANSITIONS: Mapping[_Cause, _Effect] = MappingProxyType(
 class Attempt:
     """Result of the first connection of a reader.
 
-    Each reader has its own attempt, because the next one may start immediately after a failure.
+    Each reader has its own attempt, because the next one might start immediately after a failure.
 
     Attributes:
         is_patient: Whether no caller waits for the connection, so that a failure is retried.
-        is_settled: Whether it was made and subscribers were notified, or whether it cannot be made.
-        has_opened: Whether it was made.
-        failure: Error because of which it could not be made, or None.
+        is_settled: Whether the outcome is known: the connection was made and subscribers were notified, or it cannot be
+            made.
+        has_opened: Whether the connection was made.
+        failure: Error that prevented the connection, or None.
     """
 
     def __init__(self, is_patient: bool) -> None:

@@ -100,8 +100,8 @@ class FanOut:
     def publish(self, packets: Sequence[Any]) -> None:
         """Publish one or more packets, in order.
 
-        Each packet goes to all inline callbacks before the next packet does, because one callback may depend on the
-        result of another one. For example, a stop and the start of a program may arrive in the same bytes, and a
+        Each packet goes to all inline callbacks before the next packet does, because one callback might depend on the
+        result of another one. For example, a stop and the start of a program might arrive in the same bytes, and a
         callback then decides whether this program may continue.
         """
         if self._parts is None:
@@ -245,7 +245,7 @@ class FanOut:
             self._deliveries.pop(delivery, None)
 
     def close(self, *, all: bool) -> None:
-        """Close the sinks that may lose packets, and the sink whose callback makes this call; or all sinks."""
+        """Close all sinks; without `all`, close sinks that may lose packets and the sink whose callback calls this."""
         callers = [delivery.sink for delivery in self.deliveries if delivery.runs_here()]
         for route in self._now():
             if all or not route.sink.makes_reader_wait or route.sink in callers:

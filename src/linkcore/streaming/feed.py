@@ -238,7 +238,7 @@ class Feed(StrictAttributes, Generic[T]):
         """
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         if not (issubclass(self._kind, State) and self._kind.FIELDS):
-            raise BadValue(f"{self._kind.__name__} has no fields of its own to keep; select one of its parts with of()")
+            raise BadValue(f"{self._kind.__name__} has no fields to keep; select one of its parts with of()")
         return History(self._kind, seconds, lambda keep: self.subscribe(keep, inline=True))
 
     def plot(self, *fields: str, seconds: float = 10.0, window: float = 10.0, period: float = 0.2) -> None:
@@ -330,7 +330,7 @@ class Feed(StrictAttributes, Generic[T]):
         connection = self._connection
         if looked_at and connection.failure is None and not connection.is_over:
             what = f"{looked_at} {self._kind.__name__} from {connection.name}"
-            return LinkTimeout(f"the condition was true for none of {what} within {timeout:g} s")
+            return LinkTimeout(f"no packet met the condition within {timeout:g} s; examined {what}")
         return self._why_nothing(timeout)
 
     def __repr__(self) -> str:
@@ -340,7 +340,7 @@ class Feed(StrictAttributes, Generic[T]):
 def _taking(queue: PacketQueue) -> Callable[[float | None], Any]:
     """Return `queue.next`.
 
-    If this thread makes a pending call, abandoning the call ends the wait.
+    If this thread is making a pending call, abandoning the call ends the wait.
     """
     if pending_call() is None:
         return queue.next

@@ -33,7 +33,7 @@ class History(StrictAttributes, Closing):
 
     Args:
         kind: Class of the states.
-        seconds: Time in s before the newest state for which older states are kept, by the arrival of their bytes.
+        seconds: Maximum time in s between the arrivals of the oldest kept state and of the newest state.
         subscribe: Function that subscribes a callback to each state.
     """
 

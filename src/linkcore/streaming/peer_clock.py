@@ -121,7 +121,7 @@ class OffsetEstimator:
         #: Time of the newest packet, and the smallest plausible `way`; a packet below it has a wrong time.
         self._last, self._floor = -math.inf, -math.inf
         self._suspect: tuple[float, float] | None = None
-        #: Whether it is still unknown if the current connection has the same clock as the previous one.
+        #: True until it is known whether the current connection has the same clock as the previous one.
         self._is_new = False
         self._known: tuple[object, object, OffsetEstimate | None] = (None, None, None)
 
@@ -177,7 +177,7 @@ class OffsetEstimator:
     def _recognise(self) -> None:
         """Check whether the clock of a new connection continues the previous one.
 
-        Restart if it does not. It does not if the peer was switched off meanwhile.
+        If it does not, for example because the peer was switched off meanwhile, restart the estimate.
         """
         self._is_new = False
         if self._seconds:

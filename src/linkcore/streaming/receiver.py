@@ -87,7 +87,7 @@ class Receiver:
         protocol, packets = self._protocol, []
         if protocol.cycles is not None:
             protocol.cycles.take(frames)
-        # Looked up each time, because the protocol may have replaced its decoder after these frames.
+        # Looked up each time, because the protocol might have replaced its decoder after these frames.
         decode = self._strictly or protocol.decode
         for frame in frames:
             try:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from .. import clock
 from ..errors import BadValue
 
 _log = logging.getLogger(__name__)
@@ -60,19 +61,20 @@ class _Threads:
 
     @contextlib.contextmanager
     def urgent(self) -> Iterator[None]:
-        """Give the options to the current thread while it is in the block."""
+        """Give the options to the current thread while it is in the block, and fine timers to the process."""
         number = threading.get_native_id()
         with self._lock:
             self._numbers[number] = self._numbers.get(number, 0) + 1
             if self._numbers[number] == 1 and self._options != _Options():
                 _give(number, self._options)
         try:
-            yield
+            with clock.fine_timer():
+                yield
         finally:
             with self._lock:
                 left = self._numbers[number] = self._numbers[number] - 1
                 if not left:
-                    self._numbers.pop(number, None)  # a signal handler may have removed it already
+                    self._numbers.pop(number, None)  # a signal handler might have removed it already
                     if self._options != _Options():
                         _give(number, _Options())
 

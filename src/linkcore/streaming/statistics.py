@@ -1,6 +1,6 @@
 """Counters of streams and subscriptions, so that no packet disappears silently.
 
-Each counter is incremented where its event happens, and none is computed from others. So their sums are a check:
+Each counter is incremented where its event happens, and no counter is computed from others. So their sums are a check:
 
 - of a stream: ``received == decoded + failed``
 - of a subscription: ``offered == delivered + dropped + raised + waiting``
@@ -156,7 +156,7 @@ class StreamCounters:
         self._missing: Missing | None = None
         self._duplicates = 0
         # Queues of running loops, and the number of packets dropped by ended loops. The lock is re-entrant, because a
-        # loop may be garbage-collected in the middle of a change.
+        # loop might be garbage-collected in the middle of a change.
         self._loops: tuple[Loop, ...] = ()
         self._dropped = 0
         self._changing_loops = threading.RLock()

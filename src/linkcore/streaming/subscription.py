@@ -136,7 +136,7 @@ class Delivery:
         age = clock.now() - last
         if age < deadline:
             return deadline - age
-        if self._reported != last:  # called once for each time
+        if self._reported != last:  # `on_deadline` is called once for each missed deadline
             self._reported = last
             self._miss(age)
         return deadline

@@ -178,7 +178,7 @@ class _Mask64(Shape):
     def write(self, value: Any) -> int:
         mask = int(value)
         if not 0 <= mask < 1 << 64:
-            raise OverflowError("a mask has 64 bits")
+            raise OverflowError("a mask must fit into 64 bits")
         return mask
 
 
@@ -247,8 +247,8 @@ def version_text(version: Version) -> str:
 class Since:
     """First version of each generation that has a feature, as in ``Since("3.10/5.4")``.
 
-    A version is compared with the entry of its own generation, or else of the nearest earlier generation. So if a
-    generation got a feature late, the next generation does not have it before its own entry.
+    A version is compared with the entry of the same generation, or else with the entry of the nearest earlier
+    generation. So if a later generation has an entry, its versions before that entry do not have the feature.
 
     >>> since = Since("3.10/5.4")
     >>> [version in since for version in [(1, 8), (3, 9), (3, 10), (5, 0), (5, 4), (10, 7)]]

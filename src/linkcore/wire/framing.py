@@ -8,8 +8,8 @@ an attacker has chosen. The examined position only moves forward. A boundary exa
 it, and returns the number of bytes that it needs to decide.
 
 With the environment variable ``URLINK_STRICT=1``, which is read when this module is imported, decoding is strict: bytes
-that no layout describes are errors. Without it, these bytes are kept and counted. Strict decoding is for tests against
-new firmware, and not for operating a robot.
+that no layout describes are errors. Otherwise these bytes are kept and counted. Use strict decoding for tests against
+new firmware. Do not use it to operate a robot.
 """
 
 from __future__ import annotations

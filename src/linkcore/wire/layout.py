@@ -162,7 +162,7 @@ class Layout:
     def too_short(self, data: bytes) -> PacketError:
         """Return the error for `data` that cannot hold the fields."""
         return PacketError(
-            "packet too short",
+            "the packet is too short",
             packet=self.name,
             version=version_text(self.first),
             expected=self.size,

@@ -271,7 +271,7 @@ class StateLayouts:
         if found is None:
             steps = [step for step, block in self._by_version if block == has_block and step <= version]
             if not steps or (self._fields and not self._sent(version, has_block)):
-                raise PacketError("not sent by this firmware", packet=self._name, version=version_text(version))
+                raise PacketError("this firmware does not send it", packet=self._name, version=version_text(version))
             found = self._chosen[version, has_block] = self._by_version[max(steps), has_block]
         return found
 
@@ -302,7 +302,7 @@ class StateLayouts:
         fits = [layout for layout in candidates if layout.size <= size]
         if not fits:
             raise PacketError(
-                "packet too short",
+                "the packet is too short",
                 packet=self._name,
                 version=None if version is None else version_text(version),
                 expected=least,

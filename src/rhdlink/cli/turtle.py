@@ -32,7 +32,7 @@ from .turtle_world import WORLD, drawn, world
 )
 def run(args: argparse.Namespace) -> int:
     """Run a simulated robot in a walled square of 11 x 11 m, until Ctrl-C, SIGTERM or --duration. Programs connect to
-    it like to a real one.
+    it in the same way as to a real robot.
 
       --drive velocity   speed and turn rate: cmdtransvel, cmdrotvel; transpos, rotpos
       --drive smr        two wheels: speedl, speedr; encl, encr, irsensor, linesensor

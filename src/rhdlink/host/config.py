@@ -54,7 +54,7 @@ class Element:
         tag: Name of the element.
         attributes: Texts of the attributes, by name.
         children: Child elements, in order.
-        text: Characters in the element, stripped, without those of its children.
+        text: Characters in the element, stripped, without the characters of its children.
         line: Line in the file where it begins; 0 if it comes from no file.
         source: Name of the file, used in messages.
     """
@@ -208,7 +208,7 @@ class Configuration:
         resend: Variables sent to a client, "changed" or "original"; ``<server> <resend value="original"/>``.
         limits: Limits of requests; ``<server> <limits variables="100" length="64" words="1000" batch="4096"/>``.
         client_timeout, inactivity_timeout: Timeouts in seconds, see `Host`; ``<clients timeout="5" inactivity="10"/>``.
-        plugins: Plugins in the order of the file, including those that are not enabled.
+        plugins: Plugins in the order of the file, including plugins that are not enabled.
     """
 
     period: float = 0.01

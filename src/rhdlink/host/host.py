@@ -121,8 +121,8 @@ class Host(StrictAttributes, Runnable):
         pacing: When ticks occur. "period" makes them at a fixed period, "free" one after the other. "lockstep" makes
             one with each request of the only writer, or of any client while there is no writer: deterministic, and as
             fast as the client.
-        resend: Variables sent to a client: "changed" for those that were set since its last reply, "original" for all
-            that were ever set.
+        resend: Variables sent to a client: "changed" for variables that were set since its last reply, "original" for
+            all variables that were ever set.
         width: Words of a time stamp, 2 or 4, as the clients have it.
         limits: Limits of the requests of clients.
         client_timeout: Time, in seconds, that a client may leave a request incomplete or a reply unread. Then its

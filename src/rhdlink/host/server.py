@@ -1,10 +1,10 @@
 """Ticks of a host, when each is due and how late it is, and its connections, which are served between two ticks.
 
 The bytes of `service` are sent and received with linkcore's selector loop, at most until the next tick. No code here
-waits for a client. Data that a client has not read are kept in memory. These are at most its handshake or one batch,
-because no more requests of the client are processed until it has read them. A client has `client_timeout` seconds to
-complete a message that it has begun to send, and to read data sent to it. More bytes of the same request do not extend
-this time.
+waits for a client. Data that a client has not read are kept in memory. They never exceed the client's handshake or one
+batch, because no more requests of the client are processed until it has read these data. A client has `client_timeout`
+seconds to complete a message that it has begun to send, and to read data sent to it. More bytes of the same request do
+not extend this time.
 """
 
 from __future__ import annotations

@@ -212,7 +212,7 @@ class Service:
     def _grant(self, client: Client, wanted: str) -> bytes:
         if self.is_full:
             self.refused_clients += 1
-            client.failure = "all slots were taken meanwhile"
+            client.failure = "no free slot was left when access was requested"
             return b""
         # A second writer becomes a reader and is notified of that. The original does not answer (docs/protocols/rhd.md,
         # Defects, 7).

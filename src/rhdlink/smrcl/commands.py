@@ -49,7 +49,7 @@ class ScriptCommand:
 
     Attributes:
         name: Name of the command.
-        carry_out: Function that executes the command. It is called with a `MissionEffects` and the parameters, each a
+        execute: Function that executes the command. It is called with a `MissionEffects` and the parameters, each a
             float or a str.
         kinds: Kinds of its parameters.
         optional: Number of parameters at the end that can be omitted.
@@ -63,7 +63,7 @@ class ScriptCommand:
     """
 
     name: str
-    carry_out: Callable[..., Outcome]
+    execute: Callable[..., Outcome]
     kinds: tuple[ParameterKind, ...] = ()
     optional: int = 0
     repeats: bool = False
@@ -71,7 +71,7 @@ class ScriptCommand:
     hook: str | None = None
 
     def __post_init__(self) -> None:
-        signature = inspect.signature(self.carry_out)
+        signature = inspect.signature(self.execute)
         for count in (self.least, self.most):
             try:
                 signature.bind(None, *range(count))

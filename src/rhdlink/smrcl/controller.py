@@ -106,7 +106,7 @@ class MissionController:
         self.vehicle = Vehicle(conf, read, write, profile)
         self._outbox = Outbox()
         if not profile.says_why:
-            self.vehicle.control.say = self._outbox.message
+            self.vehicle.control.report = self._outbox.message
         self.interpreter = ScriptInterpreter(
             self.vehicle, self._outbox, COMMANDS, functions or {}, limits or MissionLimits()
         )

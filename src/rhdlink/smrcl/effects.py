@@ -113,7 +113,7 @@ class MissionEffects:
             LineFault: If the command cannot be executed.
         """
         self.command, self.run, self.conditions = command, run, conditions
-        return command.carry_out(self, *parameters)
+        return command.execute(self, *parameters)
 
     # -- when the next line begins ----------------------------------------------------------------------
 
@@ -211,7 +211,7 @@ def call(effects: MissionEffects, label: str) -> Outcome:
     back = run.plan.next
     effects.interpreter.go_to(label, run)
     if len(run.calls) >= most:
-        raise LineFault(f"more than {most} nested calls", is_limit=True)
+        raise LineFault(f"calls are nested too deeply; the maximum is {most}", is_limit=True)
     run.calls.append(back)
     return effects.go_on(never)
 

@@ -149,7 +149,7 @@ class MissionExecution:
     Attributes:
         controller: Controller that executes the mission.
         cycles: Number of exchanges with the robot so far.
-        is_told: Whether the next values to write equal the last written values.
+        is_unchanged: Whether the next values to write equal the last written values.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class MissionExecution:
         self._before_step = before_step
         self.controller = controller
         self.cycles = 0
-        self.is_told = False
+        self.is_unchanged = False
         self._link = link
         self._callbacks = callbacks
         self._save_log = save_log
@@ -190,7 +190,7 @@ class MissionExecution:
         if self._before_step is not None:
             self._before_step()
         told, self._request = self._request, controller.step(raw, self._time())
-        self.is_told = self._request == told
+        self.is_unchanged = self._request == told
         for said in controller.take_said():
             if said.kind is SaidKind.LOG:
                 self._save(said.text)
@@ -247,7 +247,7 @@ class MissionExecution:
         with contextlib.suppress(LinkError):
             for _ in range(2):
                 self._link.exchange(request, _STAND_TIMEOUT)
-            self._request, self.is_told = request, True
+            self._request, self.is_unchanged = request, True
 
 
 @contextlib.contextmanager

@@ -302,7 +302,7 @@ class ScriptInterpreter:
     def evaluate(self, text: str) -> list[float] | None:
         """Compute the values of ``eval ...`` while a command runs.
 
-        None if the text is another command, or wrong.
+        Return None if the text is another command, or is invalid.
         """
         line = self._parser.parse(text)
         statement = line.statements[0] if line.statements else None

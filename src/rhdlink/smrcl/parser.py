@@ -291,7 +291,7 @@ class Parser:
         """Parse an expression whose operators bind at least as tightly as `loosest`."""
         self._depth += 1
         if self._depth > DEEPEST:
-            raise _Unexpected(self._token, f"more than {DEEPEST} nested brackets and signs")
+            raise _Unexpected(self._token, f"brackets and signs are nested too deeply; the maximum is {DEEPEST}")
         left = self._primary()
         while self._token.type is TokenType.SYMBOL:
             operator = self._token.text

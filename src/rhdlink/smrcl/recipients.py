@@ -49,7 +49,7 @@ class Said:
 
     Attributes:
         kind: Kind of the output.
-        text: Text of the output. A line and values end with a line feed; a message is as MRC prints it.
+        text: Text of the output. Lines and values end with a line feed; messages are formatted as MRC prints them.
         number: For a line, the number of executed lines; otherwise 0.
         line: For a line, its number in the file; otherwise 0.
     """

@@ -113,7 +113,7 @@ class Vehicle:
             if symbol is not None:
                 # An index beyond the variable reads the following values, as in MRC; but here it cannot leave the pool.
                 if not 0 <= symbol.place + index < len(self.symbols.pool):
-                    raise BadConfiguration(f"routeinput from {route.variable}: there is no such value")
+                    raise BadConfiguration(f"routeinput uses {route.variable}, which is not a value of the robot")
                 self.functions.route_input(route.module, route.function, route.parameter, symbol.place + index)
 
     def _counter(self, raw: Mapping[str, Sequence[int]], name: str) -> int:

@@ -79,18 +79,18 @@ def _fitting(words: ArrayLike | int, size: int) -> ArrayLike:
     """
     if isinstance(words, int):
         if not -(2**31) <= words < 2**31:
-            raise BadValue(f"{words} does not fit 32 bits")
+            raise BadValue(f"{words} is out of range; expected a 32-bit integer")
         return words
     array = np.asarray(words)
     # A scalar sets all words, like the original's setVariable in a loop. Any other value needs one number per word.
     if array.shape not in ((), (size,)):
-        raise BadValue(f"expected {size} words, got the shape {array.shape}")
+        raise BadValue(f"expected {size} words, got an array of shape {array.shape}")
     # numpy would silently truncate a float and wrap a number of 64 bits, and the robot would move at another speed.
     if array.dtype != np.int32 and size:
         if array.dtype.kind not in "iub":
             raise BadValue(f"{words!r} are not 32-bit integers")
         if not -(2**31) <= int(array.min()) <= int(array.max()) < 2**31:
-            raise BadValue(f"{array.min()} to {array.max()} do not fit 32 bits")
+            raise BadValue(f"values from {array.min()} to {array.max()} are out of range; expected 32-bit integers")
     return array
 
 

@@ -62,7 +62,7 @@ def wrapped(count: float, bits: int = 32) -> int:
 class ValueType(Generic[V, A, S]):
     """Type of a variable's values.
 
-    One value is a `V`, many values are an `A`, and an `S` can be set.
+    `V` is the Python type of one value, `A` is the type of several values, and `S` is the type that can be set.
 
     Attributes:
         unit: Unit of the values; "" for none.
@@ -127,7 +127,7 @@ def _shaped(values: ArrayLike, count: int, what: str) -> NDArray[Any]:
     except (ValueError, TypeError, OverflowError) as error:
         raise BadValue(f"{values!r} is not {count} values of {what}: {error}") from None
     if array.shape != (count,):
-        raise BadValue(f"{what}: expected {count} values, got the shape {array.shape}")
+        raise BadValue(f"{what}: expected {count} values, got an array of shape {array.shape}")
     return array
 
 
@@ -290,7 +290,7 @@ class _Flag(ValueType[bool, NDArray[np.bool_], bool]):
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         array = _shaped(values, count, "Bool")
         if array.dtype.kind not in "b" and not (array.dtype.kind in "iu" and np.isin(array, (0, 1)).all()):
-            raise BadValue(f"{values!r} is not Bool; expected True or False")
+            raise BadValue(f"{values!r} is not a Bool; expected True or False")
         return array.astype(np.int32)
 
 
@@ -395,7 +395,7 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
         part[carried] = 0
         fits = (whole >= _LEAST) & (whole <= _MOST)
         if not fits.all():
-            raise BadValue(f"{numbers[~fits][0]} does not fit; expected Millionths, {_LEAST} to {_MOST}")
+            raise BadValue(f"{numbers[~fits][0]} is out of range for Millionths; expected {_LEAST} to {_MOST}")
         return np.stack((whole, part), axis=1).astype(np.int32).reshape(-1)
 
 
@@ -475,7 +475,7 @@ class Structure(ValueType[np.void, NDArray[np.void], Any]):
         except (ValueError, TypeError, OverflowError) as error:
             raise BadValue(f"{values!r} is not {count} of {self}: {error}") from None
         if array.shape != (count,):
-            raise BadValue(f"{self}: expected {count} values, got the shape {array.shape}")
+            raise BadValue(f"{self}: expected {count} values, got an array of shape {array.shape}")
         clean = np.zeros(count, wire)
         _copy_fields(clean, array)
         return _words(clean.tobytes(), order)

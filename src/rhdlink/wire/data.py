@@ -65,7 +65,7 @@ class TableLayout:
 class Selection:
     """Some variables of a table, with the positions of their words.
 
-    The positions are given in a data package and in the table's flat storage.
+    Each position is given twice: in a data package, and in the flat storage of the table.
 
     Attributes:
         ids: Ids of the variables, in the order of the package.

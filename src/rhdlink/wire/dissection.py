@@ -167,11 +167,11 @@ class _Dissector:
 
     def _add_count(self, piece: Piece, most: int, what: str) -> int:
         if len(self.data) - self.at < HEAD_SIZE:
-            raise _Broken("cut off before its count")
+            raise _Broken("the package ends before its count")
         (count,) = INT.unpack_from(self.data, self.at + 2)
         piece.meaning = f"{what}: {count}"
         if not 0 <= count <= most:
-            raise _Broken(f"counts {count}; expected 0 to {most}")
+            raise _Broken(f"the count is {count}; expected 0 to {most}")
         self._add(piece, HEAD_SIZE, piece.meaning, {"count": count})
         return int(count)
 
@@ -192,7 +192,7 @@ class _Dissector:
         what = f"values of {_DIRECTION[direction]} variables"
         if direction not in self._tables and self.data[self.at + 2 : self.at + HEAD_SIZE] != INT.pack(0):
             piece.meaning = what
-            raise _Broken("unknown lengths of the variables; use --tables with a file of the server's bytes")
+            raise _Broken("the lengths of the variables are unknown; use --tables with a file of the server's bytes")
         rows = self._tables.get(direction, ())
         item = item_schema(DATA, [row.length for row in rows], self._width)
         for number in range(self._add_count(piece, len(rows), what)):
@@ -216,9 +216,9 @@ class _Dissector:
         try:
             found = item.parse_stream(self._stream)
         except StreamError as error:
-            raise _Broken(f"cut off in {what}, in its {str(error.path).split(' -> ')[1]}") from None
+            raise _Broken(f"the package ends within the {str(error.path).split(' -> ')[1]} of {what}") from None
         except CheckError as error:
-            raise _Broken(f"{what} is {str(error).splitlines()[-1]}") from None
+            raise _Broken(f"{what}: {str(error).splitlines()[-1]}") from None
         return found, self._stream.tell() - self.at
 
 

@@ -175,9 +175,9 @@ def item_schema(package: Package, lengths: Sequence[int], width: int) -> Any:
 
     def known(identity: int, context: Any) -> int:
         if not 0 <= identity < len(lengths):
-            raise construct.CheckError(f"of variable {identity}; expected 0 to {len(lengths) - 1}")
+            raise construct.CheckError(f"the id of the variable is {identity}; expected 0 to {len(lengths) - 1}")
         if lengths[identity] < 0:
-            raise construct.CheckError(f"of a variable of {lengths[identity]} words")
+            raise construct.CheckError(f"the variable has {lengths[identity]} words; expected 0 or more")
         return identity
 
     def shape(field: ItemField) -> Any:

@@ -89,7 +89,7 @@ class Dynamics(StrictAttributes):
         else:
             self._rotors = tuple(rigid.floats(rotors, 6, "rotor inertias"))
             if min(self._rotors) < 0.0:
-                raise BadValue(f"a rotor inertia is {min(self._rotors)!r} kg m²; expected zero or more")
+                raise BadValue(f"the smallest rotor inertia is {min(self._rotors)!r} kg m²; expected 0 or more")
         x, y, z = rigid.floats(gravity, 3, "a gravity")
         self._gravity = x, y, z
         payload = check_number(payload, "payload", 0.0, unit="kg")

@@ -250,7 +250,8 @@ def quaternion_to_rotvec(quaternion: ArrayLike) -> FloatArray:
     # Normalise before squaring, so that no length is too small or too large.
     largest = np.abs(given).max(axis=-1, keepdims=True)
     if not largest.all():
-        raise BadValue(f"a quaternion of length 0 is not a rotation; at {list(np.argwhere(largest[..., 0] == 0.0)[0])}")
+        at = list(np.argwhere(largest[..., 0] == 0.0)[0])
+        raise BadValue(f"a quaternion of length 0 is not a rotation; its index is {at}")
     x, y, z, w = (given / largest).reshape(-1, 4).T
     length = np.sqrt(x * x + y * y + z * z)
     # A rotation has two quaternions. Use the one whose angle is at most pi.

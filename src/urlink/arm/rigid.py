@@ -90,7 +90,7 @@ def rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     finite = np.isfinite(array)
     if not finite.all():
         at = tuple(int(i) for i in np.argwhere(~finite)[0])
-        raise BadValue(f"{expected}; at {list(at)} is {array[at]}")
+        raise BadValue(f"{expected}; the value at {list(at)} is {array[at]}")
     return array
 
 

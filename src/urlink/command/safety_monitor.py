@@ -165,14 +165,14 @@ class SafetyMonitor:
         if self._section.may_wait:
             self.wait_for(lambda interlock: interlock.has_reported(name), _FIRST_REPORT)
         with self.decision() as interlock:
-            # Only now: an interface that sends no first state must not close an open interlock.
+            # Not before the first state: an interface that sends no first state must not close an open interlock.
             interlock.expect(name)
 
     def await_news(self, moves: bool) -> None:
-        """If motions are refused, wait for the next report of every source, because the last one may be outdated.
+        """If motions are refused, wait for the next report of every source, because the last one might be outdated.
 
-        A program that has just switched the arm on, and has received the dashboard's reply, then need not wait itself.
-        A program that was delayed first reads the states that arrived meanwhile.
+        So a caller that has just switched the arm on, and has received the dashboard's reply, does not have to wait. A
+        caller that was delayed first reads the states that arrived meanwhile.
         """
         began = self.clock()
 
@@ -214,7 +214,7 @@ class SafetyMonitor:
 
     @property
     def is_connected(self) -> bool:
-        """Whether all subscribed interfaces are connected. The interlock may be notified of a loss slightly later."""
+        """Whether all subscribed interfaces are connected. The interlock might be notified of a loss slightly later."""
         names = tuple(self._listening)
         return all(self._connections[name].state is ConnectionState.CONNECTED for name in names)
 
@@ -246,7 +246,7 @@ class SafetyMonitor:
         kind: type = State if name == "primary" else RealtimeState
         listening = _Listening()
         try:
-            # The reader reports silence, not a clock, because this process may have been delayed itself.
+            # The reader reports silence, not a clock, because this process might have been delayed itself.
             seconds = min(self._interlock.stale_after, connection.silence.limit or math.inf)
             listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
             on_event = partial(self._on_event, name, listening)

@@ -50,7 +50,7 @@ _MOST_TARGETS = 10_000.0
 #: counts as a contact.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
 #: State of a motion after its connection was lost, for messages.
-_MAY_GO_ON = "the arm may still move until the motion ends"
+_MAY_GO_ON = "the arm might still move until the motion ends"
 
 #: Filters between the targets and the set-points of a servo.
 TargetFilterName = Literal["jerk_limited"]
@@ -234,7 +234,7 @@ class Motions(StrictAttributes):
         robot brakes on its own, after 0.5 s at most:
 
         - For a `duration` up to 0.5 s, one program is sent. If the call follows another one, its program does not wait
-          for a start permission. If the controller hangs, the robot **may still execute it** later, for its `duration`.
+          for a start permission. If the controller hangs, the robot **might still execute it** later, for `duration`.
         - A longer motion is controlled over a `link`, whose watchdog is 0.5 s. If the next call is for 0.5 s or more
           and has the same `acceleration`, it changes the speed and the duration and returns the same handle.
 

@@ -194,7 +194,7 @@ class Taught(StrictAttributes):
         if model is not None and not isinstance(model, str):
             raise BadValue(f'"model" is {model!r}; expected a name or null')
         if not isinstance(waypoints, list):
-            raise BadValue('"waypoints" is not a list')
+            raise BadValue('"waypoints" must be a list')
         points = []
         for number, point in enumerate(waypoints):
             if not isinstance(point, dict) or not {"q", "pose"} <= point.keys():

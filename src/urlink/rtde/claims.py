@@ -50,7 +50,7 @@ class Claims:
 
     @property
     def is_over(self) -> bool:
-        """Whether it was closed."""
+        """Whether these claims were closed."""
         return self._connection.is_over
 
     def write(self, values: Mapping[str, Any]) -> None:
@@ -70,9 +70,9 @@ class Claims:
 
         Raises:
             BadValue: If a variable cannot have this value. Nothing is sent.
-            ConnectionLost: If not connected, or if the controller does not read; in the second case the connection is
-                aborted.
-            Closed: If it was closed.
+            ConnectionLost: If there is no connection, or the controller does not read. In the second case, the
+                connection is aborted.
+            Closed: If these claims were closed.
         """
         put_whole(self._connection, self._package(values))
 
@@ -87,7 +87,7 @@ class Claims:
             InputInUse, NoSuchVariable, RemoteError, Closed: See `write`.
         """
         self._connection.start()
-        # `alone`, because a signal handler can run this while the interrupted main thread waits for a reply.
+        # `alone`, because a signal handler can run this while the interrupted main thread is waiting for a reply.
         otherwise = f"{self._connection.name}: another claim was not answered within {self._timeout:g} s"
         with alone(self._lock, self._timeout, otherwise):
             dialogue = dialogue_of(self._connection, self._transport)
@@ -159,7 +159,7 @@ class BriefClaims:
             LinkError: If RTDE is not available.
         """
         self._used = clock.now()
-        # In a signal handler, the holder of the lock waits for this call to end.
+        # In a signal handler, the interrupted thread might hold the lock, so waiting for the lock would never end.
         if is_mine(self._lock):
             return None
         with acquired(self._lock, CLAIM_TIMEOUT if wait else 0.0) as is_held:

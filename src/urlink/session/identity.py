@@ -82,7 +82,7 @@ class Identity:
     def description(self) -> dict[str, Any]:
         """Return the identity as a recording stores it, as values that JSON supports.
 
-        A recording needs it, because it rarely contains the first state, which has the identity too.
+        A recording stores the identity separately, because it rarely contains the first state, which has the identity.
         """
         said: dict[str, Any] = {"firmware": str(self.firmware), "model": self.model}
         if self.dh_table is not None:
@@ -137,7 +137,7 @@ class KnownIdentity:
 
     @property
     def identity(self) -> Identity:
-        """Identity of the controller, read again if there was a reconnect.
+        """Identity of the controller, which is read again after a reconnect.
 
         Raises:
             RemoteError: If the identity must be read, and the controller does not answer.
@@ -199,7 +199,7 @@ class Introduction:
 
     @property
     def is_over(self) -> bool:
-        """Whether no more packets are needed or expected, or the time has expired."""
+        """Whether no more packets are needed, no more can arrive, or the time has expired."""
         firmware = self._protocol.firmware
         is_told = firmware is not None and (self._configuration is not None or _says_no_more(firmware, self._state))
         return is_told or self._lost is not None or not self.left

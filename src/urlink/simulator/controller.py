@@ -353,8 +353,9 @@ class Controller(StrictAttributes):
     def has_local_control(self) -> bool:
         """Whether an e-Series in local control rejects external commands. Can be set.
 
-        External commands do not come from the pendant. If False, the controller accepts them although `remote_control`
-        is False, as URSim does. Assumption: the feature "remote control" is off in the settings of such a controller.
+        External commands are all commands that do not come from the pendant. If False, the controller accepts them
+        although `remote_control` is False, as URSim does. Assumption: the feature "remote control" is off in the
+        settings of such a controller.
         """
         return self._state.has_local_control
 

@@ -213,10 +213,11 @@ class Server:
     def _run(self) -> None:
         try:
             self._epoch = self._clock()
-            while not self._is_closing:
-                self.catch_up()
-                self._loader.advance()
-                self._sockets.serve_once(self._due())
+            with clock.fine_timer():
+                while not self._is_closing:
+                    self.catch_up()
+                    self._loader.advance()
+                    self._sockets.serve_once(self._due())
         finally:
             self._is_closing, self.is_open = True, False
             self._loader.close()

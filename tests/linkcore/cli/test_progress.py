@@ -116,7 +116,7 @@ def test_other_streams_get_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "\x1b" not in lines.getvalue()
 
 
-def test_short_and_quiet_work_show_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_shows_nothing_for_short_or_quiet_work(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = with_lines(monkeypatch)
     monkeypatch.setattr(module, "_FIRST", 60.0)
     with ProgressBar("reading", quiet=True) as progress:

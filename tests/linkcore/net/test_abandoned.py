@@ -21,6 +21,7 @@ import pytest
 from linkcore.errors import ConnectionLost
 from linkcore.net import transport as module
 from linkcore.net.transport import TcpTransport
+from tests import platforms
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
@@ -72,7 +73,7 @@ def drained(connection: socket.socket) -> tuple[int, bool]:
             total += len(data)
     except ConnectionResetError:
         return total, False
-    return total, True
+    return total, not platforms.was_reset(connection)
 
 
 def test_abort_discards_data_in_the_kernel(transport: TcpTransport, peer: socket.socket) -> None:
@@ -131,6 +132,7 @@ def test_close_delivers_sent_data(transport: TcpTransport, peer: socket.socket) 
     assert not closing.is_alive()
 
 
+@platforms.needs_acknowledgements
 def test_close_stops_waiting_after_its_timeout(transport: TcpTransport, peer: socket.socket) -> None:
     taken = fill(transport)
     began = time.monotonic()
@@ -149,6 +151,7 @@ def test_close_is_quick_when_all_data_is_delivered(transport: TcpTransport, peer
     assert drained(peer) == (25, True)
 
 
+@platforms.needs_acknowledgements
 def test_abort_ends_a_waiting_close(transport: TcpTransport, peer: socket.socket) -> None:
     taken = fill(transport)
     closing = threading.Thread(target=transport.close, args=(TIMEOUT,))
@@ -177,9 +180,7 @@ def test_send_raises_after_close_has_begun(transport: TcpTransport, peer: socket
     closing.join(TIMEOUT)
 
 
-@pytest.mark.skipif(
-    sys.platform != "linux", reason="other systems may end the connections of a killed process in another way"
-)
+@platforms.needs_linux
 def test_killed_process_sends_no_more_data(listener: socket.socket) -> None:
     source = (
         "import sys, time\n"
@@ -204,7 +205,7 @@ def test_killed_process_sends_no_more_data(listener: socket.socket) -> None:
             assert drained(connection)[0] < taken
 
 
-@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="this system has no TCP_USER_TIMEOUT")
+@platforms.needs_linux
 def test_kernel_discards_unacknowledged_data_after_silence(listener: socket.socket) -> None:
     """The kernel must do so while this process is suspended, so the test calls neither `abort` nor `close`."""
     transport = TcpTransport("127.0.0.1", listener.getsockname()[1], silence=0.3)
@@ -219,7 +220,7 @@ def test_kernel_discards_unacknowledged_data_after_silence(listener: socket.sock
     transport.abort()
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+@platforms.needs_fork
 def test_forked_child_cannot_end_the_connection(listener: socket.socket) -> None:
     """The fork happens in a separate process with one thread, because forking a process with more is unsafe."""
     source = (
@@ -287,10 +288,10 @@ def cut(doing: str, seconds: float) -> str:
         Report of the data that arrives within `seconds`.
     """
     if sys.platform != "linux" or shutil.which("unshare") is None or shutil.which("ip") is None:
-        pytest.skip("a separate network needs Linux with unshare and ip")
+        pytest.skip(platforms.NETWORKS)
     alone = ["unshare", "--net"] if os.geteuid() == 0 else ["unshare", "--net", "--map-root-user"]
     if subprocess.run([*alone, "true"], capture_output=True, check=False).returncode:
-        pytest.skip("this user may not create a separate network")
+        pytest.skip(platforms.NETWORKS)
     command = [*alone, sys.executable, "-c", _CUT, doing, str(seconds)]
     return subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout.strip()
 

@@ -76,7 +76,7 @@ def test_receive_of_accepted_connection_times_out(listener: TcpListener, monkeyp
         link.close()
 
 
-def test_next_peer_is_accepted_after_a_reset_one(listener: TcpListener) -> None:
+def test_next_peer_is_accepted_after_a_peer_was_reset(listener: TcpListener) -> None:
     peer = socket.create_connection(listener.address, TIMEOUT)
     peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     peer.close()

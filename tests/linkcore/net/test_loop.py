@@ -9,7 +9,6 @@ import logging
 import os
 import socket
 import struct
-import sys
 import threading
 import weakref
 from collections.abc import Callable, Iterator
@@ -19,6 +18,7 @@ import pytest
 import linkcore.clock
 from linkcore.errors import BadAddress, BadValue, LinkTimeout
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
+from tests import platforms
 from tests.fakes.clock import Clock
 from tests.waiting import until
 
@@ -117,7 +117,7 @@ def is_reset(link: socket.socket) -> bool:
             pass
     except ConnectionResetError:
         return True
-    return False
+    return platforms.was_reset(link)
 
 
 # -- bytes -------------------------------------------------------------------------------------------
@@ -632,7 +632,7 @@ def test_paused_port_makes_clients_wait(bench: Bench) -> None:
 )
 def test_listen_accepts_clients_on_each_host(host: str, reached: str) -> None:
     if ":" in host and not has_ipv6():
-        pytest.skip("this computer has no IPv6")
+        pytest.skip(platforms.MACHINE)
     loop = SelectorLoop()
     with contextlib.closing(loop):
         port = loop.listen(host, 0, Recorder)
@@ -645,7 +645,7 @@ def test_listen_accepts_clients_on_each_host(host: str, reached: str) -> None:
 
 def test_listen_on_ipv6_any_accepts_both_families() -> None:
     if not has_ipv6():
-        pytest.skip("this computer has no IPv6")
+        pytest.skip(platforms.MACHINE)
     loop = SelectorLoop()
     with contextlib.closing(loop):
         port = loop.listen("::", 0, Recorder)
@@ -857,8 +857,8 @@ def test_wake_works_before_and_after_close(served: Served) -> None:
 
 
 def descriptors() -> int:
-    if not sys.platform.startswith("linux"):
-        pytest.skip("descriptors are counted on Linux only")
+    if not platforms.IS_LINUX:
+        pytest.skip(platforms.LINUX)
     gc.collect()
     return len(os.listdir("/proc/self/fd"))
 

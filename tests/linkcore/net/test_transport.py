@@ -23,6 +23,7 @@ import linkcore.net.transport
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
 from linkcore.net.awaited import AwaitedTcp
 from linkcore.net.transport import TcpTransport
+from tests import platforms
 
 pytestmark = pytest.mark.real_time
 
@@ -270,7 +271,11 @@ def test_open_closes_the_socket_when_its_setup_fails(peer: Peer, monkeypatch: py
     monkeypatch.setattr(linkcore.net.transport, "_set_receive_timeout", fail)
     with pytest.raises(ConnectFailed, match="Invalid argument"):
         TcpTransport("127.0.0.1", peer.port, silence=1).open(TIMEOUT)
-    assert is_ended(peer.accept())
+    if platforms.IS_WINE:  # it cannot accept a connection that was reset meanwhile
+        with pytest.raises(OSError, match="10057"):
+            peer.accept()
+    else:
+        assert is_ended(peer.accept())
 
 
 def test_sockets_have_nodelay_and_keepalive(transport: TcpTransport) -> None:
@@ -349,7 +354,9 @@ def test_receive_raises_when_the_peer_closes(transport: TcpTransport, peer: Peer
 
 def test_receive_raises_connection_lost_on_reset(transport: TcpTransport, peer: Peer) -> None:
     peer.reset()
-    with pytest.raises(ConnectionLost, match=r"127\.0\.0\.1.*reset"):
+    # Under Wine, `recv` reports a reset as an orderly end.
+    how = "closed" if platforms.IS_WINE else "reset"
+    with pytest.raises(ConnectionLost, match=rf"127\.0\.0\.1.*{how}"):
         transport.receive()
 
 
@@ -445,12 +452,13 @@ def test_concurrent_sends_are_both_delivered(transport: TcpTransport, peer: Peer
         assert each.error is None
 
 
+@platforms.needs_linux
 def test_transport_works_with_high_descriptors(transport: TcpTransport, peer: Peer) -> None:
     """`select` supports descriptors below 1024 only, and a program with many robots has higher ones."""
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < 1200:
-        pytest.skip("no more than 1200 files may be open here")
+        pytest.skip(platforms.MACHINE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1200), hard))
     with contextlib.ExitStack() as stack:
         for _ in range(550):

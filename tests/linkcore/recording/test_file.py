@@ -117,7 +117,7 @@ def test_unknown_channel_error_lists_the_channels(tmp_path: Path) -> None:
     writer.close()
     recording = RecordingFile(tmp_path / "run")
     assert recording.channel("right") == 1
-    with pytest.raises(BadRecording, match="contains no middle; it contains left, right"):
+    with pytest.raises(BadRecording, match="has no channel 'middle'; its channels are left, right"):
         recording.channel("middle")
 
 

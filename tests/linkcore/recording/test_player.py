@@ -24,7 +24,7 @@ from linkcore.recording.recorder import Recorder
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
 from tests.fakes.link import Count, ScriptedTransport, counts, scripted
-from tests.waiting import until
+from tests.waiting import threads_named, until
 
 #: Seconds, and the received bytes or the state of an event.
 Line = tuple[float, bytes | str]
@@ -245,7 +245,7 @@ def test_send_to_a_recording_raises_bad_value(tmp_path: Path) -> None:
 
 def test_missing_channel_raises_bad_recording(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a")])
-    with pytest.raises(BadRecording, match="contains no realtime; it contains 0"):
+    with pytest.raises(BadRecording, match="has no channel 'realtime'; its channels are 0"):
         ReplayTransport(recording, "realtime", ReplayTimeline(recording))
 
 
@@ -346,7 +346,7 @@ def test_close_of_a_waiting_replay_is_quick(tmp_path: Path) -> None:
     stream = replaying(tmp_path / "run", rate=1)
     assert stream.wait(10).number == 1
     stream.close()
-    assert all("replay" not in thread.name for thread in threading.enumerate())
+    assert not threads_named("replay")
 
 
 @pytest.mark.property

@@ -21,12 +21,13 @@ from hypothesis import strategies as st
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import TcpTransport
 from linkcore.simulated import Computer, Simulation, simulated_time
+from tests import platforms
 
 if sys.platform != "win32":
     import fcntl
     import termios
 
-posix = pytest.mark.skipif(sys.platform == "win32", reason="this operating system has no poll and no TIOCOUTQ")
+posix = platforms.needs_linux
 
 PORT = 30001
 RESET = struct.pack("ii", 1, 0)
@@ -158,7 +159,7 @@ def test_aborted_data_is_not_delivered_after_a_cut(sim: Simulation, robot: Compu
     assert len(robot.ends) == 1
 
 
-@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="only Linux has TCP_USER_TIMEOUT")
+@platforms.needs_linux
 def test_one_way_silence_ends_after_the_user_timeout(sim: Simulation, robot: Computer) -> None:
     """The data arrives, but its acknowledgement does not."""
     came: list[bytes] = []

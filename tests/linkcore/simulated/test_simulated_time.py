@@ -27,6 +27,7 @@ import pytest
 
 from linkcore.errors import BadValue, LocalError
 from linkcore.simulated import Deadlock, Simulation, TimeLimit, simulated_time
+from tests import platforms
 
 
 def test_simulated_waits_take_no_real_time() -> None:
@@ -464,7 +465,7 @@ def given_up(sim: Simulation) -> list[str]:
     return asyncio.run(program())
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="this operating system has no poll, so fewer calls are made")
+@platforms.needs_linux
 def test_run_is_the_same_on_every_python_version() -> None:
     """Asyncio, thread pools and the tracing of lines differ between Python versions."""
     assert [outcome(seed, calls)[1] for seed in range(3)] == [2168860143, 4144855407, 718284512]

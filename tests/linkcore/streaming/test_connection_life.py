@@ -61,9 +61,9 @@ def test_reported_state_equals_current_state(events: list[LifeEvent]) -> None:
     for event in events:
         if (one.phase, event) not in TRANSITIONS:
             continue
-        told = one.fire(event)
-        if told is not None and not one.is_closed:
-            assert told is STATES[one.phase]
+        announced = one.fire(event)
+        if announced is not None and not one.is_closed:
+            assert announced is STATES[one.phase]
         if one.phase is ConnectionPhase.CLOSED:
             assert not any((ConnectionPhase.CLOSED, each) in TRANSITIONS for each in READER)
 

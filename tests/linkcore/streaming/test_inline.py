@@ -15,7 +15,7 @@ from linkcore.streaming.packet_queue import block, latest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
 from tests.fakes.link import Count, ScriptedTransport, counts
-from tests.waiting import until
+from tests.waiting import threads_named, until
 
 pytestmark = pytest.mark.simulated_time
 
@@ -287,7 +287,7 @@ def test_inline_deadline_starts_with_the_connection(
     connect = transport.open
 
     def watched(timeout: float) -> None:
-        watching.append([thread.name for thread in threading.enumerate() if "deadline" in thread.name])
+        watching.append(threads_named("deadline"))
         connect(timeout)
 
     monkeypatch.setattr(transport, "open", watched)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import threading
 import weakref
 from typing import Any
@@ -14,6 +13,7 @@ from linkcore.errors import LocalError
 from linkcore.net.transport import Finished
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
+from tests import platforms
 from tests.fakes.link import Count, ScriptedTransport, counts, output_of, scripted
 from tests.waiting import until
 
@@ -144,7 +144,7 @@ stream.close()
 
 @pytest.mark.real_time
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+@platforms.needs_fork
 def test_close_in_a_forked_child_does_not_affect_the_parent() -> None:
     out = output_of(_FORKED)
     assert out == "0\n"

@@ -165,7 +165,7 @@ def test_late_state_is_not_counted_as_missing() -> None:
     assert counted([0.0, 0.104, 0.296, 0.4], 0.1).cycles == 1
 
 
-def test_duplicates_and_missing_cycles_in_one_chunk_do_not_cancel() -> None:
+def test_duplicates_do_not_cancel_missing_cycles_in_one_chunk() -> None:
     found = counters([0.0, 0.002, 0.002, 0.006, 0.008], 0.002, cuts=5)
     assert (found.duplicates, found.missing.cycles) == (1, 1)
 

@@ -180,7 +180,7 @@ def test_limit_of_skipped_bytes_is_exact() -> None:
         framer.feed(b"xx")
 
 
-def test_packets_cut_in_one_go_confirm_the_peer() -> None:
+def test_packets_framed_together_confirm_the_peer() -> None:
     framer = Framer(WholeBoundary(), limit=1000)
     assert framer.feed(ONE + TWO + b"x") == [ONE, TWO]
     assert framer.feed(b"x" * 5000) == []

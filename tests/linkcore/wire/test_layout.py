@@ -163,7 +163,7 @@ def test_vectors_are_read_only_with_the_declared_type() -> None:
 def test_short_packet_error_reports_lengths(cls: type[State], data: bytes) -> None:
     layout = cls.LAYOUTS.of()
     for length in range(5, layout.size):
-        with pytest.raises(PacketError, match="packet too short") as caught:
+        with pytest.raises(PacketError, match="the packet is too short") as caught:
             layout.decode(data[:length])
         error = caught.value
         assert (error.packet, error.expected, error.actual, error.offset) == (

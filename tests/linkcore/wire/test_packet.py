@@ -138,7 +138,7 @@ def test_version_without_the_packet_raises_packet_error() -> None:
 
     assert Late("3.9").x == 0.0
     for version in ("1.9", "4.0", "5.1"):
-        with pytest.raises(PacketError, match="not sent by this firmware") as caught:
+        with pytest.raises(PacketError, match="this firmware does not send it") as caught:
             Late(version)
         assert (caught.value.packet, caught.value.version) == ("Late", version)
 

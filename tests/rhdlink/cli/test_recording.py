@@ -106,7 +106,7 @@ def test_replay_prints_json_at_the_given_rate(run: Run, recording: Path) -> None
 @pytest.mark.parametrize(
     ("chunks", "name", "argv", "said"),
     [
-        ([], "realtime", (), "contains no rhd; it contains realtime"),
+        ([], "realtime", (), "has no channel 'rhd'; its channels are realtime"),
         ([b"nothing"], "rhd", (), "cannot begin a package"),
         ([robot().encode_handshake("r")], "rhd", ("speedl", "--rate", "max"), "contains no variable 'speedl'"),
     ],

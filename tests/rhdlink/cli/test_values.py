@@ -160,8 +160,8 @@ def greet(peer: Peer) -> None:
     database = rhdlink.variables.Database()
     database.read.add("tick")
     database.read.add("\x1b[2J\x9b31m\u00ad")
-    peer.hear(b"ar")
-    peer.say(database.encode_handshake("r"))
+    peer.expect(b"ar")
+    peer.send(database.encode_handshake("r"))
     assert peer.is_left()
 
 

@@ -13,6 +13,7 @@ from rhdlink import Host
 from rhdlink.cli.watch_view import RateCounter
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.variables import Change, TimeStamp, Update
+from tests import platforms
 from tests.harm import strict
 
 from .conftest import Run, Spawn
@@ -124,7 +125,7 @@ def test_view_marks_old_data(address: str) -> None:
 @pytest.mark.real_time
 def test_watch_draws_on_a_terminal(spawn: Spawn, address: str) -> None:
     pytest.importorskip("rich")
-    pty = pytest.importorskip("pty")  # not available on every system
+    pty = pytest.importorskip("pty", reason=platforms.TERMINALS)  # not available on every system
     ours, theirs = pty.openpty()
     environment = os.environ | {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
     process = spawn("watch", address, "--duration", "1.2", stdout=theirs, env=environment)

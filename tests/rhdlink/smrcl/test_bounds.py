@@ -27,7 +27,7 @@ PROFILES = pytest.mark.parametrize("profile", [SOUND, MRC], ids=lambda profile: 
         ('label "a"\ngoto "a"\n', "endless loop without a wait: 2000 lines in one cycle"),
         ('n=0\nlabel "a"\nn=n+1\nif (1) "a"\n', "endless loop without a wait: 2000 lines in one cycle"),
         ("\n" * 3000, "endless loop without a wait: 2000 lines in one cycle"),
-        ('label "a"\ncall "a"\n', "more than 500 nested calls"),
+        ('label "a"\ncall "a"\n', "calls are nested too deeply; the maximum is 500"),
         ('array "q" 10000\n', "there is no room for an array of 10000.000000 values; "),
         ('array "q" -1\n', "there is no room for an array of -1.000000 values; "),
         ('label "a"\narray "q" 1000\ngoto "a"\n', "there is no room for an array of 1000.000000 values; "),

@@ -32,7 +32,7 @@ TAKEN = {
 
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
 def test_function_accepts_the_kinds_of_its_parameters(command: ScriptCommand) -> None:
-    effects, *parameters = inspect.signature(command.carry_out).parameters.values()
+    effects, *parameters = inspect.signature(command.execute).parameters.values()
     assert effects.annotation == "MissionEffects"
     declared = [each.annotation for each in parameters]
     if parameters and parameters[-1].kind is inspect.Parameter.VAR_POSITIONAL:

@@ -154,7 +154,7 @@ def test_integer_variable_of_the_robot_can_be_a_speed() -> None:
 @pytest.mark.parametrize("variable", ["tick[99999]", "tick[-99999]"])
 def test_input_route_beyond_a_variable_is_rejected(variable: str, compat: str) -> None:
     conf = replace(VELOMEGA, routes=(InputRoute("mrc", "motionconnect", "w2odox", variable),))
-    with pytest.raises(BadConfiguration, match=re.escape(f"{variable}: there is no such value")):
+    with pytest.raises(BadConfiguration, match=re.escape(f"routeinput uses {variable}, which is not")):
         Mission("fwd 0.1\n", turtle(), conf=conf, compat=compat).run()
 
 

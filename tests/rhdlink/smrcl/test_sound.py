@@ -284,7 +284,7 @@ def test_impossible_statement_fails_but_mrc_continues(line: str, reason: str) ->
     assert mrc.controller.failure is None
 
 
-def test_mrc_reads_zero_that_is_true_beyond_an_array() -> None:
+def test_mrc_reads_a_true_zero_beyond_an_array() -> None:
     bench = Bench("velomega", "mrc").run('array "q" 3\neval q[9]\nif (q[9]) "x"\neval 5\nlabel "x"\neval q[9] == 0\n')
     assert bench.values == [[0.0], [0.0]]
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import time
 from collections.abc import Callable
 from functools import cache
@@ -17,6 +16,7 @@ from functools import cache
 import pytest
 
 from linkcore.simulated import simulated_time
+from tests import platforms
 from tests.urlink.afterwards.rigs import TIMEOUT, Processes, Rig, Simulated
 from tests.urlink.afterwards.table import (
     BACK,
@@ -134,7 +134,7 @@ def undisturbed(firmware: str, name: str) -> list[float]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(120)
-@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="suspending a process needs SIGSTOP, a POSIX signal")
+@platforms.needs_signals
 @pytest.mark.parametrize(("firmware", "name", "column"), one_of_each_column())
 @pytest.mark.real_time
 def test_real_processes_behave_as_the_table_says(
@@ -142,7 +142,7 @@ def test_real_processes_behave_as_the_table_says(
 ) -> None:
     is_alone = column == "silence"
     if is_alone and (os.geteuid() != 0 or not all(map(shutil.which, ("unshare", "nsenter", "ip")))):
-        pytest.skip("cutting a network needs root on Linux, with unshare, nsenter and ip")
+        pytest.skip(platforms.NETWORKS)
     what_becomes_of_it(rig(firmware, name, is_alone=is_alone), firmware, name, column)
 
 
@@ -217,4 +217,4 @@ def called_meanwhile(rig: Rig, expected: str, *, is_answered: bool) -> None:
     else:
         assert expected == LATE
         assert not is_same or rig.ask("moves")
-        assert failed == "made" if is_answered else "may still" in failed
+        assert failed == "made" if is_answered else "might still" in failed

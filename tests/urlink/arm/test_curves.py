@@ -41,7 +41,7 @@ def is_even(curve: Curve, part: float) -> None:
 
 @pytest.mark.property
 @given(poses(), poses(), parts)
-def test_line_is_straight_and_even(start: Array, end: Array, part: float) -> None:
+def test_line_is_straight_with_constant_speed(start: Array, end: Array, part: float) -> None:
     line = Line(start.tolist(), end.tolist())
     assert apart(line.pose(0.0), start.tolist()) < 1e-9
     assert apart(line.pose(1.0), end.tolist()) < 1e-9
@@ -53,7 +53,9 @@ def test_line_is_straight_and_even(start: Array, end: Array, part: float) -> Non
 
 @pytest.mark.property
 @given(poses(), poses(), poses(), parts)
-def test_arc_is_even_and_passes_through_middle_point(start: Array, via: Array, end: Array, part: float) -> None:
+def test_arc_has_constant_speed_and_passes_through_middle_point(
+    start: Array, via: Array, end: Array, part: float
+) -> None:
     arc = arc_of(start, via, end)
     assert apart(arc.pose(0.0), start.tolist()) < 1e-9
     assert apart(arc.pose(1.0), end.tolist()) < 1e-9

@@ -130,7 +130,7 @@ def test_small_rotation_keeps_all_digits(axis: Array, angle: float) -> None:
 
 @pytest.mark.property
 @given(directions, st.floats(math.pi, 20.0))
-def test_large_rotation_is_returned_the_short_way(axis: Array, angle: float) -> None:
+def test_large_rotation_is_returned_as_shortest_rotation(axis: Array, angle: float) -> None:
     matrix = to_matrix([0.0, 0.0, 0.0, *(axis / np.linalg.norm(axis) * angle)])
     back = from_matrix(matrix)
     assert np.linalg.norm(back[3:]) <= math.pi + 1e-15

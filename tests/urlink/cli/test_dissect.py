@@ -62,7 +62,7 @@ def dissected(run: Run, data: bytes, tmp_path: Path, *options: str) -> list[dict
 # -- one packet ----------------------------------------------------------------------------------------
 
 
-def test_realtime_packet(run: Run, tmp_path: Path) -> None:
+def test_dissect_prints_realtime_packet(run: Run, tmp_path: Path) -> None:
     data = bytes(RealtimeState("3.4", time=951.5, q_actual=[1, 2, 3, 4, 5, float("nan")], digital_input_bits=5))
     path = tmp_path / "packet.bin"
     path.write_bytes(data)
@@ -127,7 +127,7 @@ def test_firmware_option_selects_layout(run: Run, tmp_path: Path) -> None:
     assert run("dissect", str(path), "--firmware", "3.1")[0] == 0
     status, out, err = run("dissect", str(path), "--firmware", "5.4")
     assert (status, err) == (1, "")
-    assert "!! RealtimeState of firmware 5.4: packet too short: expected 1116 bytes, got 1044" in out
+    assert "!! RealtimeState of firmware 5.4: the packet is too short: expected 1116 bytes, got 1044" in out
 
 
 # -- damaged data --------------------------------------------------------------------------------------
@@ -240,7 +240,7 @@ def test_recording_shows_both_interfaces(run: Run, recording: Path) -> None:
     assert [strict(line)["type"] for line in only.splitlines()] == types[20:]
     status, _, err = run("dissect", str(recording), "--interface", "secondary")
     assert status == 1
-    assert "contains no secondary" in err
+    assert "has no channel 'secondary'" in err
 
 
 def test_connections_of_recording_are_dissected_separately(run: Run, tmp_path: Path) -> None:

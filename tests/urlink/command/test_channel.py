@@ -66,7 +66,7 @@ def test_motion_checks_interlock_again_after_each_wait(desk: Desk, room: int) ->
     desk.primary.room = room
 
     def stop() -> None:
-        desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+        desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
         desk.primary.room = None
 
     desk.meanwhile = stop
@@ -74,7 +74,7 @@ def test_motion_checks_interlock_again_after_each_wait(desk: Desk, room: int) ->
         desk.channel.motion(TEXT)
     assert "".join(desk.sent) == TEXT[:room]
     assert desk.primary.aborts == (room > 0)
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     desk.channel.motion("stopj(2)")
     assert desk.sent[-1] == "stopj(2)\n"
 
@@ -197,14 +197,14 @@ def test_blocked_call_waits_for_next_report(desk: Desk, name: str, monkeypatch: 
 
     def await_news(moves: bool) -> None:
         asked.append(moves)
-        desk.primary.tell(slow())
+        desk.primary.deliver(slow())
 
     monkeypatch.setattr(desk.monitor, "await_news", await_news)
-    desk.primary.tell(in_the_way)
+    desk.primary.deliver(in_the_way)
     act(desk.channel)
     assert asked == [moves]
     if name == "motion":
-        desk.primary.tell(in_the_way)
+        desk.primary.deliver(in_the_way)
         with pytest.raises(SafetyStop):
             desk.channel.motion(TEXT, wait=False)
         assert asked == [moves]
@@ -212,9 +212,9 @@ def test_blocked_call_waits_for_next_report(desk: Desk, name: str, monkeypatch: 
 
 def test_setpoint_is_sent_when_next_report_permits_motion(desk: Desk) -> None:
     sent: list[int] = []
-    desk.monitor.await_news = lambda moves: desk.primary.tell(slow())  # type: ignore[method-assign]
+    desk.monitor.await_news = lambda moves: desk.primary.deliver(slow())  # type: ignore[method-assign]
     for mode, safety in ((RobotMode.RUNNING, SafetyMode.FAULT), (RobotMode.IDLE, SafetyMode.NORMAL)):
-        desk.primary.tell(slow(safety, mode))
+        desk.primary.deliver(slow(safety, mode))
         desk.channel.setpoint(lambda: sent.append(1))
     assert sent == [1, 1]
 
@@ -260,7 +260,7 @@ def test_discard_aborts_only_recently_sent_text(desk: Desk) -> None:
 def test_beside_and_setpoint_check_safety_and_robot_mode(desk: Desk) -> None:
     """Set-points need an arm that may be moved; settings that move nothing need only a running robot."""
     sent: list[str] = []
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     desk.channel.check_running()
     desk.channel.beside(lambda: sent.append("setting"))
     for is_stop in (False, True):
@@ -268,13 +268,13 @@ def test_beside_and_setpoint_check_safety_and_robot_mode(desk: Desk) -> None:
             desk.channel.setpoint(lambda: sent.append("set-point"), is_stop=is_stop)
     with pytest.raises(SafetyStop):
         desk.channel.check()
-    desk.primary.tell(slow(mode=RobotMode.POWER_OFF))
+    desk.primary.deliver(slow(mode=RobotMode.POWER_OFF))
     with pytest.raises(NotRunning):
         desk.channel.check_running()
     with pytest.raises(NotRunning):
         desk.channel.beside(lambda: sent.append("setting"))
     assert sent == ["setting"]
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     desk.interlock.policy = "always"
     with pytest.raises(SafetyStop, match="not enabled"):
         desk.channel.setpoint(lambda: sent.append("set-point"))

@@ -179,7 +179,7 @@ def test_wait_digital_in_uses_realtime_states(firmware: str, wait: Callable[[IO,
             robot.fast.put(bytes(packet(RealtimeState, robot.firmware, digital_input_bits=bits)))
 
         show(~(1 << bit) & 0xFFFF)
-        with pytest.raises(LinkTimeout, match=r"digital input \d is not on: .*within 0\.05 s"):
+        with pytest.raises(LinkTimeout, match=r"digital input \d was not switched on: .*within 0\.05 s"):
             wait(robot.io, True, 0.05)
         thread = threading.Thread(target=lambda: show(1 << bit))
         thread.start()

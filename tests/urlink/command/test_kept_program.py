@@ -201,8 +201,8 @@ def states(desk: Programming, count: int, **shown: bool) -> None:
 
 def short_stop(desk: Programming) -> None:
     """Simulate a stop that ends before the primary interface reports it."""
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast())
 
 
 def says_so(run: Run) -> None:
@@ -381,10 +381,10 @@ def test_script_cancelled_during_stop_is_stopped_afterwards() -> None:
     script = desk.script()
     script.says("started")
     desk.state(0.1, runs=True)
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     script.cancel()
     assert desk.stops == 0
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     states(desk, 3, paused=True)
     assert desk.stops == 1
 
@@ -423,10 +423,10 @@ def test_next_stop_does_not_forget_kept_program() -> None:
     """The next stop comes before the second state without the previous stop."""
     desk = Programming()
     stopped(desk)
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     states(desk, 3, paused=True)
     assert desk.stops == 0
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     states(desk, 2, paused=True)
     assert desk.stops == 1
 
@@ -457,9 +457,9 @@ def test_program_ended_by_power_off_is_not_stopped_later() -> None:
     run = desk.motion(asks=False)
     run.says("started")
     desk.state(0.1, runs=True)
-    desk.realtime.tell(fast(mode=RobotMode.POWER_OFF))
+    desk.realtime.deliver(fast(mode=RobotMode.POWER_OFF))
     assert run.end.startswith("NotRunning")
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     states(desk, 3, runs=True)
     assert desk.stops == 0
 
@@ -580,10 +580,10 @@ def test_program_cancelled_before_stop_is_stopped_after_stop(caplog: pytest.LogC
     desk = Programming()
     run, script = moving(desk), desk.script()
     run.cancel()
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     assert script.end.startswith("SafetyStop")
     assert desk.stops == 0
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     states(desk, 2, paused=True)
     assert desk.stops == 1
     assert caplog.messages == []
@@ -617,7 +617,7 @@ def test_close_warns_about_program_that_stays_paused(
     desk = Programming()
     moving(desk)
     if is_stopped:
-        desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+        desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     desk.state(0.1, **state)
     desk.programs.close(0.0)
     assert ("is paused on the controller and might resume later" in caplog.text) is warns
@@ -626,7 +626,7 @@ def test_close_warns_about_program_that_stays_paused(
 def test_close_before_first_state_does_not_warn(caplog: pytest.LogCaptureFixture) -> None:
     desk = Programming()
     desk.motion().begins()
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     desk.programs._mode = None
     desk.programs.close(0.0)
     assert "closed during a stop" not in caplog.text

@@ -53,12 +53,12 @@ def test_start_timeout_is_converted_to_controller_cycles(firmware: str, seconds:
 
 
 def test_start_fails_under_stop_and_after_end_of_life(desk: Programming) -> None:
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     life = desk.programs.life("refused")
     with pytest.raises(SafetyStop):
         desk.programs.start(desk.programs.own(["movej(q)"]), life)
     assert isinstance(life.error, SafetyStop)
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     ends: list[tuple[Callable[[Lifecycle], object], type[Exception]]] = [
         (lambda life: life.fail(ConnectFailed("gone")), ConnectFailed),
         (lambda life: life.cancel("given up"), Cancelled),
@@ -135,7 +135,7 @@ def test_program_begins_once_and_gets_permission(desk: Programming) -> None:
     assert len(desk.sent) == 2
     assert "urlink_permission" in desk.sent[1]
     run.says("half way")
-    desk.primary.tell(TextMessage(FIRMWARE, text="1\n\0"))
+    desk.primary.deliver(TextMessage(FIRMWARE, text="1\n\0"))
     assert run.texts == [f"{run.program} half way", "1"]
 
 
@@ -176,7 +176,7 @@ def test_program_without_permission_fails_with_timeout(desk: Programming) -> Non
     ("options", "what_if"),
     [
         ({}, "it moves nothing if it begins later"),
-        ({"asks": False}, "if it begins later, it may still move the arm"),
+        ({"asks": False}, "if it begins later, it might still move the arm"),
         ({"asks": False, "is_linked": True}, "it moves nothing if it begins later"),
         ({"asks": False, "is_stop": True}, "it moves nothing if it begins later"),
     ],
@@ -191,7 +191,7 @@ def test_program_that_does_not_begin_fails_with_timeout(
     desk.state(0.1, runs=True)
     assert isinstance(run.error, LinkTimeout)
     assert "did not begin within 5 s" in run.end
-    assert f"the robot mode is RUNNING, a program runs; {what_if}; an e-Series" in run.end
+    assert f"the robot mode is RUNNING, a program is running; {what_if}; an e-Series" in run.end
 
 
 def test_start_timeout_counts_from_sending(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,14 +206,14 @@ def test_start_timeout_counts_from_sending(desk: Programming, monkeypatch: pytes
     desk.state(4.9)
     assert run.phase is Phase.SENT
     desk.state(0.2)
-    assert "no program runs" in run.end
+    assert "no program is running" in run.end
 
 
 def test_secondary_program_times_out(desk: Programming) -> None:
     run = desk.script(SEC)
     run.begins()
     desk.state(5.1, runs=True)
-    assert "did not end within 5 s; no error was reported; the robot mode is RUNNING, a program runs" in run.end
+    assert "did not end within 5 s; no error was reported; the robot mode is RUNNING, a program is running" in run.end
     assert "later" not in run.end
 
 
@@ -285,7 +285,7 @@ def test_stop_reported_after_end_is_the_cause(desk: Programming) -> None:
     run.stops()
     desk.state(0.3)
     assert run.phase is Phase.RUNNING
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     assert "protective stop" in run.end
 
 
@@ -300,7 +300,7 @@ def test_end_without_power_raises_not_running(desk: Programming) -> None:
     desk.interlock.policy = "never"
     run = desk.script()
     run.begins()
-    desk.primary.tell(slow(mode=RobotMode.POWER_OFF))
+    desk.primary.deliver(slow(mode=RobotMode.POWER_OFF))
     assert run.phase is Phase.RUNNING  # a user's program might only be paused
     run.stops()
     assert isinstance(run.error, NotRunning)
@@ -339,7 +339,7 @@ def test_exception_is_assigned_to_the_right_program(desk: Programming, caplog: p
     assert isinstance(another.error, ScriptFailed)
     assert running.phase is Phase.RUNNING
     running.says("finished")
-    desk.primary.tell(RuntimeExceptionMessage(FIRMWARE, line=1, column=1, text="another"))
+    desk.primary.deliver(RuntimeExceptionMessage(FIRMWARE, line=1, column=1, text="another"))
     running.stops()
     assert isinstance(running.error, ScriptFailed)
 
@@ -384,16 +384,16 @@ def test_motion_ends_when_interlock_closes(desk: Programming, has_begun: bool) -
         if has_begun:
             motion.begins()
         script = desk.script(SEC)
-        desk.primary.tell(packet)
+        desk.primary.deliver(packet)
         error = motion.error
         assert script.phase is Phase.SENT
         if isinstance(error, NotRunning):
-            later = "it may still move the arm" if has_begun else "it moves nothing if it begins later"
+            later = "it might still move the arm" if has_begun else "it moves nothing if it begins later"
             assert str(error) == f"the robot is not running: its mode is POWER_OFF; {later}"
             stop = error
         else:
             assert isinstance(error, SafetyStop)
-        desk.primary.tell(slow())
+        desk.primary.deliver(slow())
     assert stop is not None
 
 
@@ -449,7 +449,7 @@ def test_only_the_newest_program_is_stopped(desk: Programming) -> None:
 def test_refused_stop_raises_safety_stop(desk: Programming) -> None:
     script = desk.script()
     script.begins()
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     with pytest.raises(SafetyStop, match="protective stop"):
         desk.programs.stop(script._life)
 
@@ -518,7 +518,7 @@ def test_silence_discards_recently_sent_text(desk: Programming) -> None:
         for _, hook in desk.primary.watches:
             hook(1.0)
         assert desk.primary.aborts == aborts
-        desk.primary.tell(slow())
+        desk.primary.deliver(slow())
 
 
 def test_lost_connection_ends_programs_sent_before(desk: Programming) -> None:
@@ -534,13 +534,13 @@ def test_lost_connection_ends_programs_sent_before(desk: Programming) -> None:
     desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now)))
     lost = "the connection was lost while {} was running; {}: pulled"
     assert script.end == "ConnectionLost: " + lost.format(script.name, "it moves nothing if it begins later")
-    later = "if it begins later, it may still move the arm"
+    later = "if it begins later, it might still move the arm"
     assert motion.end == "NotRunning: " + lost.format(motion.name, later)
     another = desk.script()
     another.begins()
     desk.clock.now += 0.1
     desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now), error=None))
-    assert another.end.endswith("was running; it may still run")
+    assert another.end.endswith("was running; it might still run")
 
 
 @pytest.mark.parametrize(("state", "is_left"), [(s, s.name in ("IDLE", "CLOSED")) for s in ConnectionState])
@@ -580,7 +580,7 @@ def test_close_stops_the_program_unless_it_is_detached(desk: Programming, is_mot
     run.begins()
     desk.programs.close(0.0)
     assert desk.stops == (not is_detached)
-    closed = f"ConnectionLost: the robot was closed while {run.name} was running; it may still "
+    closed = f"ConnectionLost: the robot was closed while {run.name} was running; it might still "
     cancelled = f"Cancelled: {run.name} was cancelled, since the robot was closed"
     assert run.end.startswith(closed if is_detached else cancelled)
     assert beside.end.startswith(f"ConnectionLost: the robot was closed while {beside.name} was running")

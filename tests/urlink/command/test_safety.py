@@ -81,7 +81,7 @@ def test_two_threads_can_wait_for_first_report(robot: ScriptedController) -> Non
     assert robot.sent == ["set_tool_voltage(0)\n"] * 2
 
 
-def test_second_query_waits_for_first_report_too(robot: ScriptedController) -> None:
+def test_second_query_also_waits_for_first_report(robot: ScriptedController) -> None:
     modes: list[SafetyMode | None] = []
     threads = [threading.Thread(target=lambda: modes.append(robot.safety.mode)) for _ in range(2)]
     threads[0].start()

@@ -159,7 +159,7 @@ def test_commands_work_after_lost_connection(robot: urlink.Robot) -> None:
     program = robot.script.run('textmsg("continues")\n' + LONG)
     until(lambda: program.texts == ("continues",))  # the program has got its permission
     controller.faults.cut("primary")
-    with pytest.raises(urlink.ConnectionLost, match="may still run"):
+    with pytest.raises(urlink.ConnectionLost, match="might still run"):
         program.wait(20)
     robot.safety.wait_enabled(20)
     robot.script.run("sleep(0.02)", wait=20.0)

@@ -125,7 +125,7 @@ def robot() -> Iterator[ScriptedController]:
 
 
 def show(robot: ScriptedController, what: dict[str, Any]) -> None:
-    """Send a state on each interface that shows the values of `what`."""
+    """On each interface, send a state that shows the values of `what`."""
     axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
     offset = {f"tcp_offset_{axis}": value for axis, value in zip(axes, what.get("tcp", [0] * 6), strict=True)}
     packages = [
@@ -186,11 +186,11 @@ def test_not_confirmed_names_shown_value(robot: ScriptedController, name: str) -
     act, _, wrong = SHOWN[name]
     setting = Setting(robot, act, 0.3)
 
-    def tell() -> bool:
+    def is_refused() -> bool:
         show(robot, wrong)
         return setting.is_over
 
-    until(tell)
+    until(is_refused)
     assert isinstance(setting.error, NotConfirmed)
     assert "did not show it within 0.3 s: its states show" in str(setting.error)
     assert "no value" not in str(setting.error)
@@ -207,8 +207,8 @@ def test_setting_without_confirm_does_not_wait(robot: ScriptedController, name: 
     [
         ("5.11", False, "the robot is in local control"),
         ("5.11", None, "check the mode on the pendant"),
-        ("5.11", True, "the controller may have been delayed"),
-        ("3.4", None, "the controller may have been delayed"),
+        ("5.11", True, "the controller might have been delayed"),
+        ("3.4", None, "the controller might have been delayed"),
     ],
 )
 def test_not_confirmed_names_likely_cause(firmware: str, is_remote: bool | None, why: str) -> None:
@@ -341,7 +341,7 @@ class Answering:
     def send(self, text: str, values: object = None, *, wait: bool = True) -> None:
         self.sent.append(text)
         for answer in self.answers:
-            (self.realtime if isinstance(answer, RealtimeState) else self.primary).tell(answer)
+            (self.realtime if isinstance(answer, RealtimeState) else self.primary).deliver(answer)
 
     def doubt(self) -> None:
         self.doubts += 1
@@ -468,7 +468,7 @@ def test_likely_cause_is_named_without_dashboard() -> None:
 
     for firmware, why, count in (
         ("5.11", "check the mode on the pendant", 1),
-        ("3.4", "the controller may have been delayed", 0),
+        ("3.4", "the controller might have been delayed", 0),
     ):
         asked.clear()
         with pytest.raises(NotConfirmed, match=why):

@@ -104,7 +104,7 @@ def waits_of(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 def test_statement_is_sent_through_the_interlock(mode: Mode) -> None:
     assert [mode.interpreter.execute("a = 1"), mode.interpreter.execute("a = 2")] == [1, 2]
-    mode.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    mode.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     with pytest.raises(SafetyStop):
         mode.interpreter.execute("a = 3")
     # Commands that end a motion do not ask the interlock.
@@ -290,7 +290,7 @@ def test_end_logs_when_controller_does_not_reply(mode: Mode, caplog: pytest.LogC
     mode.peer.answers.append(LinkTimeout("no reply"))
     with pytest.raises(NotRunning):
         mode.interpreter.end()
-    assert "its program may still wait for statements: no reply" in caplog.text
+    assert "its program might still be waiting for statements: no reply" in caplog.text
     assert mode.peer.is_closed
 
 
@@ -332,7 +332,7 @@ def test_mode_begins_when_controller_accepts_a_statement(beginning: Beginning) -
     assert "interpreter_mode()" in beginning.sent[0]
     (name,) = beginning.programs._runs
     beginning.key("PROGRAM_XXX_STARTED", name)
-    beginning.primary.tell(TextMessage((5, 11), text="hello"))
+    beginning.primary.deliver(TextMessage((5, 11), text="hello"))
     assert interpreter.texts == ("hello",)
     assert texts == ["hello"]
     interpreter.cancel()
@@ -366,7 +366,7 @@ def test_program_that_ended_before_the_mode_began_raises(beginning: Beginning, m
 
     monkeypatch.setattr(beginning.programs, "life", life)
     ends: list[tuple[Callable[[Any], object], type[LinkError], str]] = [
-        (lambda life: life.finish(), RemoteError, "interpreter mode ended before it began"),
+        (lambda life: life.finish(), RemoteError, "interpreter mode ended before it accepted a statement"),
         (lambda life: life.fail(NotRunning("no power")), NotRunning, "no power"),
     ]
     for end, error, words in ends:

@@ -39,7 +39,7 @@ def entered(robot: Rehearsal, block: B) -> Iterator[B]:
     block.cancel()
 
 
-def told(robot: Rehearsal, until_it_is: list[float] | None = None) -> list[float]:
+def next_setpoint(robot: Rehearsal, until_it_is: list[float] | None = None) -> list[float]:
     """Return the set-point sent for the next state; with `until_it_is`, skip earlier messages."""
     while True:
         robot.tick()
@@ -66,14 +66,14 @@ def test_force_mode_sends_wrench_with_every_state(led: Rehearsal) -> None:
         for part in (call, "force_mode_set_damping(0.25)", "force_mode_set_gain_scaling(1.5)", "missed < 250"):
             assert part in led.uploaded
         for _ in range(3):
-            assert told(led) == DOWN
+            assert next_setpoint(led) == DOWN
             assert led.speeds == [0.0] * 6
         assert pressing.wrench.tolist() == DOWN
         with pytest.raises(BadValue, match=r"wrench\[z\]"):
             pressing.set_wrench([0, 0, -2000, 0, 0, 0])
         assert pressing.wrench.tolist() == DOWN
         pressing.set_wrench([0.0] * 6)
-        assert told(led, [0.0] * 6) == told(led) == pressing.wrench.tolist() == [0.0] * 6
+        assert next_setpoint(led, [0.0] * 6) == next_setpoint(led) == pressing.wrench.tolist() == [0.0] * 6
         assert len(led.sent) == 1
     with pytest.raises(Cancelled):
         pressing.set_wrench(DOWN)
@@ -112,7 +112,7 @@ def test_freedrive_sends_a_message_per_state(led: Rehearsal) -> None:
         assert call in led.uploaded
         assert "missed < 200" in led.uploaded
         for _ in range(3):
-            assert told(led) == [0.0] * 6
+            assert next_setpoint(led) == [0.0] * 6
     assert free.phase is Phase.CANCELLED
 
 
@@ -268,7 +268,7 @@ def test_block_times_out_if_program_never_connects(robot: Rehearsal) -> None:
     """No states arrive either, which would report the missing connection after five seconds."""
     begun = clock.now()
     jog = robot.motion.jog()
-    with pytest.raises(LinkTimeout, match="jog: no connection within 6 s"):
+    with pytest.raises(LinkTimeout, match="jog: the program on the robot did not connect within 6 s"):
         jog.__enter__()
     assert clock.now() - begun == pytest.approx(6.0, abs=0.05)
     assert jog.phase is Phase.CANCELLED

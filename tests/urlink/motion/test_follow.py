@@ -157,25 +157,25 @@ def test_initial_offset_is_faded_out(led: Rehearsal) -> None:
 
 
 def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
-    told: list[TrajectoryFeedback] = []
+    reported: list[TrajectoryFeedback] = []
     release = threading.Event()
 
     def feedback(each: TrajectoryFeedback) -> None:
-        told.append(each)
+        reported.append(each)
         release.wait(TIMEOUT)
         raise ValueError("raised by the user")
 
     motion = begun(led, feedback=feedback)
-    led.until(lambda: told)
+    led.until(lambda: reported)
     while not motion.done and (message := led.obey()) is not None and message[1] == FOLLOW:
         pass
     led.finish()
     motion.wait(TIMEOUT)
     release.set()
-    assert len(told) == 1
-    assert told[0].q_desired - told[0].q_actual == pytest.approx(told[0].error)
-    assert told[0].time >= 0
-    assert told[0].qd_actual.shape == told[0].qd_desired.shape == (6,)
+    assert len(reported) == 1
+    assert reported[0].q_desired - reported[0].q_actual == pytest.approx(reported[0].error)
+    assert reported[0].time >= 0
+    assert reported[0].qd_actual.shape == reported[0].qd_desired.shape == (6,)
 
 
 def test_end_of_motion_does_not_wait_for_feedback(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,9 +194,9 @@ def test_end_of_motion_does_not_wait_for_feedback(led: Rehearsal, monkeypatch: p
 
 
 def test_feedback_runs_from_start_to_end_of_trajectory() -> None:
-    told: list[TrajectoryFeedback] = []
+    reported: list[TrajectoryFeedback] = []
     following = SimpleNamespace(times=lambda time: None, is_over=False, desired=lambda t: ([t] * 6, [2.0] * 6))
-    report = _reporter(cast(Following, following), told.append)
+    report = _reporter(cast(Following, following), reported.append)
 
     def seen(time: float) -> RealtimeState:
         return RealtimeState(Firmware(5, 11), time=time, q_actual=[0.125] * 6, qd_actual=[1.0] * 6)
@@ -204,14 +204,14 @@ def test_feedback_runs_from_start_to_end_of_trajectory() -> None:
     report(seen(50.0))
     following.times = lambda time: (time - 50.0, 0.5 * (time - 50.0))
     report(seen(49.5))
-    assert told == []
+    assert reported == []
     report(seen(50.0))
     report(seen(50.5))
     following.is_over = True
     report(seen(51.0))
-    assert [each.time for each in told] == [0.0, 0.5]
-    assert [each.trajectory_time for each in told] == [0.0, 0.25]
-    last = told[-1]
+    assert [each.time for each in reported] == [0.0, 0.5]
+    assert [each.trajectory_time for each in reported] == [0.0, 0.25]
+    last = reported[-1]
     for values, value in (
         (last.q_desired, 0.25),
         (last.qd_desired, 2.0),
@@ -236,7 +236,7 @@ def test_feedback_thread_ends_with_motion(led: Rehearsal) -> None:
 def test_impossible_trajectories_are_rejected(led: Rehearsal) -> None:
     far = Trajectory.from_arrays([0, 1], [turned(1), turned(1)])
     wild = Trajectory.from_arrays([0, 0.1], [turned(0), turned(1)])
-    for trajectory, message in ((far, "too far from where the arm is"), (wild, "limit of a UR5e")):
+    for trajectory, message in ((far, "too far from the position of the arm"), (wild, "limit of a UR5e")):
         with pytest.raises(BadValue, match=message):
             led.motion.follow(trajectory)
     for options in ({"goal_tolerance": -1}, {"path_tolerance": 0}, {"watchdog": 0}, {"gain": 1}, {"lookahead_time": 1}):

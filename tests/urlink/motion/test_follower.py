@@ -82,17 +82,17 @@ class Feeding:
         #: speed of the last joint after each set-point, rad/s
         self.speeds: list[float] = []
 
-    def state(self, cycles: float = 1, *, own: float | None = None, told: float | None = None) -> bytes:
+    def state(self, cycles: float = 1, *, own: float | None = None, stated: float | None = None) -> bytes:
         """Advance by `cycles` cycles and pass a state.
 
         Args:
             cycles: Cycles of the controller.
             own: Time in s that passes on this computer's clock, if it differs.
-            told: Time in the state, if it differs.
+            stated: Time in the state, if it differs.
         """
         self.time += cycles * self.cycle
         self.now += cycles * self.cycle if own is None else own
-        data = self.follower.step(b"", state(self.time if told is None else told, self.q), self.now)
+        data = self.follower.step(b"", state(self.time if stated is None else stated, self.q), self.now)
         if data and message(data)[1] == FOLLOW:
             self.q = message(data)[0]
             self.sent.append(self.q)
@@ -128,7 +128,7 @@ def test_late_start_equals_missing_as_many_cycles() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "own", "passed"),
+    ("stated", "own", "passed"),
     [
         (0.002, 0.002, 0.002),
         (0.004, 0.004, 0.004),
@@ -146,12 +146,12 @@ def test_late_start_equals_missing_as_many_cycles() -> None:
         (float("inf"), 0.002, 0.002),
     ],
 )
-def test_controller_clock_is_used_only_while_plausible(told: float, own: float, passed: float) -> None:
+def test_controller_clock_is_used_only_while_plausible(stated: float, own: float, passed: float) -> None:
     clock = ControllerTimer(0.002)
     assert clock.passed(100.0, 7.0) == 0.0
-    assert clock.passed(100.0 + told, 7.0 + own) == pytest.approx(passed, abs=1e-12)
+    assert clock.passed(100.0 + stated, 7.0 + own) == pytest.approx(passed, abs=1e-12)
     # The clock continues from the reported time, even a wrong one.
-    following = 100.0 + told + 0.002
+    following = 100.0 + stated + 0.002
     assert clock.passed(following, 7.002 + own) == pytest.approx(0.002, abs=1e-9)
 
 
@@ -242,14 +242,14 @@ def test_early_states_advance_half_as_far_or_not_at_all() -> None:
     assert ways == pytest.approx(3.1 * feeding.cycle * np.array([1.0, 0.5, 0.0, 1.1]), abs=2e-6)
 
 
-@pytest.mark.parametrize("told", [1.0, -5.0, float("nan"), float("inf")])
-def test_implausible_time_moves_arm_by_at_most_one_cycle(told: float) -> None:
+@pytest.mark.parametrize("stated", [1.0, -5.0, float("nan"), float("inf")])
+def test_implausible_time_moves_arm_by_at_most_one_cycle(stated: float) -> None:
     feeding = Feeding(follower())
     program = Program(servoing(NEWEST), feeding.q)
     path = []
     for n in range(313):
-        wrong = feeding.time + told if n > 250 and n % 20 == 0 else None
-        path.append(program.cycle(feeding.state(told=wrong))[5])
+        wrong = feeding.time + stated if n > 250 and n % 20 == 0 else None
+        path.append(program.cycle(feeding.state(stated=wrong))[5])
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
     assert np.abs(np.diff(path)).max() <= 1.1 * fastest + 1e-6
     assert path[-1] == pytest.approx(WAVE.at(314 * feeding.cycle)[0][5], abs=1e-4)
@@ -293,7 +293,7 @@ def test_wrongly_reported_cycles_are_not_caught_up_at_once() -> None:
     for _ in range(250):
         feeding.state()
     before = feeding.sent[-1][5]
-    assert feeding.state(told=feeding.time + 0.09)
+    assert feeding.state(stated=feeding.time + 0.09)
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
     assert abs(feeding.sent[-1][5] - before) <= math.pi * (feeding.cycle + EARLY)
     assert abs(feeding.sent[-1][5] - before) <= 6 * fastest
@@ -338,7 +338,7 @@ def test_arm_is_at_rest_below_two_hundredths_rad_per_second() -> None:
 
 
 def test_start_far_from_arm_is_rejected() -> None:
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         follower().step(b"", state(1.0, turned(0.06)), 10.0)
 
 
@@ -489,7 +489,7 @@ def test_program_model_matches_real_program(firmware: Firmware) -> None:
             expected.append(modelled.cycle(b""))
             bench.run()
         messages = feeding.state(missed + 1)
-        bench.say(messages)
+        bench.deliver(messages)
         expected.append(modelled.cycle(messages))
         bench.run()
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
@@ -506,7 +506,7 @@ def test_coasting_of_program_matches_prediction(firmware: Firmware, watchdog: fl
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append)
     bench.run(2)
-    bench.say(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
+    bench.deliver(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
     most = missable(min(watchdog, 0.1), firmware.rate)
     bench.run(most + 5)
     way = [q[5] for q in targets]
@@ -573,7 +573,7 @@ def test_experiment_of_original_driver_is_reproduced(firmware: Firmware) -> None
     while not led.is_over:
         setpoint, now = bench.motion.setpoint, bench.cycle * bench.period
         messages = led.step(b"", state(50.0 + now, list(setpoint.q), setpoint.qd[5]), 1000.0 + now)
-        bench.say(messages)
+        bench.deliver(messages)
         times = led.times(50.0 + now)
         assert times is not None
         t = times[1]
@@ -582,7 +582,7 @@ def test_experiment_of_original_driver_is_reproduced(firmware: Firmware) -> None
         assert bench.cycle < 10 * firmware.rate
     assert bench.path[-1] == pytest.approx(turned(0.0), abs=0.01)
     assert np.abs(errors[round(0.1 * firmware.rate) :]).max() < 0.005
-    bench.say(led.farewell)
+    bench.deliver(led.farewell)
     bench.run(firmware.rate)
     assert bench.has_finished
 
@@ -607,10 +607,10 @@ def test_repeated_delays_keep_acceleration_bounded(held: int, answered: tuple[in
             states.append(seen()[0])
             bench.run()
         for each in answered:
-            bench.say(led.step(b"", states[each], seen()[1]))
+            bench.deliver(led.step(b"", states[each], seen()[1]))
         for _ in range(3):
             bench.run()
-            bench.say(led.step(b"", *seen()))
+            bench.deliver(led.step(b"", *seen()))
         assert bench.cycle < 12 * firmware.rate
     way = np.array(bench.path)
     # Without the bound, the acceleration is 250 to 370 rad/s², and the simulated arm makes a protective stop.

@@ -83,7 +83,7 @@ class Soft(Bench):
     def _say(self, first: Sequence[float], second: Sequence[float], seconds: float, mode: int = FOLLOW) -> None:
         for i, value in enumerate(second):
             self.controller.registers.inputs.floats[LINK.first_float + 6 + i] = value
-        self.tell(first, seconds, mode)
+        self.write_messages(first, seconds, mode)
 
     def go(self, seconds: float = 0.002) -> None:
         """Keep the target for some time."""

@@ -432,7 +432,7 @@ def test_loop_messages_are_dropped_during_pause(talk: Talk) -> None:
 
 @pytest.mark.parametrize("state", [ProgramState.PAUSING, ProgramState.PAUSED, ProgramState.PLAYING])
 def test_pause_is_detected_in_unprocessed_state(talk: Talk, state: ProgramState) -> None:
-    """The user's loop might get the state before the thread that answers states."""
+    """The user's loop might receive a state before the thread that replies to states does."""
     context, found = talk.program._context, []
     for latest, holds in ((None, False), (SimpleNamespace(program_state=state), False), (None, True)):
         talk.program._context = replace(context, realtime=SimpleNamespace(latest=latest))  # type: ignore[arg-type]

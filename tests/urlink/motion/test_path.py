@@ -86,7 +86,7 @@ REFUSED: list[tuple[list[Waypoint], str]] = [
     ([Linear(moved(z=0.1), blend=0.01)], "waypoint 0 is the last"),
     ([Joint(READY), Joint([7.0, *READY[1:]])], r"waypoint 1: q\[0\] \(base\) is 7 rad"),
     ([Joint(READY, speed=4.0)], "waypoint 0: speed is 4 rad/s"),
-    ([Linear(moved(x=-3.0))], "waypoint 0: the path to it is out of reach: a UR5e cannot bring its tool to"),
+    ([Linear(moved(x=-3.0))], "waypoint 0: the path to this waypoint is out of reach: a UR5e cannot bring its tool to"),
     # The end can be reached, but the path to it leads through the base.
     ([Linear(compose([0, 0, 0, 0, 0, math.pi], moved()))], "out of reach: .* from the axis of the base"),
     (

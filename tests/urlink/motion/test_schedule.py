@@ -66,7 +66,7 @@ def delay_of(firmware: Firmware) -> float:
             led.bench.run()
 
     def send(q: list[float]) -> None:
-        led.bench.say(setpoint(q, [0.0] * 6))
+        led.bench.deliver(setpoint(q, [0.0] * 6))
 
     return measure(states(), send, 5, -0.05, 0.5)
 
@@ -139,7 +139,7 @@ def test_trajectory_is_followed_without_lag() -> None:
         led.bench.run(2)
         while not follower.is_over:
             state = led.state()
-            led.bench.say(follower.step(b"", state, led.time))
+            led.bench.deliver(follower.step(b"", state, led.time))
             if (times := follower.times(state.time)) is not None:
                 errors.append(state.q_actual[5] - follower.desired(times[1])[0][5])
             led.bench.run()

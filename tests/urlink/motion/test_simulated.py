@@ -98,13 +98,13 @@ def test_follow_reaches_end_of_trajectory(
 ) -> None:
     robot = connect(arm, firmware)
     path = tool_path(robot)
-    told: list[TrajectoryFeedback] = []
-    motion = robot.motion.follow(path, **way, feedback=told.append, watchdog=WATCHDOG, goal_time=20.0)
+    received: list[TrajectoryFeedback] = []
+    motion = robot.motion.follow(path, **way, feedback=received.append, watchdog=WATCHDOG, goal_time=20.0)
     motion.wait(TIMEOUT)
     assert motion.phase is Phase.DONE
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
-    assert len(told) > 10
-    assert max(float(np.abs(each.error).max()) for each in told) < 0.3
+    assert len(received) > 10
+    assert max(float(np.abs(each.error).max()) for each in received) < 0.3
     until(lambda: stands(robot))
 
 
@@ -157,7 +157,7 @@ def test_consecutive_speeds_keep_arm_moving(connect: Callable[[str, str], Robot]
 def test_trajectory_starting_elsewhere_is_rejected(connect: Callable[[str, str], Robot]) -> None:
     robot = connect("ur5e", "5.11")
     elsewhere = Trajectory.from_arrays([0, 1], [READY + 0.2, READY + 0.2])
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         robot.motion.follow(elsewhere)
 
 

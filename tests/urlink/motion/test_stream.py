@@ -349,7 +349,7 @@ class TestRejected:
         ("points", "message"),
         [
             (lambda: [], "there are no points"),
-            (lambda: 3, "points are 3; expected points, or a Trajectory"),
+            (lambda: 3, "points is 3; expected a sequence of TrajectoryPoint or PosePoint"),
             (lambda: [3], "point 0 is 3; expected a TrajectoryPoint or a PosePoint"),
             (lambda: [wave(0.1), wave(0.101)], r"point 1 \(t = 0.101 s\): .* is 0.001 s after .* expected 0.004 s"),
             (lambda: [wave(0.1), wave(0.1)], r"point 1 \(t = 0.1 s\): its time is 0 s after"),

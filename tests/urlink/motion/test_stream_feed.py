@@ -240,7 +240,7 @@ def test_program_receives_no_more_points_than_capacity(way: int) -> None:
     assert max(held) == feed._capacity - 1 == 28
 
 
-def test_points_are_handed_over_when_last_one_was_sent() -> None:
+def test_append_future_is_done_when_last_point_was_sent() -> None:
     stream = Streamed(E_SERIES, buffer=0.3)
     feed = stream.feed
     one, two = stream.append(waves(0.05, 0.2)), stream.append(waves(0.25, 0.7))

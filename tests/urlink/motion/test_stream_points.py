@@ -152,7 +152,7 @@ def test_acceleration_requires_speed() -> None:
         reader().after([point(0.1, 2.4), lacking], mark())
 
 
-@pytest.mark.parametrize(("wrong", "why"), [([3], "point 0 is 3; expected"), (3, "points are 3; expected")])
+@pytest.mark.parametrize(("wrong", "why"), [([3], "point 0 is 3; expected"), (3, "points is 3; expected")])
 def test_other_objects_are_rejected(wrong: Any, why: str) -> None:
     with pytest.raises(BadValue, match=why):
         reader().after(wrong, mark())

@@ -37,7 +37,7 @@ def moment(speed: float, acceleration: float) -> JointMoment:
         (0.9, 90.0, math.sqrt(6.0 * 0.9 / 50.0)),
     ],
 )
-def test_braking_time(speed: float, acceleration: float, seconds: float) -> None:
+def test_braking_step_has_expected_duration(speed: float, acceleration: float, seconds: float) -> None:
     slow = (JointLimit(3.0, 100.0, 50.0),) * 6 if acceleration or speed < 0.1 else LIMITS
     for sign in (1.0, -1.0):
         step = Step.braking(moment(sign * speed, sign * acceleration), slow)

@@ -95,11 +95,11 @@ def test_requesting_program_moves_arm_along_trajectory(firmware: str) -> None:
     path = Trajectory.from_arrays([0.0, 0.1, 0.25], [HOME, turned(0.05), turned(0.08)])
     server = WaypointServer(path, TOLERANCES, Firmware.parse(firmware), 0.05, 700.0)
     bench = Bench(server.body(ReverseSocket("10.0.0.1", 50001, 7)), Firmware.parse(firmware))
-    told: set[tuple[float, ...]] = set()
+    received: set[tuple[float, ...]] = set()
     servoj = bench.motion.servoj
 
     def watched(q: Sequence[float], *parameters: float) -> object:
-        told.add(parameters)
+        received.add(parameters)
         return servoj(q, *parameters)
 
     bench.motion.servoj = watched  # type: ignore[method-assign,assignment]
@@ -119,7 +119,7 @@ def test_requesting_program_moves_arm_along_trajectory(firmware: str) -> None:
     assert bench.said == []
     assert server.survives_its_program
     assert np.abs(np.array(bench.path)[:, 5]).max() == pytest.approx(0.08, abs=1e-4)
-    assert told == {(bench.period, 0.05, 700.0)}
+    assert received == {(bench.period, 0.05, 700.0)}
 
 
 def test_server_answers_when_arm_is_at_rest() -> None:
@@ -138,7 +138,7 @@ def test_server_answers_when_arm_is_at_rest() -> None:
 
     elsewhere = Served()
     elsewhere.angle = 0.06
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         elsewhere.step(b"0\n")
 
 

@@ -165,7 +165,7 @@ def test_each_command_works_or_is_refused_on_each_firmware(firmware: str, opened
         ("5.11", lambda d: d.user_role(), "no e-Series controller has it"),
     ],
 )
-def test_missing_command_names_first_firmware_with_it(
+def test_missing_command_error_names_first_firmware(
     firmware: str, call: Callable[[Dashboard], object], which: str
 ) -> None:
     words = rf"^firmware {firmware} has no dashboard command .*; {which}$"
@@ -467,7 +467,7 @@ def test_command_is_not_repeated_after_connection_loss(last_words: bytes | None,
         if line != "popup hello":
             return b"Program running: true\n"
         if last_words is not None:
-            desks[0].say(last_words)
+            desks[0].send(last_words)
         return None
 
     desk, dashboard = opened(answer)
@@ -542,7 +542,7 @@ def test_unrequested_line_is_not_used_as_next_reply(opened: Opened) -> None:
     assert dashboard.is_in_remote_control()
     assert not dashboard.running()
     assert desk.connections == 2
-    desk.say(b"Program running: true\n")
+    desk.send(b"Program running: true\n")
     assert has_come(dashboard)
     assert dashboard.is_in_remote_control()
     assert desk.connections == 3
@@ -561,7 +561,7 @@ def test_slow_incomplete_reply_times_out(opened: Opened) -> None:
 
     def answer(line: str) -> bytes | None:
         while not end.wait(0.01):
-            desks[0].say(b".")
+            desks[0].send(b".")
         return None
 
     desk, dashboard = opened(answer, timeout=SHORT)

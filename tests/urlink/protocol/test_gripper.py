@@ -106,7 +106,7 @@ class GripperMachine(RuleBasedStateMachine):
         assert self.gripper.reply(f"SET {name} {value}") == ("ack" if value <= WRITABLE[name] else "?")
 
     @rule(line=st.text("GSETPOACT 019", max_size=12))
-    def say(self, line: str) -> None:
+    def send_line(self, line: str) -> None:
         self.gripper.reply(line)
 
     @rule(width=st.floats(0.0, 0.085), inside=st.booleans())
@@ -191,7 +191,7 @@ def test_gripper_activates_moves_and_reports_faults() -> None:
             gripper.open()
         assert caught.value.fault == 10
         controller.gripper.is_connected = False
-        with pytest.raises(GripperFault, match="no gripper is connected to it"):
+        with pytest.raises(GripperFault, match="no gripper is connected to the controller"):
             gripper.status()
         controller.gripper.is_connected = True
         gripper.deactivate()
@@ -288,7 +288,7 @@ def test_replies_without_line_end_and_wrong_replies(answering: Callable[[dict[st
     assert gripper.position() == 12  # over a new connection
     with pytest.raises(PacketError, match="'OBJ 3' is not a value of STA"):
         gripper.get("STA")
-    with pytest.raises(GripperFault, match="the gripper answered 'no'"):
+    with pytest.raises(GripperFault, match="and answered 'no'"):
         gripper.set(ACT=1)
     with pytest.raises(LinkTimeout, match=r"no reply to 'GET PRE' within 0\.5 s"):
         gripper.get("PRE")
@@ -296,16 +296,16 @@ def test_replies_without_line_end_and_wrong_replies(answering: Callable[[dict[st
 
 
 class FingersThatMove(dict[str, bytes]):
-    """Replies of fingers that rest at 0, accept position 75 after `told` requests, and reach it after `arrived`."""
+    """Replies of fingers that rest at 0, accept position 75 after `accepted` requests, and reach it after `arrived`."""
 
-    def __init__(self, told: int, arrived: int) -> None:
-        self._told = told
+    def __init__(self, accepted: int, arrived: int) -> None:
+        self._accepted = accepted
         self._arrived = arrived
         self._asked = 0
 
     def get(self, line: str, default: bytes = b"") -> bytes:  # type: ignore[override]
-        requested = 0 if self._asked < self._told else 75
-        is_moving = self._told <= self._asked < self._arrived
+        requested = 0 if self._asked < self._accepted else 75
+        is_moving = self._accepted <= self._asked < self._arrived
         self._asked += 1
         position = 72 if is_moving else requested
         values = {"STA": 3, "OBJ": 0 if is_moving else 3, "POS": position, "PRE": requested, "FLT": 0}
@@ -313,11 +313,13 @@ class FingersThatMove(dict[str, bytes]):
         return f"{name} {values[name]}\n".encode()
 
 
-@pytest.mark.parametrize(("told", "arrived"), [(told, told + way) for told in range(6) for way in (1, 2, 4, 5, 20)])
+@pytest.mark.parametrize(
+    ("accepted", "arrived"), [(accepted, accepted + way) for accepted in range(6) for way in (1, 2, 4, 5, 20)]
+)
 def test_status_at_rest_has_final_position(
-    answering: Callable[[dict[str, bytes]], Gripper], told: int, arrived: int
+    answering: Callable[[dict[str, bytes]], Gripper], accepted: int, arrived: int
 ) -> None:
-    gripper = answering(FingersThatMove(told, arrived))
+    gripper = answering(FingersThatMove(accepted, arrived))
     for _ in range(6):
         status = gripper.status()
         if not status.is_moving and status.requested == 75:

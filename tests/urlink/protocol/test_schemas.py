@@ -237,7 +237,7 @@ LATER |= {"safety_status": 1108, "reserved_e": 1116, "payload_mass": 1140, "payl
         ("5.10", CB3 | LATER),
     ],
 )
-def test_realtime_offsets(version: str, expected: dict[str, int]) -> None:
+def test_realtime_fields_have_expected_offsets(version: str, expected: dict[str, int]) -> None:
     layout = RealtimeState.LAYOUTS.of(version)
     assert {name: place.offset for name, place in layout.places.items()} == expected
     # Check the bytes as well as the declaration: write each field at its offset and read it back.
@@ -478,14 +478,14 @@ def test_error_inside_state_names_sub_package_and_offset() -> None:
     good = bytes(ToolData())
     body = good + struct.pack(">iB", 36, 2) + good[5:-1]
     data = bytes(urlink.packets.KeyMessage()) + struct.pack(">iB", 5 + len(body), 16) + body
-    with pytest.raises(PacketError, match="in a robot state, packet too short") as caught:
+    with pytest.raises(PacketError, match="in a robot state, the packet is too short") as caught:
         decode(data, "primary")
     error = caught.value
     assert (error.packet, error.expected, error.actual) == ("ToolData", 37, 36)
     assert error.offset == len(data) - 36
     with pytest.raises(PacketError, match="sub-package 2 does not fit"):
         decode(struct.pack(">iBiB", 17, 16, 7, 99) + b"xx" + struct.pack(">iB", 99, 2), "primary")
-    with pytest.raises(PacketError, match="sub-package header cut off"):
+    with pytest.raises(PacketError, match="the header of a sub-package is cut off"):
         decode(struct.pack(">iBiB", 12, 16, 5, 99) + b"xx", "primary")
 
 

@@ -159,7 +159,7 @@ def test_failed_export_keeps_existing_file(recording: urlink.Recording, tmp_path
     path.write_text("precious")
     for fields, complaint in (
         (["q_actuel"], "did you mean q_actual"),
-        (["q_actual", "joint_data.q_actual"], r"can hold only one table, and these are realtime, primary"),
+        (["q_actual", "joint_data.q_actual"], r"can hold only one table, but there are realtime, primary"),
     ):
         with pytest.raises(urlink.BadValue, match=complaint):
             recording.export(path, fields)

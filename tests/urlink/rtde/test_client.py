@@ -72,7 +72,7 @@ def test_outputs_streams_variables() -> None:
         assert desk.opened == 0, "the stream must not connect before its first use"
         state = stream.wait(2.0)
         assert state.actual_q.tolist() == [0.0] * 6
-        desk.say(timestamp=7.0, actual_q=[1, 2, 3, 4, 5, 6])
+        desk.send_values(timestamp=7.0, actual_q=[1, 2, 3, 4, 5, 6])
         until(lambda: stream.latest is not None and stream.latest.timestamp == 7.0)
         newest = stream.latest
         assert newest is not None
@@ -97,7 +97,7 @@ def test_outputs_accepts_a_declared_class() -> None:
         assert stream.left_out == ("payload",)
         got: list[Cell] = []
         stream.subscribe(got.append)
-        desk.say(output_int_register_24=5)
+        desk.send_values(output_int_register_24=5)
         until(lambda: bool(got))
         assert got[0].output_int_register_24 == 5
 
@@ -146,7 +146,7 @@ def test_recipe_is_restored_after_lost_connection() -> None:
         until(lambda: len(times) == 1)
         desk.put(ConnectionLost("cut"))
         until(lambda: len(times) == 2)  # each connection starts with a data package
-        desk.say(timestamp=9.0)
+        desk.send_values(timestamp=9.0)
         until(lambda: times[-1] == 9.0)
         assert stream.stats.reconnects == 1
         assert [type(request).__name__ for request in desk.asked].count("OutputsRequest") == 2
@@ -183,7 +183,7 @@ def test_mismatched_package_is_only_counted() -> None:
         stream = rtde.outputs("timestamp")
         stream.start()
         desk.put(b"\0\x05U\1\0")
-        desk.say(timestamp=3.0)
+        desk.send_values(timestamp=3.0)
         until(lambda: stream.latest is not None and stream.latest.timestamp == 3.0)
         assert stream.stats.failed == 1
 
@@ -262,7 +262,7 @@ def test_concurrent_sends_are_serialised(monkeypatch: pytest.MonkeyPatch) -> Non
         ({"tool_digital_output": {2: True}}, "output of tool_digital_output=2; expected a whole number from 0 to 1"),
         ({"tool_digital_output": {True: True}}, "output of tool_digital_output=True; expected a whole number"),
         ({"tool_digital_output": {0: 7}}, "expected True or False"),
-        ({"tool_digital_output": 4}, "expected bits of 0x3"),
+        ({"tool_digital_output": 4}, "expected a number that sets only bits of 0x3"),
         ({"input_int_register_24": 2**31}, "expected -2147483648 to 2147483647"),
         ({"input_int_register_24": 1.0}, "expected a whole number"),
         ({"external_force_torque": [0, 0, 0]}, "expected 6 finite numbers"),
@@ -534,12 +534,12 @@ def test_read_methods_return_output_registers() -> None:
     with rtde_of(*desks) as rtde:
         registers = rtde.registers(lower=True)
         assert registers.read_integer(0) == 0
-        desks[0].say(output_int_register_47=-5)
+        desks[0].send_values(output_int_register_47=-5)
         until(lambda: registers.read_integer(47) == -5)
         assert registers.read_float(30) == 0.0
         assert registers.read_bit(64) is False
         assert registers.read_bit(33) is False
-        desks[3].say(output_bit_registers32_to_63=2)
+        desks[3].send_values(output_bit_registers32_to_63=2)
         until(lambda: registers.read_bit(33))
 
 

@@ -172,7 +172,7 @@ def test_words_contain_line_of_user_source() -> None:
         ("def f():\n  a()", "line 1 .* `def` has no `end`"),
         ("def f():\n  if a:\n  b()\nend", "line 1 .* `def` has no `end`"),
         ("while True:\n  a()", "`while` has no `end`"),
-        ("a()\nend", "line 2 .* an `end` has no block"),
+        ("a()\nend", "line 2 .* this `end` closes no block"),
         ("def f():\nend\nend", "line 3"),
         ('textmsg("a)', "line 1 .* not closed"),
         ("a\0b", "control character"),

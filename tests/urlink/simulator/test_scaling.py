@@ -226,8 +226,8 @@ def test_later_moves_from_rest_have_a_shorter_ramp(rest: str) -> None:
 def test_later_moves_last_as_long_as_on_the_vendor_simulator(firmware: str) -> None:
     # The limits come from the tests of the UR Client Library. Its executor sends one move after the other to a running
     # program. It checks every 0.1 s whether the move has ended. movej lasts more than 1.4 s (1.45 to 1.65 s in earlier
-    # releases) and movel 0.65 to 0.85 s. A move with a time lasts up to 0.1 s longer than this time; 0.3 s become 0.35
-    # to 0.45 s.
+    # releases) and movel 0.65 to 0.85 s. A move with a time lasts up to 0.1 s longer than this time; the exception is a
+    # move of 0.3 s, which lasts 0.35 to 0.45 s.
     pose, near = "p[-0.203, 0.263, 0.559, 0.68, -1.083, -2.076]", "p[-0.203, 0.463, 0.559, 0.68, -1.083, -2.076]"
     lines = {
         f"movej({FOLDED}, 1.4, 1.05)": (1.0, 5.0),

@@ -58,8 +58,8 @@ class Logger(Plugin):
     The suffix selects the format. ``.csv`` is a table with ``time`` (s since 1970), and a column for each value of each
     variable, read variables first. Values have the types that the plugins declare: a double is one number, a `Scaled`
     is in its unit, text is text, and a structure has a column for each field. Variables that no plugin declares are
-    written as words. ``.urlog`` is a recording of linkcore. It contains the bytes that a client would receive if it
-    were sent all variables at every tick, so that every program that reads a connection can read it.
+    written as words. ``.urlog`` is a recording of linkcore. It contains the bytes that a client would receive if the
+    host sent all variables at every tick. Therefore every program that can read a connection can read the recording.
 
     No file is ever overwritten. If ``run.csv`` exists, the log is written to ``run-1.csv``, then to ``run-2.csv``. A
     robot that is started with the same configuration each day therefore keeps the log of each day; `path` is the path

@@ -134,7 +134,7 @@ class MotionControl:
         cycles: Number of cycles since the motion began.
         left, right: Wheel speeds in m/s; for a velocity-omega robot, both are its speed.
         omega: Turn rate of a velocity-omega robot, in rad/s.
-        say: Function that receives the text that MRC prints about a motion.
+        report: Function that receives the text that MRC prints about a motion.
         motion: Current motion.
         reached: Speed that the motion has reached, in m/s.
     """
@@ -169,7 +169,7 @@ class MotionControl:
     left: float = 0.0
     right: float = 0.0
     omega: float = 0.0
-    say: Callable[[str], object] = str
+    report: Callable[[str], object] = str
     motion: ControlledMotion = field(default_factory=Standing)
     reached: float = 0.0
 

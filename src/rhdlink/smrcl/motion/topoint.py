@@ -208,15 +208,15 @@ class DriveToPoint(ControlledMotion):
         Raises:
             NoWay: If `evaluation` is 1 and every path goes backward, or if the goal is not a number.
         """
-        control.say("\ndtp: Generating feasible paths...")
+        control.report("\ndtp: Generating feasible paths...")
         goal = relative(self._goal, control.pose) if self._is_absolute else self._goal
-        control.say("\ndtp: Choosing the optimal path...")
+        control.report("\ndtp: Choosing the optimal path...")
         forward_only = control.profile.topoint_evaluates and control.parameters.evaluation == 1.0
-        control.say(f"\ndtp_evalmethod = DTP_EVAL_SHORTEST{'_NOBACK' * forward_only}")
+        control.report(f"\ndtp_evalmethod = DTP_EVAL_SHORTEST{'_NOBACK' * forward_only}")
         path = choose_path(goal, self._radius, forward_only=forward_only)
         if path is None:
             raise NoWay("there is no path to the goal" + " without driving backward" * forward_only)
-        control.say("\ndtp: Starting movement...")
+        control.report("\ndtp: Starting movement...")
         control.target = control.pose.copy()
         self._lengths = [self._radius * abs(path.first), path.straight, self._radius * abs(path.last)]
         turns_back = path.straight_direction * path.last_direction == -1
@@ -224,7 +224,7 @@ class DriveToPoint(ControlledMotion):
             Forward(path.straight_direction * path.straight) if turns_back else FollowDirection()
         )
         # Each piece, and the direction of its speed. If the path turns back, the straight piece is a `fwd`, which slows
-        # down before the turning point and has its direction in its distance.
+        # down before the turning point; the sign of its distance gives its direction.
         self._pieces = [
             (ArcTurn(self._radius, path.first, is_piece=True) if path.first else None, path.first_direction),
             (straight if path.straight else None, 1 if turns_back else path.straight_direction),

@@ -220,9 +220,9 @@ class Clothoid(ControlledMotion):
         self._sharpness = power(divide(1.0, tangent), 2.0) * math.pi * power(opened, 2.0)
         self._half = root(divide(angle, self._sharpness))
         if self._angle > math.pi / 2:
-            control.say("Warning angles larger than 90 degrees are not recomended")
+            control.report("Warning angles larger than 90 degrees are not recomended")
         if self._sharpness * control.speed > _SHARPEST / _HALF_WIDTH:
-            control.say("Warning to sharp turn")
+            control.report("Warning to sharp turn")
 
     def update(self, control: MotionControl) -> None:
         """Set the wheel speeds, and steer to the planned heading.

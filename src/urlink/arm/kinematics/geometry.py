@@ -144,7 +144,10 @@ class Geometry:
 
     @cached_property
     def to_wrist(self) -> Geometry:
-        """Arm up to the origin of frame 5, a point on the axis of joint 6, which turns only its orientation."""
+        """Arm up to the origin of frame 5.
+
+        This point is on the axis of joint 6, so joint 6 changes only its orientation.
+        """
         *links, last = self.links
         return replace(self, links=(*links, ArmLink(last.offset, 0.0, 0.0, 0.0, 0.0)))
 

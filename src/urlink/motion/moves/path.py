@@ -353,7 +353,7 @@ class _Planner:
             rows = self._arm.inverse_path(poses, self._q, self._tcp)
         except Unreachable as error:
             # Without the number of the row, because the message contains the pose.
-            raise Unreachable(f"the path to it is out of reach: {str(error).partition(': ')[2]}") from None
+            raise Unreachable(f"the path to this waypoint is out of reach: {str(error).partition(': ')[2]}") from None
         low, high = model.position_limits.T
         beyond = (rows < low) | (rows > high)
         if beyond.any():

@@ -403,7 +403,7 @@ class Trajectory(StrictAttributes):
         if (away > within).any():
             joint = int(np.argmax(away))
             raise BadValue(
-                f"the first point is too far from where the arm is: {JOINTS[joint]} (joint {joint}) is at "
+                f"the first point is too far from the position of the arm: {JOINTS[joint]} (joint {joint}) is at "
                 f"{near[joint]:.4f} rad, but begins at {self.q[0, joint]:.4f} rad; at most {within:g} rad is allowed"
             )
         for point, speeds in ((0, self.qd[0]), (len(self) - 1, self.qd[-1])):

@@ -76,7 +76,7 @@ class BlockMotion(Motion):
         try:
             with self._context.section.waiting():
                 if not clock.is_done(self._linked, _LONGEST):
-                    raise LinkTimeout(f"{self.name}: no connection within {_LONGEST:g} s")
+                    raise LinkTimeout(f"{self.name}: the program on the robot did not connect within {_LONGEST:g} s")
             self._linked.result()
         except BaseException:
             self.cancel()

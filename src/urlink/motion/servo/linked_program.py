@@ -221,7 +221,7 @@ class LinkedProgram:
         return self._life.happened(Event.BRAKE) is not None
 
     def lose(self, error: LinkError) -> None:
-        """Handle a lost connection. The primary interface may still report the reason why the program stopped."""
+        """Handle a lost connection. The primary interface might still report the reason why the program stopped."""
         lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes on its own: {error}")
         self._life.fire(Event.LOSE, lost, at=self._clock())
 

@@ -181,7 +181,7 @@ class CommonPace:
         """Return by how much a stream is ahead of the slowest stream with points, in s.
 
         Args:
-            place: Time on its clock, in s, at `local`.
+            place: Time on the stream's clock, in s, at the moment `local`.
             local: Monotonic time of this computer, in s.
         """
         busy = [each.place_at(local, self._rate) for each in list(self._members) if not each.is_idle]

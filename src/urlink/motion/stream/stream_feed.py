@@ -210,7 +210,7 @@ class StreamFeed(LinkDialogue):
         return request.done
 
     def check(self, since: float, curve: Sequence[Aim]) -> None:
-        """Raise the error that `replace` would raise now, if the program has answered every cut.
+        """Raise the error that `replace` would raise now, assuming that the program has answered every cut.
 
         Raises:
             BadValue: If no path within the limits leads onto the points.

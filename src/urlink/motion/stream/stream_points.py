@@ -191,7 +191,8 @@ def _listed(points: Any) -> list[Any]:
     try:
         return list(points)
     except TypeError:
-        raise BadValue(f"points are {points!r}; expected points, or a Trajectory") from None
+        expected = "a sequence of TrajectoryPoint or PosePoint, or a Trajectory"
+        raise BadValue(f"points is {points!r}; expected {expected}") from None
 
 
 def _moment(point: TrajectoryPoint) -> JointMoment:

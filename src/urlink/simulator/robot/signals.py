@@ -92,7 +92,7 @@ class Signals(StrictAttributes):
         """
         if number not in range(4) or not math.isfinite(value):
             raise BadValue(
-                f"analogue input {number!r} cannot have the value {value!r}; expected input 0 to 3 and a finite value"
+                f"analogue input {number!r} cannot be set to {value!r}; expected input 0 to 3 and a finite value"
             )
         self.analog_inputs[number] = float(value)
 
@@ -104,7 +104,7 @@ class Signals(StrictAttributes):
         """
         if number not in range(2) or not math.isfinite(value):
             raise BadValue(
-                f"analogue output {number!r} cannot have the value {value!r}; expected output 0 or 1 and a finite value"
+                f"analogue output {number!r} cannot be set to {value!r}; expected output 0 or 1 and a finite value"
             )
         self.analog_outputs[number] = float(value)
 
@@ -207,7 +207,7 @@ class ModbusSignals(StrictAttributes, Mapping[str, Value]):
             )
         new: Value = int(value) if isinstance(value, int) else tuple(map(int, value))
         if signal is not None and _length(signal.value) != _length(new):
-            raise BadValue(f"Modbus signal {name!r} is a {KINDS[signal.kind]} and cannot be {value!r}")
+            raise BadValue(f"Modbus signal {name!r} is a {KINDS[signal.kind]} and cannot be set to {value!r}")
         self._values[name] = new
         if signal is not None:
             signal.value = new

@@ -186,7 +186,7 @@ def enter_interpreter(
         thread: ScriptThread = f[THREAD]
         machine = thread.machine
         if machine.main is not thread:
-            raise Fault("interpreter_mode() is for the main thread only")
+            raise Fault("interpreter_mode() must be called in the main thread")
         if machine.statements.is_on:
             raise Fault("interpreter_mode() was called in interpreter mode")
         machine.statements.enter(statement, values.truth(clear_on_enter(f)), values.truth(clear_on_end(f)))

@@ -262,7 +262,7 @@ class Machine:
     Attributes:
         world: The controller.
         statements: Statements from clients, in interpreter mode.
-        left: Number of instructions that may still run in this cycle.
+        left: Number of instructions that can still run in this cycle.
         slice: Number of these instructions that one thread may run.
         spinning: Number of threads that have used up their slice in this cycle.
         reads: Number of reads from sockets in this cycle.

@@ -102,7 +102,7 @@ def pose_display(items: Sequence[Function], place: int) -> Function:
         made = [item(f) for item in items]
         for number in made:
             if number.__class__ not in NUMBERS:
-                raise type_error(f"{values.type_name(number)} in a pose")
+                raise type_error(f"a pose cannot contain a value of type {values.type_name(number)}")
         return PoseValue(made)
 
     return placed(run, place)

@@ -155,7 +155,7 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
     for item in made if not NUMBERS.issuperset(map(type, made)) else ():
         if item.__class__ is tuple:
             if any(inner.__class__ is tuple for inner in item):
-                raise type_error("the lists in a list cannot hold lists")
+                raise type_error("lists can be nested only once; the lists in a list cannot contain lists")
             total += weight(item)
         elif item.__class__ in _HEAVY:
             total += weight(item)
@@ -281,7 +281,7 @@ def truth(value: Any) -> bool:
 
 def _place(value: Any, index: Any) -> int:
     if value.__class__ is not tuple and value.__class__ is not PoseValue:
-        raise type_error(f"{type_name(value)} has no elements")
+        raise type_error(f"a value of type {type_name(value)} has no elements")
     if index.__class__ is float and index.is_integer():
         index = int(index)
     if index.__class__ is not int:
@@ -319,7 +319,7 @@ def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> An
     if len(indices) > 1:
         new = replaced(value[index], indices[1:], new, charge)
     elif value.__class__ is PoseValue and new.__class__ not in NUMBERS:
-        raise type_error(f"{type_name(new)} in a pose")
+        raise type_error(f"a pose cannot contain a value of type {type_name(new)}")
     items = list(value)
     items[index] = new
     if value.__class__ is PoseValue:

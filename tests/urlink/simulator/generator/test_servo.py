@@ -92,7 +92,7 @@ def test_joint_jump_is_a_violation(by: float, passes: bool) -> None:
         to_rest(generator)
         return
     for _ in range(2):
-        with pytest.raises(LimitViolation, match=r"wrist 3: a jump of -?\d"):
+        with pytest.raises(LimitViolation, match=r"wrist 3: the servoj target is -?\d"):
             generator.advance(CYCLE)
         assert generator.setpoint == before
 

@@ -28,6 +28,7 @@ class _Field(NamedTuple):
     rtde: str
     primary: Callable[[Any], Any] | None = None
     is_float32: bool = False
+    is_exact: bool = False
 
 
 def _part(package: str, name: str) -> Callable[[Any], Any]:
@@ -67,16 +68,26 @@ _FIELDS = (
     _Field("elbow_velocity", "elbow_velocity"),
     _Field("linear_momentum_norm", "actual_momentum"),
     _Field("speed_scaling", "speed_scaling", _part("robot_mode_data", "speed_scaling")),
-    _Field("digital_input_bits", "actual_digital_input_bits", _part("masterboard_data", "digital_input_bits")),
-    _Field("digital_output_bits", "actual_digital_output_bits", _part("masterboard_data", "digital_output_bits")),
+    _Field(
+        "digital_input_bits",
+        "actual_digital_input_bits",
+        _part("masterboard_data", "digital_input_bits"),
+        is_exact=True,
+    ),
+    _Field(
+        "digital_output_bits",
+        "actual_digital_output_bits",
+        _part("masterboard_data", "digital_output_bits"),
+        is_exact=True,
+    ),
     _Field("payload_mass", "payload"),
     _Field("payload_cog", "payload_cog"),
     _Field("payload_inertia", "payload_inertia"),
-    _Field("robot_mode", "robot_mode", _part("robot_mode_data", "robot_mode")),
-    _Field("joint_modes", "joint_mode", _part("joint_data", "joint_modes")),
-    _Field("safety_mode", "safety_mode", _part("masterboard_data", "safety_mode")),
-    _Field("safety_status", "safety_status"),
-    _Field("program_state", "runtime_state"),
+    _Field("robot_mode", "robot_mode", _part("robot_mode_data", "robot_mode"), is_exact=True),
+    _Field("joint_modes", "joint_mode", _part("joint_data", "joint_modes"), is_exact=True),
+    _Field("safety_mode", "safety_mode", _part("masterboard_data", "safety_mode"), is_exact=True),
+    _Field("safety_status", "safety_status", is_exact=True),
+    _Field("program_state", "runtime_state", is_exact=True),
 )
 
 #: RTDE variables that are requested while listening to a controller.
@@ -106,7 +117,7 @@ class _Joined(NamedTuple):
 
 def _column(evidence: Evidence, which: str, each: _Field) -> Column | None:
     name = each.rtde if which == "rtde" else each.realtime
-    read = each.primary if which == "primary" else lambda state: getattr(state, name, None)
+    read = each.primary if which in ("primary", "secondary") else lambda state: getattr(state, name, None)
     packets: Came = getattr(evidence, which)
     return None if read is None else packets.column(read)
 
@@ -131,7 +142,7 @@ def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float
         mine, theirs = _column(evidence, "realtime", each), _column(evidence, which, each)
         if mine is None or theirs is None or mine.shape[1:] != theirs.shape[1:]:
             continue
-        if each.is_float32 and which == "primary":
+        if each.is_float32 and which in ("primary", "secondary"):
             mine = mine.astype(np.float32).astype(np.float64)
         rows = [row.tobytes() for row in mine]
         once = {key for key, count in Counter(rows).items() if count == 1}
@@ -156,7 +167,7 @@ def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
 def _agree(evidence: Evidence) -> Measured:
     wrong: dict[str, dict[str, str]] = {}
     count, tried = 0, []
-    for which in ("rtde", "primary"):
+    for which in ("rtde", "primary", "secondary"):
         try:
             joined = _join(evidence, which)
         except NotTried:
@@ -175,8 +186,12 @@ def _agree(evidence: Evidence) -> Measured:
             if mine is None or theirs is None or mine.shape != theirs.shape:
                 continue
             count += 1
-            rounding = _ROUNDING_32 if each.is_float32 and which == "primary" else _ROUNDING
-            if said := _difference(each.realtime, mine, theirs, rounding, rows):
+            rounding = _ROUNDING_32 if each.is_float32 and which != "rtde" else _ROUNDING
+            if each.is_exact:
+                said = _other_mode(mine, theirs)
+            else:
+                said = _difference(each.realtime, mine, theirs, rounding, rows)
+            if said:
                 wrong.setdefault(each.realtime, {})[which] = said
     if not tried:
         raise NotTried("no two interfaces have sent enough packets of the same cycles")
@@ -189,9 +204,22 @@ def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
     odd, first = next(iter(said.items()))
     if each is None or each.primary is None or len(tried) < 2:
         return f"realtime {name} and {', '.join(said)} {each.rtde if each else ''}: {first}".replace("  ", " ")
-    if len(said) > 1:
+    if "primary" in said and "rtde" in said:
         return f"realtime {name}, against rtde and primary: {first}"
+    if len(said) > 1:
+        return f"{' and '.join(said)} {name}, against the others: {first}"
     return f"{odd} {each.rtde if odd == 'rtde' else name}, against the others: {first}"
+
+
+def _other_mode(own: Column, other: Column) -> str:
+    """Return how two interfaces differ in a mode, or "". A mode may change one state later on one of them."""
+    own, other = own.reshape(len(own), -1), other.reshape(len(other), -1)
+    before, after = np.vstack([own[:1], own[:-1]]), np.vstack([own[1:], own[-1:]])
+    wrong = ~((other == own) | (other == before) | (other == after))
+    if not wrong.any():
+        return ""
+    at, which = (int(each[0]) for each in np.nonzero(wrong))
+    return f"{other[at, which]:g} instead of {own[at, which]:g} in {int(wrong.any(axis=1).sum())} of {len(own)} states"
 
 
 def _difference(field: str, own: Column, other: Column, rounding: float, rows: Mapping[tuple[str, str], Column]) -> str:
@@ -204,8 +232,13 @@ def _difference(field: str, own: Column, other: Column, rounding: float, rows: M
     if same(own, other):
         return ""
     worst = float(np.nanmax(np.abs(own - other)))
+    twins = {name: found for (side, name), found in rows.items() if side != "realtime"}
     for (side, name), found in rows.items():
         pair = (found, other) if side == "realtime" else (own, found)
+        twin = twins.get(name) if side == "realtime" else rows.get(("realtime", name))
+        # Some quantities are equal on every arm, such as I_control and I_target.
+        if twin is not None and twin.shape == own.shape and same(twin, other if side == "realtime" else own):
+            continue
         varies = found.shape == own.shape and np.ptp(found) > 0.0
         if name != field and varies and np.any(own != 0.0) and same(*pair):
             return f"the values of {name} are in its place"

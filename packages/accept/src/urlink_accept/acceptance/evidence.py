@@ -32,7 +32,7 @@ from urlink.tools import (
     split_names,
 )
 
-from .logbook import NOTES, SENT
+from .logbook import DELAYED, NOTES, SENT
 
 
 class Note(NamedTuple):
@@ -170,6 +170,23 @@ class Evidence:
         found = self.said(step)
         return found[-1].said if found else None
 
+    def delay(self, begin: float, end: float) -> float:
+        """Return the longest delay of this computer between two monotonic times, in s.
+
+        The time for which the step "frozen" suspends this program on purpose does not count.
+        """
+        frozen = [note for note in self.said("frozen") if "seconds" in note.said]
+        worst = 0.0
+        for at, by in self._delays:
+            meant = sum(n.said["seconds"] for n in frozen if at - by <= n.at and n.at - n.said["seconds"] <= at)
+            if at - by <= end and at >= begin:
+                worst = max(worst, by - meant)
+        return worst
+
+    @cached_property
+    def _delays(self) -> list[tuple[float, float]]:
+        return [(note.at, note.said["by"]) for note in self.said(DELAYED)]
+
     def stage(self, number: int) -> tuple[float, float]:
         """Return the monotonic start times of a stage and of the next one, in s.
 
@@ -213,6 +230,16 @@ class Evidence:
         if not names:
             return Came()
         return _read([(wire, RtdeProtocol(Requests(names, optional=frozenset(names))))], Outputs)
+
+
+def decoded(evidence: Evidence, wire: Wire, protocol: Any, kind: type) -> Came:
+    """Return the packets of one connection. For RTDE, the protocol is None and follows from the requested names."""
+    if protocol is not None:
+        return _read([(wire, protocol())], kind)
+    received = evidence.received("rtde")
+    sent = [each for each in evidence.wires if each.interface == "rtde" and each.is_sent]
+    names = _names(sent[next(at for at, each in enumerate(received) if each is wire)])
+    return _read([(wire, RtdeProtocol(Requests(names, optional=frozenset(names))))], kind) if names else Came()
 
 
 def _names(sent: Wire) -> tuple[str, ...]:

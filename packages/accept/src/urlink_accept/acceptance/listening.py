@@ -13,20 +13,16 @@ from urlink import LinkError, PacketError, Robot
 from urlink.rtde import OUTPUTS
 from urlink.tools import (
     COMMANDS,
-    DashboardProtocol,
-    Dialogue,
-    HttpClient,
     RobotAddress,
-    RobotApi,
     StartReply,
     TcpTransport,
-    find,
     parse_robot_mode,
     parse_safety_mode,
     parse_truth,
 )
 
 from .agreement import RTDE_NAMES
+from .dashboards import answers
 from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried, counted
@@ -109,29 +105,9 @@ def _start_rtde(robot: Robot, book: Logbook) -> None:
 
 def _ask(robot: Robot, place: RobotAddress, book: Logbook) -> None:
     """Send every query of the dashboard that this firmware has, or that the Robot API can answer."""
-    firmware = robot.firmware
-    interface = "robot_api" if firmware.is_polyscope_x else "dashboard"
-    if interface not in place.ports:
-        return
-    transport = TcpTransport(place.host, place.ports[interface], silence=_TIMEOUT)
-    dialogue = Dialogue(transport, DashboardProtocol, interface, _TIMEOUT)
-    api = RobotApi(HttpClient(place.host, place.ports[interface]), _TIMEOUT)
-    try:
-        for command in COMMANDS.values():
-            is_there = find(command.name, firmware) if firmware.is_polyscope_x else command.is_on(firmware)
-            if not command.only_asks or command.name in _NOT_ASKED or not is_there:
-                continue
-            reply, problem = "", None
-            try:
-                if firmware.is_polyscope_x:
-                    reply = api.do(command.name, None, firmware)
-                else:
-                    reply = dialogue.ask(command.name, _TIMEOUT)
-            except LinkError as error:
-                problem = str(error)
-            book.note("dashboard", asked=command.name, reply=reply, error=problem)
-    finally:
-        dialogue.close()
+    names = [each.name for each in COMMANDS.values() if each.only_asks and each.name not in _NOT_ASKED]
+    for asked, reply, error in answers(robot, place, names):
+        book.note("dashboard", asked=asked, reply=reply, error=error)
 
 
 # -- checks ----------------------------------------------------------------------------------------

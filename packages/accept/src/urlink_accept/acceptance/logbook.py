@@ -20,6 +20,10 @@ from linkcore.clock import Stamp
 from urlink import Closed, RecordingWriter
 from urlink.tools import Kind, TcpTransport, strict_json, witnessed
 
+from .delays import DelayMeter
+
+#: Step of the notes about delays of this computer.
+DELAYED = "delayed"
 #: Channel of the notes, interface of the connections that programs make, and suffix of the channels with sent bytes.
 NOTES, REVERSE, SENT = "notes", "reverse", " sent"
 
@@ -51,11 +55,12 @@ class Logbook:
     def note(self, step: str, **said: Any) -> None:
         """Write a note about an action or an answer. The content must be JSON-serialisable; NaN becomes null."""
         self._writer.write(Kind.BYTES, self._notes, Stamp.now(), strict_json({"step": step, **said}).encode())
-        if said.get("event") != "end":
+        if said.get("event") != "end" and step != DELAYED:
             self._noted(step)
 
     def __enter__(self) -> Logbook:
         self._witness.enter_context(witnessed(self._seen))
+        self._witness.enter_context(DelayMeter(lambda late: self.note(DELAYED, by=late)))
         return self
 
     def __exit__(self, *exc: object) -> None:

@@ -170,6 +170,7 @@ class _Wrist:
 
         def freeze() -> None:
             subprocess.run(["sh", "-c", script], check=True)
+            self._book.note("frozen", event="thawed", seconds=_FROZEN)
             clock.sleep(0.5)
 
         return self._streamed("frozen", freeze)

@@ -17,7 +17,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from urlink import BadValue
+from urlink.tools import FloatArray
 
 if TYPE_CHECKING:
     from .evidence import Evidence
@@ -70,6 +73,33 @@ class Measured(NamedTuple):
 
 class NotTried(Exception):
     """Raised if the evidence contains nothing to judge. The message is the reason."""
+
+
+def how_different(expected: FloatArray, measured: FloatArray) -> str:
+    """Return the likely way in which a measured vector differs from an expected one, within a fifth.
+
+    >>> how_different(np.array([1.0, 4.0]), np.array([-1.0, -4.1]))
+    'its sign is inverted'
+    >>> how_different(np.array([1.0, 4.0]), np.array([2000.0, 8000.0]))
+    'it is 2e+03 times as large'
+    """
+    size = float(np.linalg.norm(expected))
+
+    def near(other: FloatArray) -> bool:
+        return float(np.linalg.norm(expected - other)) < 0.2 * size
+
+    if size < 1e-9:
+        return "other values"
+    if not np.any(measured):
+        return "it is zero"
+    if near(-measured):
+        return "its sign is inverted"
+    ratio = float(expected @ measured) / size**2
+    if abs(ratio) > 1e-6 and near(measured / ratio):
+        return f"it is {ratio:.3g} times as large"
+    if near(np.sort(measured) - np.sort(expected) + expected):
+        return "its components are in another order"
+    return "other values"
 
 
 Check = Callable[["Evidence"], Measured]

@@ -12,13 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from linkcore import clock
-from urlink import BadValue, LinkError, connect
+from urlink import BadValue, LinkError, Robot, connect
 from urlink.tools import RecordingAddress, SimulatorAddress, local_address, parse_address, simulated
 
+from .causes import refuted_positions
+from .evidence import Evidence, Note
 from .listening import listen
 from .logbook import Logbook
 from .moving import move
 from .person import Nobody, OfTheSimulator, Person, is_held_by
+from .report import judge
+from .requirements import requirements
 from .standing import stand
 from .swings import swing
 
@@ -32,7 +36,7 @@ STAGES: Mapping[int, str] = {
 }
 
 #: Usual duration of each stage in s; stage 0 also listens.
-_USUAL: Mapping[int, float] = {0: 1.0, 1: 10.0, 2: 56.0, 3: 62.0}
+_USUAL: Mapping[int, float] = {0: 1.0, 1: 38.0, 2: 56.0, 3: 62.0}
 
 
 def run(
@@ -45,6 +49,8 @@ def run(
     dead_man: int | None = None,
     seconds: float = 10.0,
     timeout: float = 5.0,
+    reverse_host: str | None = None,
+    reverse_peer: str | None = None,
     progress: Callable[[float, str], object] = lambda part, doing: None,
 ) -> tuple[str, ...]:
     """Run stages against a controller.
@@ -60,6 +66,8 @@ def run(
         dead_man: Number of the digital input that is on while the arm may move in stages 2 and 3.
         seconds: Time to listen in stage 0, in s.
         timeout: Maximum time to connect, in s.
+        reverse_host: Address of this computer as seen by the robot; see `urlink.connect`.
+        reverse_peer: Source address of the robot's connections; see `urlink.connect`.
         progress: Function that is called at each step with the estimated completed fraction, 0 to 1, and a description
             of the step.
 
@@ -74,15 +82,15 @@ def run(
     """
     place = parse_address(address)
     if isinstance(place, RecordingAddress):
-        raise BadValue(f"{address} is a recording; expected a running controller, or --replay with a bundle")
+        raise BadValue(f"{address} is a recording; expected the address of a controller, or --replay with a bundle")
     controller = None
     if isinstance(place, SimulatorAddress):
         controller, place = simulated(place)
         person = person or OfTheSimulator(controller)
     try:
         with Logbook(path, place.ports, _Pace(stages, seconds, progress).noted) as book:
-            _about(book)
-            with connect(str(place), timeout=timeout) as robot:
+            _about(book, address, controller is not None or _is_loopback(place.host))
+            with connect(str(place), timeout=timeout, reverse_host=reverse_host, reverse_peer=reverse_peer) as robot:
                 book.note("identity", said_so=robot.identity.said_so, **robot.identity.description())
                 person = person or Nobody()
                 begin: dict[int, Callable[[], None]] = {
@@ -93,12 +101,32 @@ def run(
                 }
                 ended = ""
                 for number in stages:
-                    refused = consent(number, STAGES[number]) or ended
+                    # The positions decide when the guard stops the arm, so nothing moves if they are wrong.
+                    wrong = _wrong_positions(robot, path) if number >= _MOVES else ""
+                    refused = wrong or consent(number, STAGES[number]) or ended
                     ended = _run_stage(number, begin[number], refused, book) or ended
         return (place.host, local_address(place.host))
     finally:
         if controller is not None:
             controller.close()
+
+
+#: First stage that moves the arm, and time in s to listen to its positions if stage 0 was not requested.
+_MOVES, _LISTENED = 2, 3.0
+
+
+def _wrong_positions(robot: Robot, path: Path) -> str:
+    """Return why the evidence so far refutes the joint positions, or ""."""
+    robot.realtime.wait(5.0)
+    evidence = Evidence(path)
+    if not evidence.said("stage"):
+        # Stage 0 was not requested, so nothing has listened yet.
+        clock.sleep(_LISTENED)
+        evidence = Evidence(path)
+        evidence.notes.append(Note(0.0, "stage", {"number": 0}))
+    positions = {name: each for name, each in requirements().items() if each.stage == 0}
+    why = refuted_positions(judge(evidence, positions))
+    return f"the joint positions cannot be trusted, because {why}" if why else ""
 
 
 class _Pace:
@@ -137,7 +165,12 @@ def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbo
     return ""
 
 
-def _about(book: Logbook) -> None:
+def _is_loopback(host: str) -> bool:
+    """Whether the controller is on this computer, so that it is a simulator."""
+    return host == "localhost" or host == "::1" or host.startswith("127.")
+
+
+def _about(book: Logbook, address: str, is_simulated: bool) -> None:
     try:
         version = importlib.metadata.version("urlink-robot")
     except importlib.metadata.PackageNotFoundError:
@@ -145,6 +178,8 @@ def _about(book: Logbook) -> None:
     book.note(
         "about",
         wall=time.time(),
+        address=address,
+        simulated=is_simulated,
         urlink=version,
         python=platform.python_version(),
         numpy=np.__version__,

@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from linkcore import clock
-from urlink import CompileError, Firmware, InputInUse, LinkError, Robot, RobotModeData
+from urlink import Cancelled, CompileError, Firmware, InputInUse, LinkError, Robot, RobotModeData
 from urlink.packets import CartesianInfo, TextMessage
 from urlink.rtde import INPUTS, OUTPUTS
 from urlink.tools import RobotAddress, TcpTransport, tool_offset
 
 from ..identification.exercise import SHOWS_SLIDER, slider_of
+from .dashboards import answers
 from .logbook import Logbook
 from .person import Person
 
@@ -27,6 +28,10 @@ _SILENT = 2.0
 #: Changes of the slider, the tool and the payload, which are restored later.
 _SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1
 _SHOWS_PAYLOAD, _SHOWS_TCP = Firmware(5, 10), Firmware(3, 2)
+#: Pause between two connections to one interface, number of measured latencies, and time for which a signal is kept.
+PAUSE, _LATENCIES, _SWITCHED = 0.5, 5, 0.5
+#: Queries about modes.
+_MODES = ("robotmode", "safetymode", "running")
 
 Told = Mapping[str, Any]
 
@@ -53,7 +58,15 @@ def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> N
         "stop-program": lambda: _stop(robot),
         "reset": lambda: _reset(robot, place),
         "silent-client": lambda: _silent(place),
+        "latency": lambda: _latency(robot),
+        "reconnect": lambda: _reconnect(robot, place),
+        "connects-back": lambda: _connects_back(robot),
+        "outputs": lambda: _outputs(robot, book, person),
+        "inputs": lambda: _inputs(robot, book, person),
+        "weight": lambda: _weight(book, person),
         "local": lambda: _local(robot, person),
+        "stop-at-rest": lambda: _stop_at_rest(robot, place, book, person),
+        "power-off": lambda: _power_off(robot, place, book, person),
     }
     try_each(book, steps)
 
@@ -244,6 +257,127 @@ def _silent(place: RobotAddress) -> Told:
         return {"received": 0, "closed": str(error)}
     finally:
         transport.abort()
+
+
+def _reconnect(robot: Robot, place: RobotAddress) -> Told:
+    """Connect to each interface twice, with a pause in between. The bytes show whether the first state is fresh."""
+    for name in ("realtime", "primary", "secondary"):
+        for _ in range(2):
+            transport = TcpTransport(place.host, place.ports[name], silence=_SOON)
+            transport.open(_SOON)
+            until = clock.now() + 0.3
+            while clock.now() < until:
+                transport.receive(_SOON)
+            transport.abort()
+            clock.sleep(PAUSE)
+    if OUTPUTS["timestamp"].is_in(robot.firmware):
+        for _ in range(2):
+            with robot.rtde.outputs("timestamp") as stream:
+                stream.start()
+                stream.wait(_SOON)
+                clock.sleep(0.3)
+            clock.sleep(PAUSE)
+    return {}
+
+
+def _connects_back(robot: Robot) -> Told:
+    """Start a program that streams no set-points, so that it connects to this computer and moves nothing."""
+    with robot.motion.servo():
+        return {}
+
+
+def _latency(robot: Robot) -> Told:
+    """Measure how long a text takes from sending it to the message of its first line."""
+    delays = []
+    for number in range(_LATENCIES):
+        heard: list[float] = []
+        text = f"{BEGIN} latency {number}"
+
+        def note(message: TextMessage, text: str = text, heard: list[float] = heard) -> None:
+            if message.text == text:
+                heard.append(clock.now())
+
+        with robot.primary.subscribe(note, TextMessage):
+            began = clock.now()
+            robot.script.run(f'def latency():\n  textmsg("{text}")\nend').wait(_LONG)
+            if _until(lambda heard=heard: bool(heard), _SOON):  # type: ignore[misc]
+                delays.append(heard[0] - began)
+    return {"delays": delays, "tried": _LATENCIES}
+
+
+# -- with a person -------------------------------------------------------------------------------------
+
+
+def _outputs(robot: Robot, book: Logbook, person: Person) -> Told:
+    if not person.does("outputs"):
+        return {"skipped": "no person has allowed that the outputs switch"}
+    for number in range(8):
+        before = robot.io.digital_out(number)
+        try:
+            for on in (not before, before):
+                robot.io.set_digital_out(number, on, confirm=None)
+                clock.sleep(_SWITCHED)
+                book.note("outputs", event="set", number=number, on=on)
+        finally:
+            robot.io.set_digital_out(number, before, confirm=None)
+    return {}
+
+
+def _inputs(robot: Robot, book: Logbook, person: Person) -> Told:
+    if not person.does("inputs"):
+        return {"skipped": "no person was there to switch the inputs"}
+    for number in range(8):
+        book.note("inputs", event="press", number=number)
+        if not person.does("press"):
+            return {"skipped": f"the person did not switch input {number}"}
+        clock.sleep(_SWITCHED)
+        book.note("inputs", event="pressed", number=number)
+    return {}
+
+
+def _weight(book: Logbook, person: Person) -> Told:
+    clock.sleep(_SWITCHED)
+    book.note("weight", event="told")
+    if not person.does("weight"):
+        return {"skipped": "no person was there to put a weight on the tool"}
+    book.note("weight", event="hangs")
+    clock.sleep(2.0 * _SWITCHED)
+    book.note("weight", event="hung")
+    person.does("no-weight")
+    return {}
+
+
+def _stop_at_rest(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> Told:
+    if not person.does("stop-at-rest"):
+        return {"skipped": "no person has caused a stop"}
+    clock.sleep(_SWITCHED)
+    _ask_during(robot, place, book, "stop-at-rest")
+    if not person.does("unlock"):
+        raise Cancelled("no person has unlocked the protective stop")
+    robot.safety.wait_until_clear(_LONG)
+    return {}
+
+
+def _power_off(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> Told:
+    if robot.firmware < SHOWS_SLIDER or not person.does("power-off"):
+        return {"skipped": "no person has allowed that the arm is powered off"}
+    robot.dashboard.power_off()
+    try:
+        _until(lambda: not robot.primary.of(RobotModeData).wait(_SOON).is_power_on, _SOON)
+        clock.sleep(_SWITCHED)
+        _ask_during(robot, place, book, "power-off")
+    finally:
+        robot.dashboard.start(_LONG + _LONG)
+    return {}
+
+
+def _ask_during(robot: Robot, place: RobotAddress, book: Logbook, step: str) -> None:
+    """Ask the dashboard for the modes, and note the answers together with the time for which the modes are steady."""
+    book.note(step, event="asks")
+    for asked, reply, error in answers(robot, place, _MODES):
+        book.note(step, event="answer", asked=asked, reply=reply, problem=error)
+    clock.sleep(0.2)
+    book.note(step, event="asked")
 
 
 def _local(robot: Robot, person: Person) -> Told:

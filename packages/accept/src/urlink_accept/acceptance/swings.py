@@ -183,7 +183,7 @@ def _alone(evidence: Evidence) -> Measured:
             seen = f"another joint by {others.max() * 1e6:.0f} µrad while the {JOINTS[joint]} swung"
             worst = Measured(float(others.max()), seen)
     if not worst.seen:
-        raise NotTried("no joint has swung")
+        raise NotTried("no joint was moved in the swing test")
     return worst
 
 
@@ -196,7 +196,7 @@ def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
     """
     swings = _Swings(evidence)
     if not swings.joints:
-        raise NotTried("no joint has swung")
+        raise NotTried("no joint was moved in the swing test")
     _, arm = known_arm(evidence)
     columns = {}
     for ours, theirs in COLUMNS.items():
@@ -253,7 +253,7 @@ def _of(name: str, judged: Callable[[float], float], seen: str, *others: str) ->
         _, found = _identified(evidence)
         (each,) = found.estimates[name]
         if not each.is_known:
-            raise NotTried(f"{name} is unknown; it needs {each.needs}")
+            raise NotTried(f"{name} cannot be determined; {each.needs} is needed")
         return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *others)))
 
     return check

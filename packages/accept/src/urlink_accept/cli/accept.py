@@ -27,6 +27,8 @@ from ..acceptance.requirements import from_file, requirements
     ),
     argument("--yes", action="store_true", help="consent to the stages given by --stage"),
     argument("--dead-man", type=int, choices=range(8), metavar="N", help="move only while digital input N is on"),
+    argument("--reverse-host", metavar="HOST", help="address of this computer as seen by the robot, for set-points"),
+    argument("--reverse-peer", metavar="HOST", help="source address of the robot's connections (default: its own)"),
     argument("--duration", type=seconds, default=10.0, metavar="S", help="listen for S seconds (default: 10)"),
     argument("--requirements", metavar="FILE", help="use the limits and the description of the cell in FILE (TOML)"),
     argument("--bundle", metavar="FILE", help="save the evidence in this new file, a ZIP archive"),
@@ -85,6 +87,8 @@ def _test(args: argparse.Namespace, logbook: Path, bundle: Path) -> None:
             dead_man=args.dead_man,
             seconds=args.duration,
             timeout=args.connect_timeout,
+            reverse_host=args.reverse_host,
+            reverse_peer=args.reverse_peer,
             progress=progress,
         )
         progress.next("packing the evidence")
@@ -98,9 +102,9 @@ def _page(path: Path, args: argparse.Namespace) -> int:
             bundle = stack.enter_context(opened(path))
             progress.next("judging the evidence")
             verdicts = judge(bundle.evidence, bundle.requirements, progress)
-        print(report.as_text(bundle.evidence, verdicts, bundle.site, bundle.digest))
+        print(report.as_text(bundle.evidence, verdicts, bundle.site, bundle.digest, args.address or ""))
         if to is not None:
-            page = report.as_html(bundle.evidence, verdicts, bundle.site, bundle.digest)
+            page = report.as_html(bundle.evidence, verdicts, bundle.site, bundle.digest, args.address or "")
             try:
                 Path(to).write_text(page, encoding="utf-8")
             except OSError as error:

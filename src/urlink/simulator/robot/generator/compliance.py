@@ -97,7 +97,7 @@ class FreeJoints:
             speed = math.hypot(*self._arm.velocity(setpoint.q, setpoint.qd)[:3].tolist())
             if speed > _FASTEST:
                 raise LimitViolation(
-                    f"freedrive: the tool is moved at {speed:.2f} m/s, at most {_FASTEST:g} is allowed"
+                    f"freedrive: the tool is moving at {speed:.2f} m/s; at most {_FASTEST:g} m/s is allowed"
                 )
         self._last = setpoint
         return setpoint
@@ -260,7 +260,7 @@ class Compliance:
         if (np.abs(deviation) > limits).any():
             axis = int(np.argmax(np.abs(deviation) > limits))
             off, most = f"{deviation[axis]:.4f} {_UNITS[axis]}", f"{limits[axis]:g}"
-            raise LimitViolation(f"force mode: {_AXES[axis]} is off by {off}, at most {most} is allowed")
+            raise LimitViolation(f"force mode: the deviation along {_AXES[axis]} is {off}; at most {most} is allowed")
 
         self._deviation_speed, self._deviation = axes.T @ speed, axes.T @ deviation
         return self._move(axes.T @ np.where(is_free, speed, axes @ followed + giving), seconds)
@@ -271,7 +271,8 @@ class Compliance:
         self._driven = self._driven + seconds if driven.any() else 0.0
         if self._driven > _DRIVEN_FOR:
             axis = int(np.argmax(driven))
-            raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {self._most[axis]:g}")
+            most = f"{self._most[axis]:g}"
+            raise LimitViolation(f"force mode: the tool was pushed along {_AXES[axis]} at the maximum speed of {most}")
 
     def _axes(self, followed: FloatArray) -> FloatArray:
         """Return the rotation from the base frame to the axes of the task, shape (6, 6).

@@ -165,7 +165,7 @@ class ServoMotion(Command):
             return
         for joint, now, end, most in zip(JOINTS, q, self._end, allowed, strict=True):
             if abs(end - now) > most * horizon:
-                raise LimitViolation(f"{joint}: a jump of {end - now:.4f} rad to a servoj target")
+                raise LimitViolation(f"{joint}: the servoj target is {end - now:.4f} rad away; it is out of reach")
 
 
 @lru_cache(maxsize=256)

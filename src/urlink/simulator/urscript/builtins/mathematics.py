@@ -68,7 +68,7 @@ def str_at(thread: ScriptThread, src: Any, index: Any) -> str:
     text = string(src, "str_at: src")
     at = integer(index, "str_at: index")
     if not 0 <= at < len(text):
-        raise Fault(f"str_at: index out of range: {at} of {len(text)}")
+        raise Fault(f"str_at: index {at} is out of range; the string has {len(text)} characters")
     return text[at]
 
 

@@ -78,7 +78,7 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
         except BadValue as error:
             raise Fault(f"{what}: {error}") from None
         if not is_sent:
-            raise Fault(f"{what} cannot be connected to")
+            raise Fault(f"{what}: cannot connect to the server")
         parser = HttpParser("response")
         while True:
             buffer = sockets.received(socket)
@@ -89,14 +89,14 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
                 if response is None and not data and sockets.state(socket) != "open":
                     response = parser.end()
             except PacketError as error:
-                raise Fault(f"{what} does not answer as a server of XML-RPC: {error}") from None
+                raise Fault(f"{what}: the reply of the server is not valid XML-RPC: {error}") from None
             if response is not None:
                 assert isinstance(response, HttpResponse)
                 if response.status != 200:
-                    raise Fault(f"{what} answers {response.status} {response.reason}")
+                    raise Fault(f"{what}: the server replied with HTTP status {response.status} {response.reason}")
                 return response.body
             if left <= 0:
-                raise Fault(f"{what} has not answered within {TIMEOUT:g} s")
+                raise Fault(f"{what}: the server did not reply within {TIMEOUT:g} s")
             left -= 1
             yield
     finally:
@@ -135,9 +135,9 @@ def parse_answer(body: bytes, what: str, charge: Charge) -> Any:
     try:
         (result,), _ = loads(body)
     except RemoteFault as fault:
-        raise Fault(f"{what} answers with fault {fault.faultCode}: {fault.faultString}") from None
+        raise Fault(f"{what}: the server replied with fault {fault.faultCode}: {fault.faultString}") from None
     except Exception:  # the standard library raises various exceptions, depending on the place of the error
-        raise Fault(f"{what} does not answer as a server of XML-RPC") from None
+        raise Fault(f"{what}: the reply of the server is not valid XML-RPC") from None
     return _value(result, what, charge, 0)
 
 

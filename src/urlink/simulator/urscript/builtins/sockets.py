@@ -249,5 +249,5 @@ def socket_get_var(thread: ScriptThread, name: Any, socket_name: Any = _NAME, ti
         return 0
     key, _, value = line.decode("latin-1").strip().rpartition(" ")
     if key != what or not re.fullmatch(r"[+-]?[0-9]{1,10}", value):
-        raise Fault(f"socket_get_var: '{what} <integer>' was expected as a reply")
+        raise Fault(f"socket_get_var: expected the reply '{what} <integer>'")
     return integer(int(value), "socket_get_var: value")
