@@ -7,21 +7,27 @@ presents such a robot as the variables of `RobobotVariables`. Most programs need
 MQTT needs paho-mqtt (``pip install urlink-robot[mqtt]``), which is imported when a connection to a broker begins.
 """
 
-from .commands import DIALECTS, Command, Dialect
-from .plugin import MqttRobot
-from .simulated import SimulatedRobobot
-from .topics import TOPICS, Message, Topic, decode
-from .variables import RobobotVariables
+from __future__ import annotations
 
-__all__ = [
-    "DIALECTS",
-    "TOPICS",
-    "Command",
-    "Dialect",
-    "Message",
-    "MqttRobot",
-    "RobobotVariables",
-    "SimulatedRobobot",
-    "Topic",
-    "decode",
-]
+from typing import TYPE_CHECKING
+
+from linkcore.names import lazy_names
+
+if TYPE_CHECKING:
+    from .commands import DIALECTS as DIALECTS, Command as Command, Dialect as Dialect
+    from .plugin import MqttRobot as MqttRobot
+    from .simulated import SimulatedRobobot as SimulatedRobobot
+    from .topics import TOPICS as TOPICS, Message as Message, Topic as Topic, decode as decode
+    from .variables import RobobotVariables as RobobotVariables
+
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            ".commands": "DIALECTS Command Dialect",
+            ".plugin": "MqttRobot",
+            ".simulated": "SimulatedRobobot",
+            ".topics": "TOPICS Message Topic decode",
+            ".variables": "RobobotVariables",
+        },
+    )

@@ -11,6 +11,8 @@ from ..variables.value_types import Bool, Int32, Millionths, Scaled, Text
 
 #: Value of one step of a fixed-point variable.
 STEP = 1e-6
+#: Counts of `transpos` per m and of `rotpos` per rad; `cmdtransvel` and `cmdrotvel` have the same scales.
+LINEAR_SCALE, ANGULAR_SCALE = 1e5, 4e4
 #: Maximum lengths of texts, in bytes of UTF-8. Longer texts are cut.
 INFO_SIZE, NAME_SIZE, COMMAND_SIZE = 128, 32, 128
 
@@ -26,13 +28,13 @@ class RobobotVariables(Declarations):
     The time stamp of a read variable is the time of the Raspberry Pi in the message.
     """
 
-    cmdtransvel = Write(Scaled(1e-5, unit="m/s"), doc="forward speed (command rc)")
-    cmdrotvel = Write(Scaled(1 / 40000, unit="rad/s"), doc="turn rate, positive to the left (command rc)")
+    cmdtransvel = Write(Scaled(1 / LINEAR_SCALE, unit="m/s"), doc="forward speed (command rc)")
+    cmdrotvel = Write(Scaled(1 / ANGULAR_SCALE, unit="rad/s"), doc="turn rate, positive to the left (command rc)")
     teensy = Write(Text(COMMAND_SIZE), doc="a command to the Teensy, such as 'leds 16 0 0 30'; sent each time it is set")
     interfacelog = Write(Bool, doc="whether the robot's program writes its own logs (command log)")
 
     transpos = Read(Int32, unit="1e-5 m", doc="travelled distance, computed from the pose or the wheel speeds")
-    rotpos = Read(Scaled(1 / 40000, unit="rad"), doc="heading, not wrapped, computed like transpos")
+    rotpos = Read(Scaled(1 / ANGULAR_SCALE, unit="rad"), doc="heading, not wrapped, computed like transpos")
     linesensor = Read(Int32, 8, doc="livn in the order of MRC, the leftmost sensor last")
 
     posetime = Read(Millionths, unit="s", doc="time of the Teensy in the newest pose")
