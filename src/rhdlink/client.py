@@ -111,7 +111,7 @@ def connect(
         from .mqtt.transport import MqttTransport  # only here: most programs need no host
 
         transport = MqttTransport(
-            place, access=access, fallback=fallback, width=width, silence=timeout, limits=limits
+            place, access=access, fallback=fallback, width=width, silence=timeout
         )
     else:
         transport = TcpTransport(place.host, place.port, silence=timeout)

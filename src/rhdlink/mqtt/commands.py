@@ -70,11 +70,14 @@ class Dialect(NamedTuple):
         name: Name of the dialect, which is the year.
         has_keyword_in_topic: Whether the keyword is in the topic rather than in the payload.
         evidence: Source of the format.
+        requests: Commands to the Teensy with which a master requests measurements that the robot does not publish
+            otherwise.
     """
 
     name: str
     has_keyword_in_topic: bool
     evidence: str
+    requests: tuple[Command, ...] = ()
 
     def encode(self, command: Command) -> tuple[str, str]:
         """Return the topic and the payload of a command.
@@ -102,7 +105,13 @@ class Dialect(NamedTuple):
 #: The dialects, by name.
 DIALECTS: Mapping[str, Dialect] = {
     "2025": Dialect("2025", True, "the MQTT log of a robot of 2025-01-31"),
-    "2026": Dialect("2026", False, "the source of both ends as used in 2026"),
+    "2026": Dialect(
+        "2026",
+        False,
+        "the source of both ends as used in 2026",
+        # As the course's client does at its start. The robot of the log publishes livn without a request.
+        (Command("T0", "lip", "1"), Command("T0", "sub", "livn 10")),
+    ),
 }
 
 

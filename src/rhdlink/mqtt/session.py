@@ -176,7 +176,7 @@ class RobotSession:
         return bool(self.identity) and self.failure is None
 
     def drive(self, timeout: float) -> None:
-        """Become the master of the robot within `timeout` seconds, and stop the robot.
+        """Become the master of the robot within `timeout` seconds, stop it, and request its measurements.
 
         Raises:
             AccessDenied: If another client is the master.
@@ -189,7 +189,8 @@ class RobotSession:
             will = self.dialect.encode(command)
             self._drivers.append(BrokerConnection(self.address, clock.left(until), will=will, on_lost=self._lose))
         # Values from the previous master must not move the robot.
-        self.send(STANDSTILL)
+        for command in (STANDSTILL, *self.dialect.requests):
+            self.send(command)
         self._thread = started(threading.Thread(target=self._keep, name=f"{self.address} alive", daemon=True))
 
     def _claim(self, until: float) -> tuple[Dialect, str]:

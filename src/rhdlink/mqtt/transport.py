@@ -22,8 +22,8 @@ from ..host.service import Service
 from ..variables.database import Database
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
-from ..wire.decoder import Limits
 from ..wire.messages import encode_access
+from .commands import find_dialect
 from .plugin import MqttRobot
 
 #: Duration of a tick, in s.
@@ -40,7 +40,7 @@ class _HostedRobot:
         has_ended: Event of the end.
     """
 
-    def __init__(self, plugin: MqttRobot, access: str, width: int, limits: Limits | None) -> None:
+    def __init__(self, plugin: MqttRobot, access: str, width: int) -> None:
         self.database = Database()
         self.period = PERIOD
         self.tick = 0
@@ -54,7 +54,7 @@ class _HostedRobot:
         bind(plugin, self.database)
         plugin.init(Element(plugin.name))
         plugin.update_values()
-        self._service = Service(self.database, clients=1, width=width, limits=limits)
+        self._service = Service(self.database, clients=1, width=width)
         client = self._service.connect("client")
         assert client is not None  # the only one
         self._client = client
@@ -125,11 +125,13 @@ class MqttTransport:
         fallback: "r" accepts read access if the robot has another master; otherwise None.
         width: Number of 32-bit words of a time stamp; None for 2.
         silence: Seconds without a message of the robot after which it counts as lost.
-        limits: Limits of the requests.
 
     Attributes:
         name: Address of the broker, used in messages.
         period: Duration of a tick, in s.
+
+    Raises:
+        BadValue: If the dialect in the address is not known.
     """
 
     def __init__(
@@ -140,15 +142,15 @@ class MqttTransport:
         fallback: Literal["r"] | None = None,
         width: int | None = None,
         silence: float = 5.0,
-        limits: Limits | None = None,
     ) -> None:
         self.name = str(address)
         self.period = PERIOD
+        if address.dialect is not None:
+            find_dialect(address.dialect)
         self._address = address
         self._access, self._fallback = access, fallback
         self._width = 2 if width is None else width
         self._silence = silence
-        self._limits = limits
         self._robot: _HostedRobot | None = None
 
     def open(self, timeout: float) -> None:
@@ -170,7 +172,7 @@ class MqttTransport:
 
     def _opened(self, access: Literal["r", "w"], timeout: float) -> _HostedRobot:
         plugin = MqttRobot(self._address, access, timeout=timeout, silence=self._silence)
-        return _HostedRobot(plugin, access, self._width, self._limits)
+        return _HostedRobot(plugin, access, self._width)
 
     def _connected(self) -> _HostedRobot:
         robot = self._robot
