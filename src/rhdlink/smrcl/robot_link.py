@@ -23,7 +23,7 @@ from ..host.plugin import Plugin, check_methods
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
-from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
+from .robot_conf import ROBOBOT, SMR, VELOMEGA, RobotConf, read_robot_conf
 
 #: The words of read variables, by name.
 Words = Mapping[str, Sequence[int]]
@@ -264,6 +264,8 @@ def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLi
     """
     if conf is None:
         conf = VELOMEGA if "cmdtransvel" in link.write else SMR
+        if conf is VELOMEGA and "livn" in link.read:
+            conf = ROBOBOT
         period = getattr(link, "period", conf.period)
         conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
     elif not isinstance(conf, RobotConf):
