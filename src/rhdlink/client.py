@@ -110,9 +110,7 @@ def connect(
     if isinstance(place, MqttAddress):
         from .mqtt.transport import MqttTransport  # only here: most programs need no host
 
-        transport = MqttTransport(
-            place, access=access, fallback=fallback, width=width, silence=timeout
-        )
+        transport = MqttTransport(place, access=access, fallback=fallback, width=width, silence=timeout)
     else:
         transport = TcpTransport(place.host, place.port, silence=timeout)
     robot._connect(

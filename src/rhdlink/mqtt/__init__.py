@@ -14,10 +14,15 @@ from typing import TYPE_CHECKING
 from linkcore.names import lazy_names
 
 if TYPE_CHECKING:
-    from .commands import DIALECTS as DIALECTS, Command as Command, Dialect as Dialect
+    from .commands import DIALECTS as DIALECTS
+    from .commands import Command as Command
+    from .commands import Dialect as Dialect
     from .plugin import MqttRobot as MqttRobot
     from .simulated import SimulatedRobobot as SimulatedRobobot
-    from .topics import TOPICS as TOPICS, Message as Message, Topic as Topic, decode as decode
+    from .topics import TOPICS as TOPICS
+    from .topics import Message as Message
+    from .topics import Topic as Topic
+    from .topics import decode as decode
     from .variables import RobobotVariables as RobobotVariables
 
 else:

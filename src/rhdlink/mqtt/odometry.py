@@ -44,7 +44,7 @@ class Odometry:
         turn = math.remainder(new[3] - old[3], 2 * math.pi)
         forward = (new[1] - old[1]) * math.cos(new[3]) + (new[2] - old[2]) * math.sin(new[3])
         move = math.hypot(new[1] - old[1], new[2] - old[2])
-        if 0.0 < seconds and move <= _FASTEST_MOVE * seconds and abs(turn) <= _FASTEST_TURN * seconds:
+        if seconds > 0.0 and move <= _FASTEST_MOVE * seconds and abs(turn) <= _FASTEST_TURN * seconds:
             self.distance += forward
             self.heading += turn
 

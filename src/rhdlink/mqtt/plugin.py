@@ -25,6 +25,8 @@ _log = logging.getLogger(__name__)
 
 #: Maximum age of the odometry, in s, at which the robot may drive.
 _OLDEST = 1.0
+#: Maximum wait for the first heartbeat, in s. A robot sends two of them in each second.
+_HEARTBEAT = 0.6
 
 
 class MqttRobot(RobobotVariables, Plugin):
@@ -95,6 +97,7 @@ class MqttRobot(RobobotVariables, Plugin):
             session.wait_for_robot(clock.left(until))
             if self._access == "w":
                 session.drive(clock.left(until))
+            session.wait_for_values(min(_HEARTBEAT, clock.left(until)))
         except BaseException:
             session.close()
             raise

@@ -10,8 +10,8 @@ wills are needed. MQTT has one last will for each connection, and a master sends
 commands alone stops the wheels (log), so one lost connection or one lost message is not a danger.
 
 The dialect must be known before these connections are opened, because it determines the last wills. It is recognised by
-the answer to ``alive``: the session sends ``alive`` in both dialects, with another ID in each of them. A robot ignores a
-command of the other dialect, and answers with the ID that it has understood.
+the answer to ``alive``: the session sends ``alive`` in both dialects, with another ID in each of them. A robot ignores
+the command of the other dialect, and answers with the ID that it has understood.
 """
 
 from __future__ import annotations
@@ -84,6 +84,7 @@ class RobotSession:
         self._lock = threading.RLock()
         self._closing = ReentrantEvent()
         self._has_message = ReentrantEvent()
+        self._has_heartbeat = ReentrantEvent()
         self._has_answer = ReentrantEvent()
         self._master = ""
         self._repeated: Command | None = None
@@ -111,6 +112,13 @@ class RobotSession:
                 f"{self.address}: there is a broker, but no robot has published on {DRIVE}# within {timeout:.1f} s; "
                 "is teensy_interface running?"
             )
+
+    def wait_for_values(self, timeout: float) -> None:
+        """Wait for a heartbeat, which is the rarest message of a robot that a program might read at once.
+
+        Return after `timeout` seconds, because a robot might not publish it.
+        """
+        clock.wait(self._has_heartbeat.wait, timeout)
 
     def check(self) -> None:
         """Raise the error that ended the session, if there is one.
@@ -147,6 +155,8 @@ class RobotSession:
             self._on_message(message)
         except Exception:  # paho would end its thread
             _log.exception("%s: a message could not be processed", self.address)
+        if message.topic == "T0/hbt":
+            self._has_heartbeat.set()
 
     def _take_master(self, identity: str) -> None:
         with self._lock:

@@ -112,6 +112,11 @@ class SimulatedRobobot(StrictAttributes, Runnable):
         """Address of the robot, as for `rhdlink.connect`."""
         return str(self._place)
 
+    @property
+    def dialect(self) -> str:
+        """Name of the dialect of its commands."""
+        return self._dialect.name
+
     # -- its life --------------------------------------------------------------------------------------
 
     def _begin(self) -> None:
@@ -269,7 +274,10 @@ class SimulatedRobobot(StrictAttributes, Runnable):
         return text if self._dialect.name == "2026" else f"{text} 0"
 
     def _liv(self) -> str:
-        return " ".join(str(round(int(word) * 0.001 * level)) for word, level in zip(self._livn().split(), _WHITE_LEVELS, strict=False))
+        normalised = self._livn().split()[: len(_WHITE_LEVELS)]
+        return " ".join(
+            f"{0.001 * int(word) * level:.0f}" for word, level in zip(normalised, _WHITE_LEVELS, strict=True)
+        )
 
     def _distances(self) -> str:
         return " ".join(f"{min(self.world.wall(direction), _RANGE):.3f}" for direction in _DIRECTIONS)

@@ -30,7 +30,9 @@ class RobobotVariables(Declarations):
 
     cmdtransvel = Write(Scaled(1 / LINEAR_SCALE, unit="m/s"), doc="forward speed (command rc)")
     cmdrotvel = Write(Scaled(1 / ANGULAR_SCALE, unit="rad/s"), doc="turn rate, positive to the left (command rc)")
-    teensy = Write(Text(COMMAND_SIZE), doc="a command to the Teensy, such as 'leds 16 0 0 30'; sent each time it is set")
+    teensy = Write(
+        Text(COMMAND_SIZE), doc="a command to the Teensy, such as 'leds 16 0 0 30'; sent each time it is set"
+    )
     interfacelog = Write(Bool, doc="whether the robot's program writes its own logs (command log)")
 
     transpos = Read(Int32, unit="1e-5 m", doc="travelled distance, computed from the pose or the wheel speeds")

@@ -269,7 +269,7 @@ def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLi
         period = getattr(link, "period", conf.period)
         conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
     elif not isinstance(conf, RobotConf):
-        conf = read_robot_conf(conf, robot=link.name.rpartition(":")[0])
+        conf = read_robot_conf(conf, robot=link.name.removeprefix("mqtt://").rpartition(":")[0])
     lacking = [f"there is no read variable {name}" for name in conf.reads if name not in link.read]
     lacking += [f"there is no write variable {name}" for name in conf.writes if name not in link.write]
     if lacking:
