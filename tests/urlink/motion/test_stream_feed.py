@@ -443,6 +443,8 @@ def test_same_points_are_reached_again_after_four_cycles() -> None:
 
 def test_point_at_current_time_is_past_at_rest() -> None:
     stream = Streamed(E_SERIES)
+    with pytest.raises(BadValue, match="all points are in the past: the last is at 0 s, but the stream is at 0 s"):
+        stream.replace(0.0, [TrajectoryPoint(HOME, 0.0, [0] * 6)])
     stream.replace(0.0, [TrajectoryPoint(turned(0.1 * t), t, [0] * 6) for t in (0.0, 0.5, 1.0)])
     stream.run_dry()
     assert angles_of_points(stream) == pytest.approx([0.05, 0.1], abs=1e-6)
