@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
+from typing import Any
 
 import linkcore.clock
 from linkcore.clock import Stamp
@@ -197,14 +198,13 @@ class ScriptedTransport:
         self.abort()
 
 
-def scripted(
-    transport: Transport,
-    *,
-    name: str = "script",
-    backoff: Backoff = AT_ONCE,
-    silence: float | None = None,
-    lossless: bool = False,
-) -> Stream[Count]:
-    """Return a stream of `Count` over a transport."""
-    connection = Connection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
-    return Stream(connection, Count, lossless=lossless)
+def connection_over(
+    transport: Transport, *, name: str = "script", backoff: Backoff = AT_ONCE, silence: float | None = None
+) -> Connection:
+    """Return a connection of `Count` over a transport."""
+    return Connection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
+
+
+def scripted(transport: Transport, *, lossless: bool = False, **options: Any) -> Stream[Count]:
+    """Return a stream of `Count` over a transport; see `connection_over`."""
+    return Stream(connection_over(transport, **options), Count, lossless=lossless)

@@ -207,6 +207,11 @@ class FanOut:
                     self._routes.pop(route, None)
             self._update()
 
+    @property
+    def sinks(self) -> tuple[Sink, ...]:
+        """Sinks that are offered packets, in the order in which they get them."""
+        return tuple(route.sink for route in self._now())
+
     def _now(self) -> list[_Route]:
         # Inline callbacks come last, so that a slow one does not delay the queues.
         return sorted(self._routes, key=lambda route: route.sink.is_inline)
@@ -247,6 +252,6 @@ class FanOut:
     def close(self, *, all: bool) -> None:
         """Close all sinks; without `all`, close sinks that may lose packets and the sink whose callback calls this."""
         callers = [delivery.sink for delivery in self.deliveries if delivery.runs_here()]
-        for route in self._now():
-            if all or not route.sink.makes_reader_wait or route.sink in callers:
-                route.sink.close()
+        for sink in self.sinks:
+            if all or not sink.makes_reader_wait or sink in callers:
+                sink.close()
