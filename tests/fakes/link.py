@@ -121,7 +121,7 @@ class ScriptedTransport:
         self._openings = list(openings)
         self._items: deque[bytes | Exception] = deque()
         self._changed = threading.Condition()
-        self._closed = True
+        self.is_closed = True
         self.opened = 0
         self.sent: list[bytes] = []
         #: Exception that the next `send` raises.
@@ -140,14 +140,14 @@ class ScriptedTransport:
         if outcome is not None:
             raise outcome
         with self._changed:
-            self._closed = False
+            self.is_closed = False
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         with self._changed:
             came = self._changed.wait_for(
-                lambda: self._items or self._closed, timeout=30 if timeout is None else timeout
+                lambda: self._items or self.is_closed, timeout=30 if timeout is None else timeout
             )
-            if self._closed:
+            if self.is_closed:
                 raise ConnectionLost("closed here")
             if not came:
                 assert timeout is not None, "the test has put no data for 30 s"
@@ -167,7 +167,7 @@ class ScriptedTransport:
         refusal, self.refusal = self.refusal, None
         if refusal is not None:
             raise refusal
-        if self._closed:
+        if self.is_closed:
             raise ConnectionLost("script is not connected")
         with self._changed:
             count = len(data) if self.room is None else min(self.room, len(data))
@@ -179,8 +179,8 @@ class ScriptedTransport:
 
     def wait_for_room(self, timeout: float) -> bool:
         with self._changed:
-            self._changed.wait_for(lambda: self.room != 0 or self._closed, timeout)
-            if self._closed:
+            self._changed.wait_for(lambda: self.room != 0 or self.is_closed, timeout)
+            if self.is_closed:
                 raise ConnectionLost("script is not connected")
             return self.room != 0
 
@@ -191,7 +191,7 @@ class ScriptedTransport:
 
     def abort(self) -> None:
         with self._changed:
-            self._closed = True
+            self.is_closed = True
             self._changed.notify_all()
 
     def close(self) -> None:

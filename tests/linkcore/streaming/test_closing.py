@@ -15,7 +15,7 @@ from linkcore.streaming.connection_life import Backoff, ConnectionEvent, Connect
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.streaming.stream import Stream
-from tests.contended import Contended, beside
+from tests.contended import beside, contended_lock
 from tests.fakes.link import Count, CountProtocol, ScriptedTransport, connection_over, counts, scripted
 from tests.waiting import until
 
@@ -226,11 +226,9 @@ def test_send_timeout_starts_after_connecting() -> None:
     connection.close(2.0)
 
 
-def test_queue_added_just_before_a_stream_ends_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queue_added_just_before_a_stream_ends_is_ended() -> None:
     queue = PacketQueue(drop_oldest(8))
-    lock = Contended(threading.RLock(), before=lambda: fan_out.add(queue, Count))
-    with monkeypatch.context() as patch:
-        patch.setattr(threading, "RLock", lambda: lock)
+    with contended_lock(before=lambda: fan_out.add(queue, Count)):
         fan_out = FanOut(Count)
     fan_out.end()
     assert queue.next(0.0) is None
