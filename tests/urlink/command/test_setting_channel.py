@@ -89,6 +89,7 @@ def test_each_setting_writes_its_mask_and_value(robot: ScriptedController, input
         until(lambda number=number: robot.slow.opened == number + 1)  # type: ignore[misc]
         robot.clear()
         robot.state(board={"analog_output_domain_1": 1})
+        time.sleep(0.1)  # simulated time passes only when the states were read
     assert inputs.written == [
         {"standard_digital_output_mask": 8, "standard_digital_output": 8},
         {"configurable_digital_output_mask": 128, "configurable_digital_output": 0},
@@ -150,11 +151,10 @@ def test_missing_rtde_is_tried_once_per_connection(robot: ScriptedController, in
 
 def test_input_in_use_is_refused_separately(robot: ScriptedController, inputs: Inputs) -> None:
     inputs.held = {"speed_slider_mask"}
-    for count in (1, 2):
-        robot.settings.speed_slider(0.5, 0.0)
-        assert (len(inputs.asked), len(robot.sent)) == (1, count)  # the claim is not tried again
-    robot.io.set_digital_out(0, True, confirm=0.0)
-    assert (len(inputs.written), len(robot.sent)) == (1, 2)
+    with pytest.raises(NotConfirmed):
+        robot.settings.speed_slider(0.5, 0.01)
+    assert (len(inputs.written), len(robot.sent)) == (0, 1)
+    assert robot.settings._channel._is_refused(("speed_slider_mask", "speed_slider_fraction"))
 
 
 def test_setting_is_sent_by_script_when_write_fails(robot: ScriptedController, inputs: Inputs) -> None:
