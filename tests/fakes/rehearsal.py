@@ -63,20 +63,19 @@ class Rehearsal(ScriptedController):
         self.has_registers = link == "rtde"
         self.inputs = InputClaim()
         reverse = ReversePort("127.0.0.1", port=port)
-        self.motion = Motions(
-            MotionContext(
-                self.programs,
-                self.channel,
-                self.realtime,
-                self.who,
-                reverse,
-                RegisterPort(self._claim, 1.0, SETPOINT_INPUTS, RegisterLink),
-                RegisterPort(self._claim, 1.0, POINT_INPUTS, lambda inputs: PointRegisterLink(inputs, lambda: None)),
-                self.section,
-                # Motions use the clock of the test, in which one cycle passes with each state.
-                clock=lambda: self.time,
-            )
+        self.context = MotionContext(
+            self.programs,
+            self.channel,
+            self.realtime,
+            self.who,
+            reverse,
+            RegisterPort(self._claim, 1.0, SETPOINT_INPUTS, RegisterLink),
+            RegisterPort(self._claim, 1.0, POINT_INPUTS, lambda inputs: PointRegisterLink(inputs, lambda: None)),
+            self.section,
+            # Motions use the clock of the test, in which one cycle passes with each state.
+            clock=lambda: self.time,
         )
+        self.motion = Motions(self.context)
         if self.has_registers:
             self.motion.follow = partial(self.motion.follow, link=link)  # type: ignore[method-assign]
             self.motion.servo = partial(self.motion.servo, link=link)  # type: ignore[method-assign]
