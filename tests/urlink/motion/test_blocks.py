@@ -23,6 +23,7 @@ from urlink.errors import NoContact, ProgramStopped
 from urlink.motion.motions import LinkName
 from urlink.motion.servo.block_motion import BlockMotion
 from urlink.motion.servo.force_control import ForceMode
+from urlink.motion.servo.linked_program import LinkedProgram
 
 pytestmark = pytest.mark.simulated_time
 
@@ -195,9 +196,10 @@ def test_unexpected_program_end_ends_block(rehearsal: Callable[..., Rehearsal], 
             block.wait(TIMEOUT)
 
 
-def test_command_after_leaving_block_raises_closed(robot: Rehearsal) -> None:
+def test_command_after_leaving_block_raises_closed(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     with entered(robot, robot.motion.jog()) as jog:
-        jog._program.finish()  # as leaving the block does, before it waits until the arm is at rest
+        monkeypatch.setattr(jog, "wait", lambda seconds: None)
+        jog.__exit__()  # the arm is not yet at rest
         with pytest.raises(Closed, match="the block of this jog was left"):
             jog.move([0.1] * 6)
 
@@ -223,12 +225,12 @@ def test_send_waits_for_reason_of_lost_connection(robot: Rehearsal, monkeypatch:
         waited.append(seconds)
         raise LinkTimeout("no reason was reported")
 
-    def say(data: bytes) -> None:
+    def say(program: LinkedProgram, data: bytes) -> None:
         raise ConnectionLost("reset")
 
     with entered(robot, robot.motion.servo()) as servo:
         monkeypatch.setattr(servo, "wait", wait)
-        monkeypatch.setattr(servo._program, "say", say)
+        monkeypatch.setattr(LinkedProgram, "say", say)
         with pytest.raises(ConnectionLost, match="reset"):
             servo.send(HOME)
         assert waited == [1.5]
@@ -253,11 +255,11 @@ def test_block_thread_is_urgent_inside_block(robot: Rehearsal, monkeypatch: pyte
 
 
 def test_interrupted_start_cancels_block(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(seconds: float) -> None:
+    def interrupt(future: object, seconds: float) -> bool:
         raise KeyboardInterrupt
 
     jog = robot.motion.jog()
-    monkeypatch.setattr(jog._linked, "exception", interrupt)
+    monkeypatch.setattr(clock, "is_done", interrupt)
     with pytest.raises(KeyboardInterrupt):
         jog.__enter__()
     assert jog.phase is Phase.CANCELLED

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -339,7 +339,9 @@ class TestServo:
                 servo.measure_delay()
 
     @pytest.mark.parametrize("delay", [None, 0.0, 0.1])
-    def test_set_points_are_sent_earlier_by_delay(self, robot: Rehearsal, delay: float | None) -> None:
+    def test_set_points_are_sent_earlier_by_delay(
+        self, robot: Rehearsal, dialogues: list[Any], delay: float | None
+    ) -> None:
         with opened(robot, delay=delay) as servo:
             # A thread answers the states up to here; this subscription receives each state after that thread.
             heard: list[float] = []
@@ -355,7 +357,7 @@ class TestServo:
             while q != pytest.approx(turned(0.02), abs=1e-6):
                 time += robot.cycle
                 state = SimpleNamespace(time=time, q_target=np.array(HOME), qd_target=still, **PLAYING)
-                q = read_message(servo._dialogue.step(b"", cast(RealtimeState, state), time))[0]
+                q = read_message(dialogues[0].step(b"", cast(RealtimeState, state), time))[0]
             # The last few thousandths of a second are less than a millionth of a radian.
             assert at - time == pytest.approx(2 * robot.cycle if delay is None else delay, abs=0.003)
 
@@ -375,7 +377,9 @@ class TestServo:
                 with pytest.raises(BadValue, match="expected a Joint or Linear without blend and speed"):
                     servo.schedule(refused, at=robot.time + 20)  # type: ignore[arg-type]
 
-    def test_schedule_works_after_an_interruption(self, robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_schedule_works_after_an_interruption(
+        self, robot: Rehearsal, dialogues: list[Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         def interrupt(*args: object) -> None:
             raise KeyboardInterrupt
 
@@ -385,7 +389,7 @@ class TestServo:
                 with pytest.raises(KeyboardInterrupt):
                     servo.schedule(HOME, at=robot.time + 1)
             assert servo.schedule(HOME, at=robot.time + 1) is not None
-            assert servo._dialogue.resampled is not None
+            assert dialogues[0].resampled is not None
 
     def test_send_and_schedule_cannot_be_combined(self, rehearsal: Callable[..., Rehearsal]) -> None:
         for options, message in (({}, "use either send"), ({"target_filter": "jerk_limited"}, "use send")):

@@ -158,7 +158,7 @@ def test_statistics_of_long_loop_use_newest_intervals(robot: Rehearsal, monkeypa
         assert (servo.stats.count, servo.stats.late, servo.stats.max) == (4, 1, 0.25)
 
 
-def test_set_point_carries_speed(led: Rehearsal) -> None:
+def test_set_point_carries_speed(led: Rehearsal, dialogues: list[Any]) -> None:
     with opened(led) as servo:
         for q, seconds, speed in ((0.03, 0.0, 0.0), (0.032, 0.004, 0.5), (0.033, 0.0, 0.5), (0.031, 0.002, 0.0)):
             led.time += seconds
@@ -166,7 +166,7 @@ def test_set_point_carries_speed(led: Rehearsal) -> None:
             assert next_set_point(led) == pytest.approx(turned(q))
             assert led.speeds == pytest.approx([0.0] * 5 + [speed], abs=1e-6)
         # From now on, only the loop sends messages.
-        assert servo._dialogue.step(b"", servo._context.state(), led.time) == b""
+        assert dialogues[0].step(b"", led.context.state(), led.time) == b""
 
 
 def test_burst_after_delay_causes_no_speed_peak(led: Rehearsal) -> None:
@@ -258,13 +258,13 @@ def test_source_of_set_points_is_notified_of_pause() -> None:
     assert not servo.begins_anew
 
 
-def test_loop_restarts_after_pause(robot: Rehearsal) -> None:
+def test_loop_restarts_after_pause(robot: Rehearsal, dialogues: list[Any]) -> None:
     with opened(robot) as servo:
         for n in range(5):
             servo.send(turned(0.001 * n))
             assert next_set_point(robot) == pytest.approx(turned(0.001 * n))
             robot.time += 0.002
-        servo._dialogue.resume(seen(robot.time, q=0.3))
+        dialogues[0].resume(seen(robot.time, q=0.3))
         with pytest.raises(BadValue, match=r"from where the arm is; at most 0\.0500 rad"):
             servo.send(turned(0.005))
         for q, speed in ((0.3, 0.0), (0.301, 0.5)):
