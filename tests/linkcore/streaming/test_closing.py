@@ -190,7 +190,12 @@ class Quick:
 
 def test_consumer_is_woken_again_after_sleeping_again(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Quick] = []
-    monkeypatch.setattr(packet_queue, "SimpleQueue", lambda: made.append(Quick()) or made[-1])
+
+    def make() -> Quick:
+        made.append(Quick())
+        return made[-1]
+
+    monkeypatch.setattr(packet_queue, "SimpleQueue", make)
     queue = PacketQueue(drop_oldest(8))
     to_consumer, _ = made
     consumer = threading.Thread(target=lambda: [queue.next(_SOON) for _ in range(4)])

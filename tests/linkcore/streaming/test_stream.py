@@ -411,7 +411,7 @@ def test_closed_iteration_removes_its_queue(
     transport.put(counts(1))
     iterator = stream.iterate(drop_oldest(8))
     assert next(iterator).number == 1
-    assert len(connection.fan_out.sinks) == 1
+    assert len(list(connection.fan_out.sinks)) == 1
     iterator.close()  # type: ignore[attr-defined]
     assert connection.fan_out.sinks == ()
 

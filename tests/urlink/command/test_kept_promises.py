@@ -39,7 +39,8 @@ from urlink.protocol.rtde.protocol import Requests
 from urlink.protocol.rtde.transport import RtdeTransport
 from urlink.rtde import client
 from urlink.rtde.claims import CLAIM_TIMEOUT, BriefClaims, Claims
-from urlink.rtde.client import OutputStream, Rtde, connection_of
+from urlink.rtde.client import Rtde
+from urlink.rtde.outputs import OutputStream, connection_of
 from urlink.session.identity import Identity
 from urlink.session.source import Source
 

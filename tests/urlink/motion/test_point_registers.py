@@ -14,6 +14,7 @@ from tests.urlink.motion.streamed import Streamed
 from tests.urlink.motion.test_register_link import FIRMWARES, Inputs, write
 from tests.urlink.motion.test_stream import BESIDE, E_SERIES, wave, waves
 from urlink.motion.links import register_link
+from urlink.motion.links.messages import LARGEST
 from urlink.motion.links.register_link import POINT_INPUTS, POINT_OUTPUTS, PointLinks, PointRegisterLink
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.stream import stream_feed
@@ -132,7 +133,7 @@ def test_message_number_wraps_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The number is never 0, because an unwritten register holds 0."""
     packages: list[dict[str, float]] = []
     link = PointRegisterLink(Inputs(packages.append), lambda: None)
-    assert register_link.LARGEST == 0x7FFF_FFFF  # reached after 49 days at 500 Hz
+    assert LARGEST == 0x7FFF_FFFF  # reached after 49 days at 500 Hz
     monkeypatch.setattr(register_link, "LARGEST", 3)
     for _ in range(5):
         link.send(StreamFeed.farewell + bytes(4))

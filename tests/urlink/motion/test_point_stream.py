@@ -181,8 +181,13 @@ def test_calls_time_out_if_arm_does_not_come_to_rest(
 @contextmanager
 def one_state_in_half_a_minute(robot: Rehearsal) -> Iterator[None]:
     """Let the stream run for more than a minute: without a state, it fails after that time."""
+
+    def show() -> None:
+        time.sleep(30.0)
+        robot.tick()
+
     with ThreadPoolExecutor(1) as other:
-        other.submit(lambda: (time.sleep(30.0), robot.tick()))
+        other.submit(show)
         yield
 
 

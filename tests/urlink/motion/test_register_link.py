@@ -13,7 +13,7 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
 from urlink.motion.links import register_link
-from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
+from urlink.motion.links.messages import LARGEST, STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.motion.links.register_link import SETPOINT_INPUTS, RegisterLink, RegisterPort
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.protocol.firmware import Firmware
@@ -95,7 +95,7 @@ def test_message_numbers_and_dates_always_fit_a_register(monkeypatch: pytest.Mon
     """They are never 0, because an unwritten register holds 0."""
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))
-    assert register_link.LARGEST == 0x7FFF_FFFF  # reached after 50 days at 500 Hz
+    assert LARGEST == 0x7FFF_FFFF  # reached after 50 days at 500 Hz
     monkeypatch.setattr(register_link, "LARGEST", 2)
     for date in range(4):
         link.send(dated(WAIT_MESSAGE, date))

@@ -304,7 +304,7 @@ def test_closed_streams_and_inputs_are_released() -> None:
         assert stream.is_over
         inputs = rtde.inputs("input_int_register_24")
         inputs.close()
-        released = [weakref.ref(stream), weakref.ref(inputs)]
+        released: list[weakref.ref[Any]] = [weakref.ref(stream), weakref.ref(inputs)]
         del stream, inputs
         rtde.outputs("timestamp")  # forgets those that are closed
         gc.collect()
