@@ -9,7 +9,8 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 from linkcore.errors import ConnectionLost
 from linkcore.handle import Phase
@@ -29,8 +30,10 @@ from urlink.motion.links.register_link import (
 )
 from urlink.motion.links.reverse import ReversePort
 from urlink.motion.motions import LinkName, Motions
+from urlink.motion.servo.force_control import Freedrive
 from urlink.protocol.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.protocol.realtime.packets import RealtimeState
+from urlink.robot import Robot
 from urlink.script.wrapping import finish_marker, start_marker
 
 _ARM = Arm("UR5e")
@@ -270,6 +273,11 @@ class Rehearsal(ScriptedController):
 
         self.until(is_answered)
         return [float(each) for each in answer[0].strip("()").split(",")]
+
+
+def freedrive(motions: Motions, *axes: Any, **options: Any) -> Freedrive:
+    """Call `Robot.freedrive` of a robot with these motions."""
+    return Robot.freedrive(cast(Robot, SimpleNamespace(motion=motions)), *axes, **options)
 
 
 def turned(angle: float, q: Sequence[float] = HOME) -> list[float]:

@@ -13,7 +13,7 @@ import pytest
 from linkcore import clock
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Phase
-from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, turned
+from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, freedrive, turned
 from tests.urlink.motion.test_servo import Beside
 from tests.waiting import until
 from urlink.arm.kinematics import Arm
@@ -107,7 +107,7 @@ def test_force_mode_leaves_unset_options_to_the_controller(robot: Rehearsal) -> 
 
 
 def test_freedrive_sends_a_message_per_state(led: Rehearsal) -> None:
-    free = led.motion._freedrive([1, 0, 0, 0, 0, True], [1, 2, 3, 0, 0, 0.5], 0.4, link_of(led))
+    free = freedrive(led.motion, [1, 0, 0, 0, 0, True], frame=[1, 2, 3, 0, 0, 0.5], watchdog=0.4, link=link_of(led))
     with entered(led, free):
         call = "freedrive_mode(freeAxes=[1, 0, 0, 0, 0, 1], feature=p[1.0, 2.0, 3.0, 0.0, 0.0, 0.5])"
         assert call in led.uploaded
@@ -160,7 +160,7 @@ def test_torque_respects_given_limits(rehearsal: Callable[..., Rehearsal]) -> No
 def each_block(robot: Rehearsal) -> dict[str, Callable[[], BlockMotion]]:
     return {
         "force_mode": lambda: press(robot),
-        "freedrive": lambda: robot.motion._freedrive(None, "base", 0.5, "reverse"),
+        "freedrive": lambda: freedrive(robot.motion),
         "torque": robot.motion.torque,
         "jog": robot.motion.jog,
         "servo": robot.motion.servo,

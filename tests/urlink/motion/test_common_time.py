@@ -366,5 +366,5 @@ def test_streams_do_not_wait_for_departed_arm() -> None:
     paces.has_left[1] = True
     lock.before = lambda: paces.common.leave(other)
     paces.step()
-    assert paces.common._wanted == 1.0
+    assert paces.common.at(paces.now + 100.0) == 1.0
     paces.common.leave(one)
