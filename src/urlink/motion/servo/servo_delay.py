@@ -1,4 +1,4 @@
-"""Lag of an arm behind its set-points, measured with a wave of one joint."""
+"""Measurement of the lag of an arm behind its set-points. One joint moves in a wave."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from linkcore.errors import LinkError
 from ...arm.vectors import FloatArray
 from ...protocol.realtime.packets import RealtimeState
 
-#: Maximum number of steps of Newton's method for the delay; four are usual.
+#: Maximum number of steps of Newton's method that finds the delay; four steps are usual.
 _STEPS = 8
-#: Longest delay in s. A longer one means that the arm does not follow.
+#: Longest delay in s. A longer delay means that the arm does not follow its set-points.
 _LONGEST = 0.5
-#: Largest fraction of the wave that a delay may leave unexplained.
+#: Largest accepted difference between the arm and the delayed wave, as a fraction of the amplitude.
 _UNEXPLAINED = 0.2
 
 
@@ -30,14 +30,14 @@ def measure(
     """Move a joint there and back, and measure its lag.
 
     Args:
-        states: States of the robot, each as it arrives.
+        states: States of the robot, each when it arrives.
         send: Function that sends a set-point, (6,) rad.
         joint: Number of the joint.
         amplitude: Amplitude of the motion in rad, with its sign.
-        duration: Duration of the motion there and back, in s.
+        duration: Duration of the motion in both directions together, in s.
 
     Returns:
-        Time in s from a state until the arm is at the set-point that answered this state.
+        Time in s from a state until the arm reaches the set-point that answered this state.
 
     Raises:
         LinkError: If the arm does not follow.
@@ -57,7 +57,7 @@ def measure(
         if t > duration + _LONGEST:
             break
     times, actual = np.array(seen).T
-    # Relative to the first positions, because sensors have an offset.
+    # Make the positions relative to the first position, because sensors have an offset.
     times, actual = times - times[0], actual - actual[0]
     delay = 0.0
     for _ in range(_STEPS):
