@@ -281,7 +281,7 @@ class Teaching(StrictAttributes):
         """Record the current position of the arm as the next waypoint.
 
         Raises:
-            LocalError: If not called within the block.
+            LocalError: If called outside the ``with`` block.
             LinkError: If freedrive has ended (the error is its reason), or if no state arrives.
         """
         if self._open is None:
