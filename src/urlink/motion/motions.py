@@ -235,11 +235,11 @@ class Motions(StrictAttributes):
         without stopping. If no further call comes, for example because your program has ended or the connection is
         lost, the robot brakes on its own, after 0.5 s at most:
 
-        - For a `duration` up to 0.5 s, one program is sent. If another speed precedes it, the program does not wait for a
-          start permission. If the controller hangs, the robot **might still execute this program** later, for the time
-          `duration`.
-        - A longer motion is controlled over a `link` with a watchdog of 0.5 s. If the next call has a `duration` of 0.5 s
-          or more and the same `acceleration`, it changes the speed and the duration, and returns the same handle.
+        - For a `duration` up to 0.5 s, one program is sent. If another speed precedes it, the program does not wait for
+          a start permission. If the controller hangs, the robot **might still execute this program** later, for the
+          time `duration`.
+        - A longer motion is controlled over a `link` with a watchdog of 0.5 s. If the next call has a `duration` of
+          0.5 s or more and the same `acceleration`, it changes the speed and the duration, and returns the same handle.
 
         Args:
             qd: Speeds of the joints, shape (6,), in rad/s.

@@ -218,8 +218,8 @@ class Teaching(StrictAttributes):
             of the arm.
         input_bit: Bit number of a digital input. When this input is switched on, a waypoint is recorded. None for no
             input.
-        buttons: Stream with `robot_status_bits`. When these bits show that the freedrive button was released, a waypoint
-            is recorded. None for no button.
+        buttons: Stream with `robot_status_bits`. When these bits show that the freedrive button was released, a
+            waypoint is recorded. None for no button.
         on_point: Function that is called with each waypoint, in the thread that recorded this waypoint.
 
     Attributes:
