@@ -153,7 +153,8 @@ class KeptMessage(LinkDialogue):
 
     Args:
         write: Function that returns the lines of the program for its link.
-        values: Values of the message, shape (6,). If None, the message only shows that this computer is alive.
+        values: Values of the message, shape (6,). If None, the message only shows that this computer is still
+            connected.
 
     Attributes:
         values: Values of the message. Any thread may set them.

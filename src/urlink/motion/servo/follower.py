@@ -98,9 +98,10 @@ class Follower(Following):
 
     Args:
         servoing: Parameters for following set-points.
-        delay: Time in s from a state until the arm reaches the set-point that answered this state. If None, only the
-            cycles that a set-point needs to arrive are used. The rest of the delay is the lag of ``servoj``. This lag
-            is longer while the speed scaling is below 100 % (assumed: docs/protocols/urscript.md, Speed scaling).
+        delay: Time in s from a state until the arm reaches the set-point that answered this state. If None, the delay
+            is only the number of cycles that a set-point needs to arrive. The real delay also includes the lag of
+            ``servoj``. This lag is longer while the speed scaling is below 100 % (assumed: docs/protocols/urscript.md,
+            Speed scaling).
         timer: Timer of the trajectory. If None, the trajectory follows the time of the program.
     """
 
@@ -130,7 +131,7 @@ class Follower(Following):
         self._pace: float
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
+        """Return the desired positions, (6,) rad, and velocities, (6,) rad/s, at the time `t` on the trajectory."""
         q, qd = super().desired(t)
         offset, speed = self._start.at(t)
         return _sum(q, offset), _sum(qd, speed)

@@ -31,11 +31,11 @@ AHEAD = 2
 _STANDING = 0.02
 #: Time in s within which the arm must come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
-#: Search for the point of the trajectory that is closest to the arm after a pause: how far it goes back and ahead of
-#: the time of the pause, and its step, in s.
+#: Times in s for finding the point of the trajectory that is closest to the arm after a pause: search range before the
+#: time of the pause, search range after this time, and step of the search.
 _BEFORE, _BRAKING, _NEARNESS = 0.2, 1.0, 0.004
-#: Number of newest states for which the time on the trajectory is kept: two seconds at 500 Hz. Feedback for a state may
-#: be requested later.
+#: Number of newest states for which the time on the trajectory is kept: two seconds at 500 Hz. They are needed for slow
+#: feedback functions.
 _REMEMBERED = 1024
 
 
@@ -99,7 +99,7 @@ class Tolerances:
 
 
 class Rest:
-    """Check that the arm comes to rest in time, so that a motion can begin.
+    """Monitor of an arm that must come to rest before a motion begins.
 
     Args:
         what: Motion that should begin, used in error messages.
@@ -113,7 +113,7 @@ class Rest:
         """Whether the arm is at rest.
 
         Raises:
-            LinkTimeout: If the arm does not come to rest.
+            LinkTimeout: If the arm does not come to rest in time.
         """
         if self._moving_since is None:
             self._moving_since = now
@@ -173,7 +173,7 @@ class Following(LinkDialogue):
         return float(times[np.square(places - q).sum(1).argmin()])
 
     def times(self, time: float) -> tuple[float, float] | None:
-        """Return, for a state of the time `time`, the time since the beginning and the time on the trajectory, in s.
+        """Return the time since the beginning and the time on the trajectory, in s, for a state with the time `time`.
 
         Return None before the trajectory has begun, or if the state is older than the kept states. This method may be
         called from any thread.
@@ -190,7 +190,7 @@ class Following(LinkDialogue):
         return None
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
+        """Return the desired positions, (6,) rad, and velocities, (6,) rad/s, at the time `t` on the trajectory."""
         q, qd, _ = self._trajectory.sample(t)
         return q, qd
 
@@ -213,7 +213,7 @@ class Following(LinkDialogue):
         trajectory, tolerances = self._trajectory, self._tolerances
         if not self._times:
             self._passed = t
-        if state.time == state.time:  # false for NaN
+        if state.time == state.time:  # is false for NaN
             self._times.append((state.time, self._passed, t))
         self.progress = t / trajectory.duration
         actual = state.q_actual.tolist()
@@ -233,7 +233,7 @@ class Following(LinkDialogue):
 def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float, when: str) -> None:
     errors = [abs(d - a) for d, a in zip(desired, actual, strict=True)]
     worst = max(range(6), key=lambda joint: errors[joint] if errors[joint] == errors[joint] else float("inf"))
-    if not errors[worst] <= tolerance:  # true for NaN too
+    if not errors[worst] <= tolerance:  # is also true for NaN
         raise ToleranceExceeded(
             f"{JOINTS[worst]} (joint {worst}) is {errors[worst]:.4f} rad from where it should be, {when}; "
             f"the tolerance is {tolerance:g} rad"

@@ -1,8 +1,8 @@
 """Impedance: springs and dampers between the arm and a target, computed on the controller.
 
-On firmware 5.23, 10.11 or later, the springs are attached to the joints or to the tool, and direct torque produces
-their forces. On older firmware, the springs are attached to the tool only. They need a force sensor in the wrist: the
-program moves the arm according to the measured force.
+On firmware 5.23 or later (PolyScope X: 10.11 or later), the springs are attached to the joints or to the tool, and
+direct torque produces their forces. On older firmware, the springs are attached to the tool only. They need a force
+sensor in the wrist: the program moves the arm according to the measured force.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Impedance(BlockMotion):
         BadValue, LocalError: If an argument is rejected; see `Motions.impedance`.
 
     Attributes:
-        frame: "joints" for springs of the joints; "base" or "tool" for springs at the tool along the axes of this
+        frame: "joints" for springs of the joints; "base" or "tool" for springs of the tool along the axes of this
             frame.
     """
 
@@ -104,9 +104,9 @@ class Impedance(BlockMotion):
                 posture.
 
         Raises:
-            BadValue: If these are not six numbers, or if a number is out of the range of its joint. Also if a posture
-                is passed for springs of the joints, or without direct torque. The target does not change, in this case
-                and in the cases below.
+            BadValue: If these are not six numbers, if a number is out of the range of its joint, or if a posture is
+                passed for springs of the joints or without direct torque. In this case and in the cases below, the
+                target does not change.
             Unreachable: If the tool cannot reach this pose.
             LinkError: If the impedance has ended; the error states the reason.
             LocalError: If called outside the ``with`` block.

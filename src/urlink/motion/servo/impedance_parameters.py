@@ -38,8 +38,9 @@ _DAMPEST = (3.0,) * 6
 #: Smallest speed limit of an axis, in rad/s or m/s, and largest allowed error, in rad or m (for joints, and for the
 #: tool).
 _SLOWEST, _FURTHEST, _FURTHEST_TOOL = 0.01, (3.0,) * 6, (0.5,) * 3 + (1.5,) * 3
-#: Largest share of a joint's maximum torque that its springs and dampers may use, and multiple of their torque limit
-#: that is used for braking. Chosen so that the braking torque is always larger than the driving torque.
+#: Largest fraction of the maximum torque of a joint that springs and dampers may use. Largest braking torque, as a
+#: multiple of the torque limit of springs and dampers. Chosen so that the braking torque is always larger than the
+#: driving torque.
 _SHARE, _BRAKING = 0.5, 4.0
 #: Defaults for springs of the tool: stiffness in N/m and Nm/rad, largest force in N and Nm, largest error in m and rad.
 #: Chosen: as much as the vendor's torque limits permit at half of the reach of a UR5e.
@@ -52,7 +53,7 @@ _STRONGEST = (200.0,) * 3 + (30.0,) * 3
 #: Chosen: the default is a few hundredths of the stiffness of the springs of the tool. The speed limit is needed near a
 #: singular pose, because a joint turns far there while the tool moves little.
 _POSTURE, _TIGHTEST, _TURNING = 0.5, (200.0,) * 6, 1.5
-#: Position limit in rad that replaces the limit of a joint without position limits.
+#: Position limit in rad that is used for a joint without position limits.
 _ENDLESS = 1e6
 
 
@@ -80,7 +81,7 @@ class ImpedanceParameters:
     watchdog: float
 
     def program(self, firmware: Firmware, model: Model | None) -> tuple[Writer, FloatArray, bool]:
-        """Return the function that writes the program, the initial stiffness, and whether it accepts a posture.
+        """Return the function that writes the program, the initial stiffness, and whether the program takes a posture.
 
         Raises:
             BadValue, LocalError: If an argument is rejected; see `Motions.impedance`.

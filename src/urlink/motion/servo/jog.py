@@ -111,8 +111,8 @@ class Jog(BlockMotion):
                 rad/s about these axes.
 
         Raises:
-            BadValue: If `speeds` is not six finite numbers, or is faster than the arm can move. The previous speeds
-                remain.
+            BadValue: If `speeds` is not six finite numbers, or if a speed is faster than the arm can move. The previous
+                speeds remain.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the jog has ended.
             LocalError: If called outside the ``with`` block.
         """

@@ -169,7 +169,7 @@ class LinkedProgram:
 
         Raises:
             ConnectionLost: If no state has arrived for twice the time of the watchdog.
-            LinkError: If `say` raises it.
+            LinkError: If `say` raises this error.
         """
         silence = self._clock() - self._seen
         if silence > 2.0 * watchdog:
@@ -335,7 +335,7 @@ class LinkedProgram:
 
     def _release(self) -> None:
         self._on_linked()
-        self._on_linked = _nothing  # the callback refers to the handle, and the handle to the program
+        self._on_linked = _nothing  # breaks a reference cycle through the handle
         subscription, self._subscription = self._subscription, None
         if subscription is not None:
             # Do not wait for the callback of the subscription, because it may be running in this thread.

@@ -36,8 +36,8 @@ _SETTLING = 0.1
 class ResampledSource(Protocol):
     """Source of set-points.
 
-    Each `time` is the time of a state on the controller's clock. `rate` is the time of the program that passes per
-    second.
+    Each `time` is the time of a state on the controller's clock. `rate` is the number of seconds that pass for the
+    program per second of the controller.
     """
 
     @property
@@ -63,11 +63,11 @@ class ResampledSource(Protocol):
         """Return the positions, (6,) rad, and speeds, (6,) rad/s, of the set-point that answers the state of `time`."""
 
     def accept(self, time: float, rate: float) -> None:
-        """Record that the set-point of this time was sent."""
+        """Record that the set-point for the state of `time` was sent."""
 
 
 class ResampledSetpoints:
-    """Dialogue part that answers each state with a set-point from a source.
+    """Part of a dialogue that answers each state with a set-point from a source.
 
     Args:
         servoing: Parameters for following set-points.
@@ -153,7 +153,7 @@ class FilteredTargets:
     def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:
         self.newest: list[float] | None = None
         self._limits, self._cycle = limits, cycle
-        self._filter: TargetFilter  # made by `begin`, which is called first
+        self._filter: TargetFilter  # set by `begin`, which is called first
 
     @property
     def has_targets(self) -> bool:
@@ -170,7 +170,7 @@ class FilteredTargets:
         self._filter.restart(q, qd)
 
     def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
-        assert self.newest is not None  # `has_targets`
+        assert self.newest is not None  # checked by `has_targets`
         self._filter.aim(self.newest)
         return self._filter.after(rate * self._cycle)
 
@@ -286,7 +286,7 @@ class Schedule:
             return self._sample(time + self._delay)
 
     def accept(self, time: float, rate: float) -> None:
-        """Record that the set-point of this time was sent."""
+        """Record that the set-point for the state of `time` was sent."""
         self._now = time + self._delay
 
     # ------------------------------------------------------------------------------------------------

@@ -145,7 +145,7 @@ class Servo(BlockMotion):
         self._last: list[float] | None = None
         #: times in s and positions in rad of the newest set-points, and of one set-point older than `LONGEST_PERIOD`
         self._recent: list[tuple[float, list[float]]] = []
-        self._began: float  # when the first set-point was sent
+        self._began: float  # time at which the first set-point was sent
         self._sent_at: float
         self._count = self._late = 0
         self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
@@ -168,7 +168,7 @@ class Servo(BlockMotion):
         Raises:
             BadValue: If `q` is not six finite numbers, is too fast, or exceeds a limit of the arm. Nothing is sent.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the servo has ended.
-            LocalError: If not called within the block, or if waypoints were scheduled in the block.
+            LocalError: If called outside the ``with`` block, or if waypoints were scheduled in the block.
         """
         self._check_open()
         if self._schedule is not None:
@@ -198,7 +198,7 @@ class Servo(BlockMotion):
 
         Args:
             target: Joint positions, shape (6,), in rad, or a `Joint`, or a `Linear` with a pose in the base frame.
-            at: Time in s.
+            at: Time in s on the robot's clock.
 
         Returns:
             Time at which the arm will arrive: `at`, or later if the limits of speed and acceleration of the arm require

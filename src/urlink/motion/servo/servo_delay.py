@@ -1,4 +1,4 @@
-"""Measurement of the lag of an arm behind its set-points. One joint moves in a wave."""
+"""Measurement of the lag of an arm behind its set-points. One joint moves to another position and back."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def measure(
     amplitude: float,
     duration: float,
 ) -> float:
-    """Move a joint there and back, and measure its lag.
+    """Move a joint to another position and back, and measure the lag of the arm.
 
     Args:
         states: States of the robot, each when it arrives.

@@ -1,4 +1,4 @@
-"""Set-points: the parameters for following them on the robot, and the stream that sends one set-point in each cycle.
+"""Parameters for following set-points on the robot, and the stream that sends one set-point in each cycle.
 
 A `LinkDialogue` decides the messages for each program with a link to this computer.
 """
@@ -49,10 +49,10 @@ class LinkDialogue(ABC):
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         """Return the message that answers a state; raise `LinkError` if the motion cannot continue."""
 
-    def resume(self, state: RealtimeState) -> None:  # noqa: B027 -- most dialogues do nothing then
+    def resume(self, state: RealtimeState) -> None:  # noqa: B027 -- most dialogues do nothing after a pause
         """Continue after a pause. The arm is at rest at the position where it was paused, or close to it."""
 
-    def conclude(self) -> None:  # noqa: B027 -- only one dialogue has something left to do then
+    def conclude(self) -> None:  # noqa: B027 -- only one dialogue has to do something here
         """Record that the program has ended on its own."""
 
 
@@ -150,7 +150,7 @@ class SetpointStream:
 
     @property
     def is_due(self) -> bool:
-        """Whether the cycle of the last set-point has ended, so that the next one may be sent."""
+        """Whether the cycle of the last set-point has ended, so that the next set-point may be sent."""
         return self._since >= 0.5 * self.cycle
 
     @property

@@ -126,7 +126,7 @@ class WaypointServer(Following):
             # The program has received point 1, the first point that it moves to, so the arm moves from now on.
             self._t = self._passed = 0.0
         elif self._t is not None and request > 2:
-            # When the program requests point n, it moves from point n - 3 to point n - 2.
+            # When the program requests point n, the arm moves from point n - 3 to point n - 2.
             time = self._trajectory.time
             self._t = max(self._t, float(time[request - 3]))
             # After the request that follows the last point, the program requests nothing more.
@@ -153,7 +153,7 @@ class WaypointServer(Following):
             self._resumed = self._t, [a - b for a, b in zip(state.q_target.tolist(), q, strict=True)]
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
+        """Return the desired positions, (6,) rad, and velocities, (6,) rad/s, at the time `t` on the trajectory."""
         q, qd = super().desired(t)
         if self._resumed is None:
             return q, qd
