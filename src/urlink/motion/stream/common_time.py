@@ -20,7 +20,7 @@ from ...protocol.realtime.packets import RealtimeState
 from ..servo.following import AHEAD
 
 #: Time in s between the moment when the last arm is ready and the beginning. Within this time, states and set-points of
-#: all arms can arrive. Chosen. If the states of an arm take longer, this arm begins late and catches up.
+#: all arms can arrive (chosen). If the states of an arm take longer, this arm begins late and catches up.
 _LEAD = 0.05
 #: Time in s without a state, after which the common time stops. Chosen: by default, a program brakes after this time.
 _SILENT = 0.1
@@ -59,7 +59,7 @@ class CommonTime:
         return member
 
     def leave(self, member: MemberTimer) -> None:
-        """Remove an arm whose motion has ended, so that it does not delay the others."""
+        """Remove an arm whose motion has ended, so that this arm does not delay the others."""
         self._members.pop(member, None)
 
     def at(self, local: float) -> float:
@@ -70,7 +70,7 @@ class CommonTime:
         return self._time + self.rate * (local - self._local)
 
     def look(self, local: float, now: float) -> None:
-        """Advance to `local`, the time of a state that has arrived `now`; both are monotonic s of this computer."""
+        """Advance to `local`, the time of a state that arrived at `now`; both are monotonic times in s."""
         with self._lock:
             running = list(self._members)
             wanted = min((member.own_rate(now) for member in running), default=0.0)
@@ -91,7 +91,7 @@ class MemberTimer(ProgramTimer):
 
     Attributes:
         is_ready: Whether the arm can begin.
-        is_paused: Function that returns whether its program is paused.
+        is_paused: Function that returns whether the program of the arm is paused.
     """
 
     def __init__(self, common: CommonTime, to_local: Callable[[float], float], cycle: float) -> None:
@@ -161,7 +161,7 @@ class CommonPace:
         return member
 
     def leave(self, member: MemberPace) -> None:
-        """Remove an arm whose stream has ended, so that it does not delay the others."""
+        """Remove an arm whose stream has ended, so that this arm does not delay the others."""
         self._members.pop(member, None)
 
     def at(self, local: float) -> float:
@@ -173,7 +173,7 @@ class CommonPace:
         return self._rate + min(max(self._wanted - self._rate, -most), most)
 
     def look(self, local: float, now: float) -> None:
-        """Advance to `local`, the time of a state that has arrived `now`; both are monotonic s of this computer."""
+        """Advance to `local`, the time of a state that arrived at `now`; both are monotonic times in s."""
         with self._lock:
             busy = [each for each in list(self._members) if not each.is_idle]
             are_led = bool(busy) and all(each.is_led for each in busy)
@@ -201,7 +201,7 @@ class MemberPace:
     """Pace of one arm's stream in a group. `CommonPace.member` returns such paces.
 
     Attributes:
-        is_paused: Function that returns whether its program is paused.
+        is_paused: Function that returns whether the program of the arm is paused.
         is_idle: Whether the stream has no points left, so that it does not delay the others.
         is_led: Whether the arm is moving along its points, so that its pace can be controlled.
     """

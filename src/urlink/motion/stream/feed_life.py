@@ -3,7 +3,7 @@
 The program accepts points in epochs. An epoch is opened by a cut: a message that replaces the buffered points, or lets
 the program continue from rest or from braking. The program accepts a cut, or refuses the cut because it came too late.
 An epoch is closed when the program has no more points. `TRANSITIONS` contains these rules as a table, which
-docs/architecture.md shows. If an event is not possible in the current phase, it raises an error.
+docs/architecture.md shows. If an event is not possible in the current phase, an error is raised.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class FeedEvent(enum.Enum):
     RESUME = "resume"  # a cut is sent, to continue
     REPLACE = "replace"  # a cut is sent, for other points
     ACCEPT = "accept"  # the program has accepted the cut
-    REFUSE = "refuse"  # the program has refused the cut, which came too late
+    REFUSE = "refuse"  # the program has refused the cut, because it came too late
     CLEAR = "clear"  # the points end now, because the user has requested this
     CLOSE = "close"  # the program brakes or is at rest
 

@@ -104,7 +104,7 @@ class GroupStream(GroupMotion):
         """Upload the programs and wait until all have connected.
 
         Raises:
-            LocalError, LinkError: If a `PointStream` would raise it. No arm has moved.
+            LocalError, LinkError: If a `PointStream` would raise this error. No arm has moved.
         """
         self._stopping.start()
         try:
@@ -147,8 +147,8 @@ class GroupStream(GroupMotion):
         Raises:
             BadValue: If the points of an arm are missing, if the points of two arms end at different times, or if an
                 arm could not follow its points. Nothing is appended.
-            LocalError, LinkError: If `PointStream.append` would raise it, or if the stream of another arm has ended.
-                Then the error states the reason.
+            LocalError, LinkError: If `PointStream.append` would raise this error, or if the stream of another arm has
+                ended. Then the error states the reason.
         """
         seconds = check_wait(wait)
         with self._producing(points):
@@ -183,7 +183,7 @@ class GroupStream(GroupMotion):
             BadValue: If the points of an arm are missing, if the points of two arms end at different times, or if an
                 arm could not follow its points. The old points of all arms remain. Exception: if the change reaches one
                 robot too late, but has taken effect on another robot, the points of all arms are cleared.
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         since = check_number(from_time, "from_time", 0.0, unit="s")
         with self._producing(points):
@@ -198,7 +198,7 @@ class GroupStream(GroupMotion):
             New end of the points, in s on the clock of the stream.
 
         Raises:
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         with self._reasons():
             for stream in self.motions:
@@ -246,7 +246,7 @@ class GroupStream(GroupMotion):
 
         Raises:
             LinkTimeout: If this takes longer than `timeout` seconds. The stream continues.
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         until = clock.now() + check_seconds(timeout, "timeout", finite=True)
         with self._reasons():

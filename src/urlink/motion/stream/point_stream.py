@@ -33,7 +33,8 @@ _BUFFERS = Firmware(3, 4)
 #: Maximum number of points that the program buffers, even if they are close together in time. Chosen: the text of the
 #: program is then at most half as long as the largest public driver program.
 _MOST = 256
-#: Time in s within which the robot must answer a replacement, and the arm must come to rest before the first point.
+#: Time in s within which the robot must answer a replacement, and within which the arm must come to rest before the
+#: first point.
 _ANSWER = 10.0
 
 T = TypeVar("T")
@@ -132,7 +133,7 @@ class PointStream(BlockMotion):
             Unreachable: If a pose is out of reach. Nothing is appended.
             Cancelled: If the points were cleared before the robot had room for them, or if the stream was cancelled.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped: If the stream has ended.
-            LocalError: If not called within the block, or while another thread appends or replaces points.
+            LocalError: If called outside the ``with`` block, or while another thread appends or replaces points.
         """
         seconds = check_wait(wait)
         with self._producing():
@@ -170,8 +171,8 @@ class PointStream(BlockMotion):
     def replace(self, from_time: float, points: Points) -> float:
         """Replace all points after a time by other points.
 
-        Positions, speeds and accelerations are continuous. This includes the points that the robot has buffered. The
-        arm leaves its old curve at `from_time`. Then it moves onto the curve through the new points, as soon as the
+        Positions, speeds and accelerations are continuous. The points that the robot has buffered are replaced, too.
+        The arm leaves its old curve at `from_time`. Then it moves onto the curve through the new points, as soon as the
         limits of acceleration and jerk of the stream allow. After that, the arm reaches each point at the time of this
         point. Therefore the points may begin in the past, for example at the time of the observation from which they
         were computed.
@@ -187,7 +188,7 @@ class PointStream(BlockMotion):
         Raises:
             BadValue: If the arm could not follow the points, if all points are in the past, or if no path within the
                 limits leads onto them. The old points remain.
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         since = check_number(from_time, "from_time", 0.0, unit="s")
         with self._producing():
@@ -247,7 +248,7 @@ class PointStream(BlockMotion):
             New end of the points, in s on the clock of the stream.
 
         Raises:
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         self._check_open()
         self._mark()
@@ -258,7 +259,7 @@ class PointStream(BlockMotion):
 
         Raises:
             LinkTimeout: If this takes longer than `timeout` seconds. The stream continues.
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
         self._check_open()

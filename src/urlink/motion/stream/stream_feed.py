@@ -55,8 +55,8 @@ _STOP_MESSAGE = _MESSAGE.pack(STOP, *[0] * (MESSAGE - 1))
 _UNANSWERED = 0.1
 #: Number of cycles without a state, after which a report may be older than the next state.
 _GAP = 2
-#: Time that is reserved for a cut to reach the program. Its first value is the sum of a number of cycles and a time in
-#: s; then follows its maximum in s. Each cut that comes too late doubles the time.
+#: Time that is reserved for a cut to reach the program: at first the sum of a number of cycles and a time in s, and its
+#: maximum in s. Each cut that comes too late doubles the reserved time.
 _AHEAD, _WAY, _LONGEST_WAY = 6, 0.01, 1.0
 #: Number of messages after a pause within which the program must report that the arm was moved. The program is slow at
 #: first.
@@ -182,12 +182,12 @@ class StreamFeed(LinkDialogue):
         #: duration of a gap before the newest state, in s; 0 if no states were missed; set by the first state
         self._unseen: float
         self._report = _Report(0, 0, 0, 0, 0.0, RESTING)
-        #: the steps that were sent and not yet passed, with the current step
+        #: the steps that were sent and not yet passed, including the current step
         self._steps: deque[_Sent] = deque()
         #: the last step that was passed, and the braking from its end while the epoch is closed
         self._last: _Sent
         self._brake: Step
-        #: number of the step along the braking with which the arm continued from braking; -1 if there is none
+        #: number of the step in which the arm continued from braking; -1 if there is none
         self._resumed = -1
         self._queue: deque[Aim] = deque()
         #: the cut that the program has not answered; None if there is none
@@ -200,7 +200,7 @@ class StreamFeed(LinkDialogue):
         self._answered: list[Future[None]] = []
         self._dry: list[Future[None]] = []
 
-    # -- for the thread that appends; called within the section --------------------------------------
+    # -- methods for the thread that appends; called with the lock held ------------------------------
 
     def add(self, aims: Sequence[Aim], handed: Handed) -> None:
         """Append points after the end of the stream (`mark`)."""
@@ -350,8 +350,8 @@ class StreamFeed(LinkDialogue):
             while len(self._received) >= _REPORT.size:
                 messages, epoch, head, base, passed, phase = _REPORT.unpack_from(self._received)
                 self._received = self._received[_REPORT.size :]
-                # In registers, the message number after the largest number is 1. The calculation uses that the program
-                # can never report a message that was not yet sent.
+                # In registers, the message number after the largest number is 1. The calculation assumes that the
+                # program never reports a message that has not been sent.
                 messages = self._messages - (self._messages - messages) % LARGEST
                 self._take(_Report(messages, epoch, head, base, passed / SCALE, phase))
             if self.pace is not None:
@@ -422,7 +422,7 @@ class StreamFeed(LinkDialogue):
         numbers += [round(SCALE * each) for row in (moment.qd, moment.qdd) for each in row.tolist()]
         return _MESSAGE.pack(what, self._epoch, number, round(SCALE * length), degree, *numbers)
 
-    # -- what the program reports ----------------------------------------------------------------------
+    # -- reports of the program ------------------------------------------------------------------------
 
     def _take(self, report: _Report) -> None:
         time, found = self.time, None
@@ -506,7 +506,7 @@ class StreamFeed(LinkDialogue):
     # -- planning --------------------------------------------------------------------------------------
 
     def _place(self, later: float) -> tuple[_Sent, float] | None:
-        """Return the step that the arm will execute `later` seconds from now, and the time since it began.
+        """Return the step that the arm will execute `later` seconds from now, and the time since this step began.
 
         Return None if this step is unknown.
         """

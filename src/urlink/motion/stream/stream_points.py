@@ -26,7 +26,7 @@ _LONGEST = 1000.0
 
 @dataclass(frozen=True, eq=False, init=False)
 class PosePoint:
-    """A pose of the tool at one time, for `PointStream`.
+    """Pose of the tool at one time, as a point of a `PointStream`.
 
     The pose is converted to joint positions with the inverse kinematics of the arm.
 
@@ -35,7 +35,7 @@ class PosePoint:
         time: Time in s on the clock of the stream.
 
     Raises:
-        BadValue: If `pose` is not six finite numbers, or `time` is not a time.
+        BadValue: If `pose` is not six finite numbers, or if `time` is not a valid time.
     """
 
     pose: FloatArray
@@ -105,7 +105,7 @@ class PointReader:
         A trajectory begins at `since`.
 
         Raises:
-            BadValue, Unreachable: If `after` would raise it.
+            BadValue, Unreachable: If `after` would raise this error.
         """
         aims: list[Aim] = []
         names = []

@@ -370,7 +370,10 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
 
 
 def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, list[Aim]]:
-    """Return the aim on a curve at a time, or its next point if this is close, and the points after the aim."""
+    """Return the aim on a curve at the time `at`, and the points after this aim.
+
+    If the next point of the curve is close to this time, this point is the aim.
+    """
     following = next(i for i, aim in enumerate(curve) if aim.time >= at)
     aim = curve[following]
     if aim.step is None or aim.time - at < shortest:
