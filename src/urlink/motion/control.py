@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Longest time in s to wait for the dashboard's reply whether the robot is in remote control. Asked if a setting was
-#: not confirmed.
+#: Longest time in s to wait for the dashboard's reply whether the robot is in remote control. urlink asks this if a
+#: setting was not confirmed.
 _ASK_TIMEOUT = 0.5
 #: First firmware of the e-Series and of PolyScope X that can report remote control.
 _TELLS_CONTROL = Since("5.6/10.12")
@@ -142,7 +142,7 @@ class Control:
 
         Raises:
             LocalError: If a simulated controller serves neither of them.
-            Closed: If the robot was closed before it was used.
+            Closed: If the robot was closed before the first use.
         """
         if not self._ports.keys() & {"dashboard", "robot_api"}:
             raise LocalError("the controller does not serve a dashboard")
@@ -153,8 +153,8 @@ class Control:
         """Gripper on the flange.
 
         Raises:
-            LocalError: If a simulated controller does not serve its port.
-            Closed: If the robot was closed before it was used.
+            LocalError: If a simulated controller does not serve the port of a gripper.
+            Closed: If the robot was closed before the first use.
         """
         if "gripper" not in self._ports:
             raise LocalError("the controller does not serve a gripper")
@@ -169,7 +169,7 @@ class Control:
 
         Raises:
             LocalError: If the controller has no such serial line, or if a simulated controller does not serve the port.
-            Closed: If the robot was closed before it was used.
+            Closed: If the robot was closed before the first use.
         """
         if self._serial.made is None:
             firmware = self.settings.firmware

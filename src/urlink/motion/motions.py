@@ -102,7 +102,7 @@ class Motions(StrictAttributes):
             q: Joint positions, shape (6,), in rad.
             speed: Speed of the joint that moves furthest, in rad/s.
             acceleration: Acceleration of the joint that moves furthest, in rad/s².
-            time: Duration in seconds. Cannot be combined with `speed` or `acceleration`.
+            time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -132,7 +132,7 @@ class Motions(StrictAttributes):
             pose: Position in m and rotation vector in rad, shape (6,).
             speed: Speed of the tool, in m/s.
             acceleration: Acceleration of the tool, in m/s².
-            time: Duration in seconds. Cannot be combined with `speed` or `acceleration`.
+            time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -235,9 +235,9 @@ class Motions(StrictAttributes):
         without stopping. If no further call comes, for example because your program has ended or the connection is
         lost, the robot brakes on its own, after 0.5 s at most:
 
-        - For a `duration` up to 0.5 s, one program is sent. If another speed precedes it, the program does not wait for
-          a start permission. If the controller hangs, the robot **might still execute this program** later, for the
-          time `duration`.
+        - For a `duration` up to 0.5 s, one program is sent. If another speed precedes this one, the program does not
+          wait for a start permission. If the controller hangs, the robot **might still execute this program** later,
+          for the time `duration`.
         - A longer motion is controlled over a `link` with a watchdog of 0.5 s. If the next call has a `duration` of
           0.5 s or more and the same `acceleration`, it changes the speed and the duration, and returns the same handle.
 
@@ -245,7 +245,7 @@ class Motions(StrictAttributes):
             qd: Speeds of the joints, shape (6,), in rad/s.
             acceleration: Acceleration in rad/s², for changes of speed and for braking.
             duration: Time until the arm brakes, in seconds.
-            link: See `follow`. Has no effect for a `duration` up to 0.5 s.
+            link: See `follow`. The link has no effect for a `duration` up to 0.5 s.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -272,7 +272,7 @@ class Motions(StrictAttributes):
             xd: Speed of the tool in m/s, and rotation about the three axes in rad/s, shape (6,).
             acceleration: Acceleration in m/s².
             duration: Time until the arm brakes, in seconds.
-            link: See `follow`. Has no effect for a `duration` up to 0.5 s.
+            link: See `follow`. The link has no effect for a `duration` up to 0.5 s.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -421,8 +421,9 @@ class Motions(StrictAttributes):
         acceleration and jerk (`urlink.motion.servo.jerk_limited`).
 
         Args:
-            rate: Number of set-points or targets that your loop intends to send per second. If None, the controller's
-                rate. The rate of set-points cannot be higher than the controller's rate, but the rate of targets can.
+            rate: Number of set-points or targets that your loop intends to send per second. It is used for the
+                statistics, and for the check of set-points. If None, the controller's rate. The rate of set-points
+                cannot be higher than the controller's rate, but the rate of targets can.
             target_filter: "jerk_limited", or None for a loop that sends set-points.
             speed, acceleration, jerk: Limits of the target filter, in rad/s, rad/s² and rad/s³: one number for all
                 joints, or shape (6,). Without a filter, these arguments are rejected, because set-points would not be
@@ -463,7 +464,7 @@ class Motions(StrictAttributes):
     ) -> PointStream:
         """Return a `PointStream`, to which timed points are appended while the arm moves.
 
-        Needs firmware 3.4 or later. Use it as a ``with`` block::
+        This needs firmware 3.4 or later. Use it as a ``with`` block::
 
             with robot.motion.stream() as stream:
                 for q, qd in planner:
@@ -670,7 +671,7 @@ class Motions(StrictAttributes):
     ) -> Torque:
         """Return a `Torque`, which sends the joint torques of your loop (URScript: `direct_torque`).
 
-        Needs firmware 5.23, 10.11 or later. Use it as a ``with`` block::
+        This needs firmware 5.23 or later (PolyScope X: 10.11 or later). Use it as a ``with`` block::
 
             with robot.motion.torque() as torque:
                 for state in robot.realtime:
@@ -725,9 +726,9 @@ class Motions(StrictAttributes):
         stronger than the braking torque can do this. When the block ends, the springs are released within 0.2 s, and
         the arm comes to rest.
 
-        On firmware 5.23, 10.11 or later, direct torque produces the forces of the springs. An e-Series arm with older
-        firmware, but at least 5.10, supports only springs of the tool: it moves according to the force that the sensor
-        in the wrist measures. Zero the force sensor before you use these springs.
+        On firmware 5.23 or later (PolyScope X: 10.11 or later), direct torque produces the forces of the springs. An
+        e-Series arm with older firmware, but at least 5.10, supports only springs of the tool: it moves according to
+        the force that the sensor in the wrist measures. Zero the force sensor before you use these springs.
 
         Args:
             frame: "joints" for springs of the joints. "base" or "tool" for springs of the tool, along and about the
@@ -739,8 +740,8 @@ class Motions(StrictAttributes):
                 reaches its target as fast as possible without overshoot.
             torque: Largest torque of springs and dampers in each joint, in Nm, up to half of the maximum torque of the
                 joint. If None, about the torques of the vendor's example. A joint that is too fast is braked with up to
-                four times this torque. With springs of the tool, the limit applies only to the springs; the torque of
-                the dampers is added.
+                four times this torque. With springs of the tool, the limit applies only to the springs; the dampers may
+                add further torque.
             speed: Largest speed of the joints, in rad/s; if None, 1. For springs of the tool, largest speed of the tool
                 in m/s and rad/s; if None, 0.25 and 0.8. The arm moves to targets at up to 0.7 of this speed.
             error: Largest extension of a spring, in rad; if None, 0.2. For springs of the tool, in m and rad; if None,

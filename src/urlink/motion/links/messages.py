@@ -9,8 +9,8 @@ from ...script.links import FOLLOW, SCALE, STOP, WAIT
 
 _MESSAGE = struct.Struct(">13i")
 #: Largest date, and largest number of a message in a register. It is the largest signed 32-bit integer, which is
-#: reached after 49 days at 500 Hz. The next number of a message is 1, because a register that was never written
-#: contains 0.
+#: reached after 49 days at 500 Hz. After it, the numbers of messages begin at 1 again, because a register that was
+#: never written contains 0.
 LARGEST = 0x7FFF_FFFF
 #: End of a message with a set-point.
 _FOLLOW_BYTES = FOLLOW.to_bytes(4, "big")

@@ -116,7 +116,7 @@ class Joint(Waypoint):
 
     Args:
         q: Joint positions, shape (6,), in rad.
-        blend: Distance from there, in m, where the next segment may begin.
+        blend: Distance from the waypoint, in m, at which the next segment may begin.
         speed: Speed of the joint that moves furthest, in rad/s; None for the speed of the path.
         acceleration: Acceleration in rad/s²; None for the acceleration of the path.
     """
@@ -136,7 +136,7 @@ class Linear(Waypoint):
 
     Args:
         pose: Position in m, and rotation vector in rad, shape (6,).
-        blend: Distance from there, in m, where the next segment may begin.
+        blend: Distance from the waypoint, in m, at which the next segment may begin.
         speed: Speed in m/s; None for the speed of the path.
         acceleration: Acceleration in m/s²; None for the acceleration of the path.
     """
@@ -157,7 +157,7 @@ class Circular(Waypoint):
     Args:
         via: Pose on the arc, shape (6,), in m and rad. Only the position of this pose is used.
         to: Pose at the end, shape (6,), in m and rad.
-        blend: Distance from there, in m, where the next segment may begin.
+        blend: Distance from the waypoint, in m, at which the next segment may begin.
         speed: Speed in m/s; None for the speed of the path.
         acceleration: Acceleration in m/s²; None for the acceleration of the path.
     """

@@ -9,8 +9,8 @@ in the plane of x and y.
 First, the method goes backwards from the end. At each place, it finds the largest x from which the arm can still come
 to rest at the end. Then it goes forwards from the beginning, and accelerates as hard as these values allow. This is the
 reachability analysis of Pham and Pham ("A New Approach to Time-Optimal Path Parameterization Based on Reachability
-Analysis", IEEE Transactions on Robotics, 2018), which the package toppra implements. It is implemented here again,
-because it has only about a hundred lines and then needs no compiled package.
+Analysis", IEEE Transactions on Robotics, 2018), which the package toppra implements. This module implements the
+analysis again, because this takes only about a hundred lines and avoids a compiled package.
 
 The result is a curve of cubic polynomials through the places. If the path bends much within a step, the accelerations
 of the polynomials are higher than planned. In such steps, the limit is lowered, and the path is planned again. If a

@@ -7,8 +7,8 @@ budget. Each second that passes adds one second to the budget, up to a maximum:
 - if set-points are sent regularly: one period of the set-points plus `EARLY`;
 - after a late set-point: additionally the delay of this set-point (at most `LATE`, unless another bound is given). Only
   the set-points that follow quickly can use the additional time. The first set-point that is on time again removes the
-  rest of it. Catching up causes no jump, because the program on the robot continues at the last speed during the delay
-  (`urlink.script.streaming`).
+  unused additional time. Catching up causes no jump, because the program on the robot continues at the last speed
+  during the delay (`urlink.script.streaming`).
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class SpeedLimit:
         budgets = self._budgets(now)
         for joint, (here, there, speed, seconds) in enumerate(zip(before, after, self._speeds, budgets, strict=True)):
             most = speed * seconds + _SLACK
-            if not abs(there - here) <= most:  # true for NaN too
+            if not abs(there - here) <= most:  # is also true for NaN
                 return (
                     f"q[{joint}] ({JOINTS[joint]}) is {there:.4f} rad, {abs(there - here):.4f} rad from the last "
                     f"set-point; at most {most:.4f} rad by now, at {speed:.2f} rad/s"

@@ -1,12 +1,13 @@
 """Timed joint trajectories: points with times, and the curve through the points.
 
 Between two points, the curve of each joint is a cubic polynomial if the points have velocities. If the points also have
-accelerations, the curve is a quintic polynomial. It passes through every point with exactly the values of the point.
+accelerations, the curve is a quintic polynomial. The curve passes through every point with exactly the values of the
+point.
 
 If the points have no velocities, the velocity is zero at both ends of the trajectory. The points in between get the
 velocities of a monotone cubic curve (Fritsch and Carlson, with the weighted harmonic mean that is known as PCHIP).
-Between two points, this curve never leaves the range between their positions. As in every cubic curve, the acceleration
-jumps at the points.
+Between two points, this curve never leaves the range between the positions of these points. As in every cubic curve,
+the acceleration jumps at the points.
 """
 
 from __future__ import annotations
@@ -316,7 +317,7 @@ class Trajectory(StrictAttributes):
     # -- time --------------------------------------------------------------------------------------
 
     def retimed(self, speed: ArrayLike, acceleration: ArrayLike) -> Trajectory:
-        """Return a trajectory along the same path that takes the shortest time within limits, from rest to rest.
+        """Return a trajectory with the same path and the shortest duration within limits, from rest to rest.
 
         The new trajectory comes to rest at all places at which all joints of this trajectory are at rest. The times of
         the points have no effect. The limits of an arm are not checked: see `check`. Jerk is not limited, so
