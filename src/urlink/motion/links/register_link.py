@@ -38,8 +38,8 @@ SETPOINT_INPUTS = tuple(
 )
 #: Numbers of the first registers for points: float input, integer input and integer output. The registers are below
 #: those for set-points, because another motion of this robot may have claimed the registers for set-points. Integer
-#: inputs 24 to 29 are left to users, and so are integer outputs below 30 and above 36, except the register for start
-#: permissions.
+#: inputs 24 to 29 are left to users, and so are integer outputs below 30 and above 36. The exception is output 47,
+#: which contains the start permission of a program by default.
 _POINT_FLOAT, _POINT_INTEGER, _POINT_OUTPUT = 24, 30, 30
 #: RTDE inputs that a link for points writes: the integers of a message, the date and the number of the message, the
 #: token, and the speeds and accelerations.

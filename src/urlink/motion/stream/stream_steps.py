@@ -33,8 +33,8 @@ _SLACK = 1e-6
 _RESTING = 1e-6
 #: Largest difference between a moment and the beginning of a step that begins in this moment, in rad, rad/s and rad/s².
 _SAME = 1e-6
-#: Factor between successive durations that are tried for a path back onto the points, and the longest duration in s.
-#: Chosen: the path takes at most an eighth longer than necessary.
+#: Factor between successive durations that are tried for a path back onto the points, and the longest duration
+#: `_LONGEST` in s. Chosen: the path takes at most an eighth longer than necessary.
 _LONGER, _LONGEST = 1.125, 20.0
 #: Powers of the time that belong to the six coefficients of a polynomial.
 _POWERS = np.arange(6.0)
