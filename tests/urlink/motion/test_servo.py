@@ -265,7 +265,7 @@ def test_loop_restarts_after_pause(robot: Rehearsal) -> None:
             assert next_set_point(robot) == pytest.approx(turned(0.001 * n))
             robot.time += 0.002
         servo._dialogue.resume(seen(robot.time, q=0.3))
-        with pytest.raises(BadValue, match=r"from where the arm is; at most 0\.0500 rad"):
+        with pytest.raises(BadValue, match=r"from the position of the arm; at most 0\.0500 rad"):
             servo.send(turned(0.005))
         for q, speed in ((0.3, 0.0), (0.301, 0.5)):
             servo.send(turned(q))
@@ -286,7 +286,7 @@ def test_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
     led.q = turned(2 * np.pi - 0.05)
     led.show()
     with opened(led) as servo:
-        with pytest.raises(BadValue, match=r"from where the arm is; at most 0\.0500 rad"):
+        with pytest.raises(BadValue, match=r"from the position of the arm; at most 0\.0500 rad"):
             servo.send(turned(2 * np.pi - 0.1001))
         with pytest.raises(
             BadValue, match=r"q\[5\] \(wrist 3\) is 6\.28319 rad; expected a number from -6\.28319 to 6\.28319 rad"
@@ -296,7 +296,7 @@ def test_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
     led.q = turned(0.0)
     led.show()
     with opened(led) as servo:
-        with pytest.raises(BadValue, match="from where the arm is"):
+        with pytest.raises(BadValue, match="from the position of the arm"):
             servo.send(turned(np.nextafter(-0.05, -1)))
         servo.send(turned(-0.05))
 
@@ -352,7 +352,7 @@ def test_small_steps_without_time_between_are_too_fast(led: Rehearsal) -> None:
     [
         ([0] * 5, "shape"),
         (turned(float("nan")), "not finite"),
-        (turned(0.1), r"0\.1000 rad from where the arm is; at most 0\.0500"),
+        (turned(0.1), r"0\.1000 rad from the position of the arm; at most 0\.0500"),
     ],
 )
 def test_invalid_first_set_point_is_rejected(led: Rehearsal, q: list[float], message: str) -> None:

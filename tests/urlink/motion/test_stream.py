@@ -274,7 +274,7 @@ class TestReplaced:
         stream = Streamed(E_SERIES)
         stream.append(waves(0.05, 2.0))
         stream.until(lambda: stream.feed.time > 0.4)
-        with pytest.raises(BadValue, match=r"cannot be reached from where the stream is at 0\.[45]"):
+        with pytest.raises(BadValue, match=r"cannot be reached from the position of the stream at 0\.[45]"):
             stream.replace(0.4, [TrajectoryPoint(turned(2.0), 0.6, [0] * 6)])
         with pytest.raises(BadValue, match=r"all points are in the past: the last is at 0\.3 s"):
             stream.replace(0.0, waves(0.05, 0.3))

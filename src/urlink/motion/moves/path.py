@@ -427,5 +427,6 @@ def _check_blends(before: float, after: float, length: float) -> None:
     """Raise an error if the blends at the two ends of a segment overlap."""
     if before + after > length and (before or after):
         raise BadValue(
-            f"blends of {before:g} m at its beginning and {after:g} m at its end do not fit on a path of {length:.4g} m"
+            f"blends of {before:g} m at the beginning and {after:g} m at the end do not fit on a segment of "
+            f"{length:.4g} m"
         )

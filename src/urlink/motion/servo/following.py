@@ -235,7 +235,7 @@ def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float,
     worst = max(range(6), key=lambda joint: errors[joint] if errors[joint] == errors[joint] else float("inf"))
     if not errors[worst] <= tolerance:  # is also true for NaN
         raise ToleranceExceeded(
-            f"{JOINTS[worst]} (joint {worst}) is {errors[worst]:.4f} rad from where it should be, {when}; "
+            f"{JOINTS[worst]} (joint {worst}) is {errors[worst]:.4f} rad from the desired position, {when}; "
             f"the tolerance is {tolerance:g} rad"
         )
 

@@ -174,8 +174,9 @@ class LinkedProgram:
         silence = self._clock() - self._seen
         if silence > 2.0 * watchdog:
             error = ConnectionLost(
-                f"the robot has sent no state for {silence:.2f} s, more than twice watchdog={watchdog:g} s, so its "
-                "program accepts no message; it brakes on its own. A larger watchdog= tolerates longer delays"
+                f"the robot has sent no state for {silence:.2f} s, more than twice watchdog={watchdog:g} s, so the "
+                "program on the robot accepts no messages; it brakes on its own. A larger watchdog= tolerates "
+                "longer delays"
             )
             self._life.fail(error, brake=True)
             raise error

@@ -371,6 +371,6 @@ class Servo(BlockMotion):
         for joint, (value, before) in enumerate(zip(values, here, strict=True)):
             if abs(value - before) > _NEAR:
                 raise BadValue(
-                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from where the "
-                    f"arm is; at most {_NEAR:.4f} rad"
+                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from the "
+                    f"position of the arm; at most {_NEAR:.4f} rad"
                 )

@@ -66,7 +66,7 @@ def measure(
     rest = float(np.abs(wave(times - delay) - actual).max())
     if not 0.0 <= delay <= _LONGEST or rest > _UNEXPLAINED * abs(amplitude):
         raise LinkError(
-            f"the arm does not follow its set-points: with a delay of {delay:.3f} s, it is up to {rest:.4f} rad off a "
-            f"wave of {amplitude:g} rad"
+            f"the arm does not follow its set-points: with a delay of {delay:.3f} s, the arm deviates by up to "
+            f"{rest:.4f} rad from a wave of {amplitude:g} rad"
         )
     return delay

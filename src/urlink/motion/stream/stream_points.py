@@ -134,7 +134,7 @@ class PointReader:
         length = point.time - since
         if not since + self._shortest * (1.0 - 1e-6) <= point.time <= since + _LONGEST:
             raise BadValue(
-                f"{name}: its time is {length:.6g} s after the previous point, or the end of the stream; expected "
+                f"{name}: its time is {length:.6g} s after the previous point or the end of the stream; expected "
                 f"{self._shortest:g} s (two cycles of the controller) to {_LONGEST:g} s"
             )
         degree = 1 if point.qd is None else 3 if point.qdd is None else 5
@@ -146,8 +146,8 @@ class PointReader:
         joint = int(away.argmax())
         if away[joint] > _NEAR:
             raise BadValue(
-                f"{name}: {JOINTS[joint]} (joint {joint}) is at {q[joint]:.4f} rad, {away[joint]:.4f} rad from where "
-                f"the arm is; expected at most {_NEAR:g} rad, because it has no time to move there"
+                f"{name}: {JOINTS[joint]} (joint {joint}) is at {q[joint]:.4f} rad, {away[joint]:.4f} rad from the "
+                f"position of the arm; expected at most {_NEAR:g} rad, because it has no time to move there"
             )
 
     def _given(self, points: Points, begin: float, mark: Mark) -> list[TrajectoryPoint]:

@@ -362,8 +362,8 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
     found = bounds.first_within(ways)
     if found is None:
         raise BadValue(
-            f"the points up to {curve[-1].time:g} s cannot be reached from where the stream is at {time:g} s within "
-            f"the acceleration and jerk of the stream; expected points closer to it, or later ones"
+            f"the points up to {curve[-1].time:g} s cannot be reached from the position of the stream at {time:g} s "
+            "within the limits of acceleration and jerk of the stream; expected points that are closer, or later"
         )
     aim, rest = places[found]
     return [dataclasses.replace(aim, step=ways[found]), *rest]
