@@ -23,7 +23,7 @@ class MotionContext:
 
     Attributes:
         programs: Sender of programs.
-        channel: Channel for everything that moves the arm, through the interlock.
+        channel: Channel for all commands that move the arm. It sends them only if the interlock permits this.
         realtime: Stream with the joint positions and the controller's clock.
         who: Identity of the controller.
         reverse: Port to which programs on the robot connect.

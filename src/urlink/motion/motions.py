@@ -185,10 +185,10 @@ class Motions(StrictAttributes):
     ) -> PathMotion:
         """Move through several waypoints in one motion.
 
-        At a waypoint with a blend, the arm rounds the corner without a stop. Before the path is sent, it is checked
-        from the current position of the arm on. Every point of a line or an arc must be reachable in the current
-        configuration of the arm, within the limits of the joints. No joint may get too fast, and blends must not
-        overlap. Corners are checked as if they had no blends. Collisions are not checked.
+        At a waypoint with a blend, the arm rounds the corner without a stop. Before urlink sends the path, it checks
+        the path, starting at the current position of the arm. Every point of a line or an arc must be reachable in the
+        current configuration of the arm, within the limits of the joints. No joint may get too fast, and blends must
+        not overlap. Corners are checked as if they had no blends. Collisions are not checked.
 
         The check needs the model of the arm, which firmware 1.8 or later reports. If the model is unknown, only the
         ranges of the numbers are checked.
@@ -634,7 +634,7 @@ class Motions(StrictAttributes):
         Args:
             frame: "base", "tool" (the current pose of the tool), or a pose in the base frame, shape (6,). Only the
                 directions of the axes of the frame have an effect.
-            selection: Six values of 0 or 1, for x, y, z, rx, ry, rz. The arm yields along the axes with 1.
+            selection: Six values of 0 or 1, for x, y, z, rx, ry, rz. The arm yields along the axes with the value 1.
             wrench: Forces and torques that the tool exerts on the object, shape (6,), in N and Nm.
             limits: Largest speeds along axes that yield, in m/s and rad/s, and largest deviations along the other axes,
                 in m and rad; shape (6,). The controller enforces these limits.
@@ -742,10 +742,12 @@ class Motions(StrictAttributes):
                 joint. If None, about the torques of the vendor's example. A joint that is too fast is braked with up to
                 four times this torque. With springs of the tool, the limit applies only to the springs; the dampers may
                 add further torque.
-            speed: Largest speed of the joints, in rad/s; if None, 1. For springs of the tool, largest speed of the tool
-                in m/s and rad/s; if None, 0.25 and 0.8. The arm moves to targets at up to 0.7 of this speed.
-            error: Largest extension of a spring, in rad; if None, 0.2. For springs of the tool, in m and rad; if None,
-                0.1 and 0.5. With a larger extension, the force of the spring does not increase further.
+            speed: Largest speed of the joints, in rad/s; if None, 1. For springs of the tool, this is the largest speed
+                of the tool in m/s and rad/s; if None, 0.25 and 0.8. The arm moves to targets at up to 0.7 of this
+                speed.
+            error: Largest extension of a spring, in rad; if None, 0.2. For springs of the tool, the extension is in m
+                and rad; if None, 0.1 and 0.5. With a larger extension, the force of the spring does not increase
+                further.
             force: Largest force and torque of the springs of the tool, in N and Nm; if None, 50 and 5.
             posture_stiffness: Stiffness in Nm/rad of posture springs, in addition to the springs of the tool; if None,
                 0.5. Posture springs pull the joints to the posture of the target (`Impedance.send`). They determine the

@@ -1,4 +1,4 @@
-"""Messages to a program that receives a message in each cycle: packing, dating and reading them."""
+"""Messages to a program that receives one message in each cycle: functions that pack, date and read a message."""
 
 from __future__ import annotations
 

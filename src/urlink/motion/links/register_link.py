@@ -26,9 +26,9 @@ from ...script.links import TOKENS, InputRegisters
 from .messages import LARGEST, MESSAGE_SIZE, read_message
 
 #: Number of the first float register and of the first integer register for set-points. The last twelve float registers
-#: and the last four integer registers are used. So users can use the other registers with numbers of 24 or more, and
-#: fieldbuses the registers below 24. The registers with numbers of 24 or more need firmware 3.9 or later on CB3, or 5.3
-#: or later on e-Series.
+#: and the last four integer registers are used. So the other registers with numbers of 24 or more remain free for
+#: users, and the registers below 24 remain free for fieldbuses. The registers with numbers of 24 or more need firmware
+#: 3.9 or later on CB3, or 5.3 or later on e-Series.
 _FIRST_FLOAT, _FIRST_INTEGER = 36, 44
 #: RTDE inputs that a link for set-points writes: positions and speeds, the date and the number of the message, the
 #: command, and the token.

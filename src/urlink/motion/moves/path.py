@@ -51,7 +51,7 @@ _LEAP = 0.5
 #: Distance in m for which the tool needs as much time as for a turn of 1 rad (assumed).
 _RADIAN = parameters.number("metres_per_turn")
 #: If the tool centre moves at most this distance, in m, the tool is assumed to turn in place. A pose that was read from
-#: a robot is not more precise than this.
+#: a robot is not more precise than this distance.
 _IN_PLACE = 1e-3
 
 

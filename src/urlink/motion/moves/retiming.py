@@ -54,8 +54,8 @@ def retime(
         closest: Shortest time between two places, in s. Places that would be closer in time are left out.
 
     Returns:
-        Times (m,) in s, places (m, 6), and joint speeds (m, 6). The cubic curve through these places is within the
-        limits.
+        Times (m,) in s, places (m, 6) in rad, and joint speeds (m, 6) in rad/s. The cubic curve through these places is
+        within the limits.
 
     Raises:
         BadValue: If the path has no length.

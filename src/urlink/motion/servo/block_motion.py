@@ -66,7 +66,8 @@ class BlockMotion(Motion):
         Raises:
             ConnectFailed: If the program did not connect.
             SafetyStop, NotRunning: If the arm may not be moved now.
-            LocalError: If this object was used before, or if this is a callback subscribed with ``inline=True``.
+            LocalError: If this object was used before, or if called in a callback that was subscribed with
+                ``inline=True``.
             LinkError: If the motion cannot start for another reason.
         """
         if not self._life.fire(Event.SEND):

@@ -118,7 +118,7 @@ class Follower(Following):
         super().__init__(servoing.body, trajectory, tolerances, timer or ProgramTimer(self._cycle))
         self.watchdog = servoing.watchdog
         self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle
-        #: time in s that has passed on the trajectory; None before it has begun
+        #: time in s that has passed on the trajectory; None before the trajectory has begun
         self._t: float | None = None
         # The following attributes are set when the trajectory begins.
         #: difference between the arm and the first point, or after a pause between the arm and the path

@@ -24,8 +24,8 @@ from ..moves.trajectory import Trajectory
 from ..slider import SliderEffect, slider
 from .setpoints import LinkDialogue
 
-#: Number of cycles from a state until its set-point takes effect. The set-point is sent within the next cycle, and the
-#: program applies it at the beginning of the cycle after that.
+#: Number of cycles from a state until the set-point for this state takes effect. The set-point is sent within the next
+#: cycle, and the program applies it at the beginning of the cycle after that.
 AHEAD = 2
 #: Joint speed in rad/s below which the arm counts as at rest.
 _STANDING = 0.02

@@ -10,7 +10,7 @@ falls, is zero (cruise), falls, is constant, and rises. If the target is in the 
 
 Braking has three segments of constant jerk: the deceleration increases, is constant, and decreases to zero.
 
-Each joint reaches its target in its own time. Joints are not slowed down to arrive together.
+Each joint reaches its target in its own time. Faster joints are not slowed down so that all joints arrive together.
 
 All numbers are plain floats, because one numpy operation takes longer than the whole calculation for one joint.
 """

@@ -2,8 +2,8 @@
 
 In each cycle of the controller, a real-time state arrives and is answered with a message. So the controller's clock
 sets the pace. A `LinkDialogue` decides the messages. Each message contains the cycle of the newest state. The program
-compares this cycle with its own, and ignores messages that are too old (`urlink.script.links`). Therefore messages that
-were delayed in the socket of a hung controller do not move the arm.
+compares this cycle with its own cycle count, and ignores messages that are too old (`urlink.script.links`). Therefore
+messages that were delayed in the socket of a hung controller do not move the arm.
 
 If no states arrive, the interlock ends every motion after one second. The program on the robot brakes earlier.
 """

@@ -39,7 +39,7 @@ _NEAR = 0.05
 
 @dataclass(frozen=True)
 class ServoStatistics:
-    """Statistics of how regularly set-points, or targets, were sent.
+    """Statistics of the intervals between set-points, or between targets, that were sent.
 
     Attributes:
         count: Number of set-points or targets that were sent.
@@ -310,7 +310,7 @@ class Servo(BlockMotion):
 
     @property
     def stats(self) -> ServoStatistics:
-        """Statistics of how regularly set-points, or targets, were sent.
+        """Statistics of the intervals between set-points, or between targets, that were sent.
 
         The deviations are those of the last 50000 intervals.
         """

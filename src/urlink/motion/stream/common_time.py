@@ -202,7 +202,7 @@ class MemberPace:
 
     Attributes:
         is_paused: Function that returns whether the program of the arm is paused.
-        is_idle: Whether the stream has no points left, so that it does not delay the others.
+        is_idle: Whether the stream has no points left. Then this arm does not delay the other arms.
         is_led: Whether the arm is moving along its points, so that its pace can be controlled.
     """
 
@@ -248,8 +248,8 @@ class MemberPace:
             is_led, is_idle: See the attributes.
         """
         local, ahead = self._to_local(time) if math.isfinite(time) else now, AHEAD * self._cycle
-        # The arm is ahead of its newest report and state by this time. If this were ignored for two arms with different
-        # cycles, one arm would be ahead of the other by the difference.
+        # The arm is ahead of its newest report and state by the time `ahead`. If this time were ignored for two arms
+        # with different cycles, one arm would be ahead of the other by the difference.
         self._place = place + self._common.at(local) * ahead if is_led else place
         self._rate, self._local, self._seen, self.is_led, self.is_idle = rate, local, now, is_led, is_idle
         self._common.look(local, now)

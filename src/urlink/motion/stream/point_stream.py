@@ -274,8 +274,8 @@ class PointStream(BlockMotion):
     def time(self) -> float:
         """Current time on the clock of the stream, in s: the time of the position that the arm is passing.
 
-        The clock begins at 0. It advances with the time of the program on the robot, so the speed slider slows it down
-        and a pause stops it. It also stops while the stream is dry.
+        The clock begins at 0. It advances with the time of the program on the robot, so the speed slider slows the
+        clock down, and a pause stops the clock. The clock also stops while the stream is dry.
         """
         with self._context.section.lock:
             return self._feed.time

@@ -675,7 +675,7 @@ class StreamFeed(LinkDialogue):
         return onto(self._bounds, request.curve, here, time, 2.0 * self._cycle) if request.curve else []
 
     def _put(self, aims: Sequence[Aim]) -> None:
-        """Replace all points that have not yet been sent by these points."""
+        """Use these points instead of all points that have not yet been sent."""
         left = {id(aim.handed) for aim in aims}
         for aim in self._queue:
             if aim.handed is not None and id(aim.handed) not in left:
