@@ -13,10 +13,10 @@ from linkcore.cli.terminal import Interruption
 from ..session.address import Motion
 from .options import tell
 
-#: Joints of URSim when it starts, in rad, from the vendor's integration tests.
+#: Joint positions of URSim after its start, in rad, from the vendor's integration tests.
 _URSIM_POSTURE = (-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)
 _URSIM_PROGRAM = "Default program"
-#: Programs of URSim as the vendor's tests start it. The name of the second one has no suffix on PolyScope X.
+#: Programs on URSim, as the vendor's tests start it. On PolyScope X, the name of the second program has no suffix.
 _URSIM_FILES = {
     _URSIM_PROGRAM: "def Default_program():\nend\n",
     **dict.fromkeys(
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     simulator: in URSim's posture, with "Default program" loaded and wait_program.urp in /ursim/programs. It is not in
     remote control, but still accepts commands, unless --local-control is given.
 
-    Faults happen at their time, in seconds after the start, as NAME[=ARGUMENT]@SECONDS:
+    The format of a fault is NAME[=ARGUMENT]@SECONDS. It happens SECONDS after the start. The faults are:
 
     examples:
       urlink sim
