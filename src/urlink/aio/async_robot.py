@@ -103,7 +103,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
 
     @property
     def primary(self) -> AsyncStream[RobotState]:
-        """Stream of `RobotState` at 10 Hz (port 30001). Select its parts and messages by class, or with `of`."""
+        """Stream of `RobotState` at 10 Hz (port 30001). Select its parts and messages by class with `of`."""
         return self._stream("primary")
 
     @property
@@ -256,7 +256,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
     # -- closing -------------------------------------------------------------------------------------
 
     async def close(self, timeout: float = 2.0) -> None:
-        """End motions, and close all streams and the simulator, within `timeout` seconds. A second call does nothing.
+        """End motions, and close all streams and the simulator, within `timeout` seconds. Idempotent.
 
         If the calling task is cancelled during this call, the task ends only after closing has finished.
         """
