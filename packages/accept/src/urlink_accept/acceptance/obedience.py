@@ -16,7 +16,8 @@ from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 from .standing import BEGIN, END, SLEEP, Told
 
-#: Silence of the real-time interface in s after which times are not judged, and time in s that is quick in spite of it.
+#: Silence of the real-time interface, in s, above which times are not judged. A time up to the second value, in s, is
+#: accepted in spite of such a silence.
 HELD_UP, _QUICK = 0.1, 0.05
 
 
@@ -34,10 +35,10 @@ def span(evidence: Evidence, step: str) -> tuple[float, float]:
 
 
 def held_up(evidence: Evidence, step: str) -> float:
-    """Return the longest silence of the real-time interface during a step, in s. It explains late results."""
+    """Return the longest silence of the real-time interface during a step, in s. A silence explains late results."""
     begin, end = span(evidence, step)
     arrived = evidence.realtime.arrived
-    # The time from the last packet to the end of the step counts as well.
+    # The time from the last packet to the end of the step also counts as a silence.
     return float(np.diff([begin, *arrived[(arrived >= begin) & (arrived <= end)], end]).max())
 
 
@@ -45,7 +46,7 @@ def unless_held_up(evidence: Evidence, step: str, found: Measured, most: float) 
     """Return the result of a step, unless a delay explains it.
 
     Raises:
-        NotTried: If it is more than `most`, and this computer or the network was delayed during the step.
+        NotTried: If the result is more than `most`, and this computer or the network was delayed during the step.
     """
     if found.value > most and (silent := held_up(evidence, step)) > HELD_UP:
         raise NotTried(f"for {silent * 1e3:.0f} ms nothing arrived from the controller; {found.seen}")
@@ -73,7 +74,7 @@ def _of(step: str, judged: Callable[[Evidence, Told], Measured], *, is_timed: bo
     Args:
         step: Name of the step.
         judged: Function that converts the note of the step to a measurement.
-        is_timed: Whether a duration is judged, which is meaningless if this computer was delayed.
+        is_timed: Whether the check judges a duration. A duration has no meaning if this computer was delayed.
     """
 
     def check(evidence: Evidence) -> Measured:
