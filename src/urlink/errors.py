@@ -52,7 +52,7 @@ class NotRunning(RemoteError):
 
 
 class NotConfirmed(RemoteError):
-    """A setting was sent, but the robot's states did not show it in time. It might still take effect."""
+    """A setting was sent, but the robot's states did not show it in time. The setting might still take effect."""
 
 
 class ToleranceExceeded(RemoteError):

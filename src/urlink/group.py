@@ -36,7 +36,7 @@ from .robot import Robot
 
 #: Peak speed and peak acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
-#: Minimum duration of a motion, in s. It is used if the arms are already at their goals.
+#: Minimum duration of a motion, in s. This duration is used if the arms are already at their goals.
 _SHORTEST = 0.1
 #: Number of states of one arm that are queued until the states of the other arms arrive.
 WAITING = 64
@@ -163,7 +163,7 @@ class Group(StrictAttributes):
             q: Goal joint positions of each arm, shape (6,), in rad.
             speed: Speed of the fastest joint of all arms, in rad/s.
             acceleration: Acceleration of the joint with the highest acceleration, in rad/s².
-            time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
+            time: Duration in seconds. `time` cannot be combined with `speed` or `acceleration`.
             wait: See `Motions`.
 
         Raises:

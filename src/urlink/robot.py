@@ -76,9 +76,9 @@ def connect(options: ConnectOptions) -> Robot:
     undoes nothing.
 
     Args:
-        address: Address of the robot, for example ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"``
-            or ``"replay:///path/run.urlog?rate=2"``. It may also be the path of a recording, such as ``"run.urlog"`` or
-            any `pathlib.Path`.
+        address: Address of the robot, for example ``"192.168.56.101"``, ``"ur://host"``,
+            ``"sim://ur5e?firmware=5.11"`` or ``"replay:///path/run.urlog?rate=2"``. The address may also be the path
+            of a recording, such as ``"run.urlog"`` or any `pathlib.Path`.
         timeout: Maximum time to make any connection, in seconds.
         read_only: Whether to use ports 30011 to 30013, which accept no commands.
         backoff: Waiting times between attempts of a stream to reconnect.
@@ -95,8 +95,8 @@ def connect(options: ConnectOptions) -> Robot:
         start_flags: Numbers of the flags, 0 to 31, that carry the start permission on firmware that lacks the register
             (before 3.9 on CB3, before 5.3 on e-Series). With more flags, it is less likely that the permission of
             another client starts an abandoned program. With neither register nor flags, each program starts when the
-            controller reads it, even if that is very late. A motion whose handle failed long ago can then still be
-            executed.
+            controller reads it, even if that is very late. In this case, the controller can still execute a motion
+            long after its handle has failed.
         reverse_host: Address of this computer as seen by the robot, for streamed set-points. None derives it from the
             route to the robot.
         reverse_port: Port on this computer for connections from the robot; 0 for a free port.
@@ -367,7 +367,8 @@ class Robot(StrictAttributes, Closing):
     def safety(self) -> Safety:
         """Interlock between motions and the arm, with its state and policy.
 
-        This and all following command properties raise `LocalError` if the connection cannot send commands.
+        The command properties of a robot, such as `safety` and `motion`, raise `LocalError` if the connection cannot
+        send commands.
         """
         return self._commanded().safety
 
@@ -400,7 +401,7 @@ class Robot(StrictAttributes, Closing):
     ) -> Interpreter:
         """Start interpreter mode: the controller executes URScript statements one by one.
 
-        The call uploads a program, which preempts the current program. It returns when the new program accepts
+        The call uploads a program, which preempts the current program. The call returns when the new program accepts
         statements. Firmware 5.10 or later is required.
 
         Args:
@@ -470,8 +471,8 @@ class Robot(StrictAttributes, Closing):
         control ignores the setting.
 
         Args:
-            acceleration: Acceleration that an arm at rest measures, shape (3,), in m/s², in the base frame. It points
-                upwards: [0, 0, 9.82] for an upright arm. Its norm must be 5 to 15 m/s².
+            acceleration: Acceleration that an arm at rest measures, shape (3,), in m/s², in the base frame. The vector
+                points upwards: [0, 0, 9.82] for an upright arm. Its norm must be 5 to 15 m/s².
 
         Raises:
             BadValue: If `acceleration` is not such a vector. Nothing is sent.
@@ -617,7 +618,7 @@ class Robot(StrictAttributes, Closing):
     ) -> View:
         """Show the arm in 3D in a browser on this computer, or in a cell of a notebook.
 
-        The view runs until it is closed, or until its ``with`` block is left. It requires the package ``urlink-view``.
+        The view runs until it is closed, or until its ``with`` block is left. The package ``urlink-view`` is required.
 
         Args:
             plots: Names of the `RealtimeState` fields to plot.

@@ -54,8 +54,8 @@ T = TypeVar("T")
 
 #: Maximum number of concurrent calls for one robot.
 _CALLS = 16
-#: Number of threads that stop the robot. They are started together with the connection. There are two, because leaving
-#: a block can occupy one of them until the arm is at rest.
+#: Number of threads that stop the robot. These threads are started together with the connection. Two threads are
+#: needed, because leaving a block can occupy one of them until the arm is at rest.
 _STOPS = 2
 
 
@@ -131,7 +131,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         return self._part._who.last
 
     async def identify(self) -> Identity:
-        """Return the identity of the controller. It is read again after a reconnection.
+        """Return the identity of the controller, and read it again after a reconnection.
 
         Raises:
             RemoteError: If the controller does not answer.
@@ -337,7 +337,7 @@ def connect_async(options: ConnectOptions) -> Opening[AsyncRobot]:
 
 
 async def _identified(place: RobotAddress, options: ConnectOptions) -> Identity:
-    """Read the identity of the controller at an address. This is `networked` for an event loop."""
+    """Read the identity of the controller at an address, on the event loop. The blocking version is `networked`."""
     suffix = "_readonly" if options.read_only else ""
     try:
         return await _identify(place.host, place.ports["primary" + suffix], options.timeout)

@@ -1,8 +1,8 @@
 """Conversion of blocking methods to awaitable methods with the same name, arguments, result and types.
 
-Commands use the same interlock, channel and state machines as a robot of `urlink.connect`. This code blocks until the
-robot has answered. Therefore each call runs in a thread of the robot, and the event loop continues to read the streams
-and RTDE connections.
+Commands use the same interlock, channel and state machines as a robot of `urlink.connect`. These commands block until
+the robot has answered. Therefore each call runs in a thread of the robot, and the event loop continues to read the
+streams and RTDE connections.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class attribute(property, Generic[B, T]):  # noqa: N801  # as `property`
     """Attribute of an `AwaitedPart` that is read immediately.
 
     Args:
-        of: Class of the blocking part. It is the argument type of `read`.
+        of: Class of the blocking part, which is passed to `read`.
         read: Function that returns the value of the attribute for a part.
     """
 
@@ -209,7 +209,7 @@ def block(
     method: Callable[Concatenate[Any, P], C], given: Callable[[C, Workers], T]
 ) -> Callable[Concatenate[Any, P], Block[T]]: ...
 def block(method: Callable[..., Any], given: Callable[..., Any] = lambda made, workers: made) -> Any:
-    """Return the method of an `AwaitedPart` whose result is entered with ``async with``."""
+    """Return a method of an `AwaitedPart` that returns a `Block`, which is entered with ``async with``."""
 
     @functools.wraps(method)
     def call(part: AwaitedPart[Any], /, *arguments: Any, **options: Any) -> Block[Any]:

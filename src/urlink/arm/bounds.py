@@ -52,14 +52,14 @@ class Bound(NamedTuple):
 _LEAST = 1e-3
 
 #: Largest tool speed limit that the safety configuration accepts, according to the vendor's manuals (Robot limits).
-#: Data sheets contain typical speeds of 1 to 2 m/s. These are not limits.
+#: The speeds of 1 to 2 m/s in data sheets are typical speeds and not limits.
 TOOL_SPEED = Bound(5.0, "m/s", _LEAST)
 #: Largest rotation speed of a tool. Assumed: no tool turns faster, because wrists turn at 6.3 rad/s at most.
 TOOL_TURN = Bound(number("largest_tool_turn"), "rad/s", _LEAST)
 #: Largest acceleration of a tool. Assumed: the largest joint acceleration that a controller reports, at 1 m from the
 #: joint.
 TOOL_ACCELERATION = Bound(number("largest_tool_acceleration"), "m/s²", _LEAST)
-#: Largest speed of a joint. The wrists of UR3 and UR3e have this speed. They are the fastest joints in `urlink.models`.
+#: Largest speed of a joint. The wrists of UR3 and UR3e, the fastest joints in `urlink.models`, have this speed.
 JOINT_SPEED = Bound(math.tau, "rad/s", _LEAST)
 #: Largest acceleration of a joint in `urlink.models`, as controllers report it.
 JOINT_ACCELERATION = Bound(40.0, "rad/s²", _LEAST)

@@ -56,8 +56,8 @@ class Arc:
         start: Pose at the beginning.
         via: Intermediate pose on the path; its orientation is ignored.
         end: Pose at the end.
-        is_fixed: Whether the tool is fixed to the path and turns with it. Then the start orientation determines the end
-            orientation, and the orientation of `end` is ignored.
+        is_fixed: Whether the tool is fixed to the path and turns with it. In this case, the start orientation
+            determines the end orientation, and the orientation of `end` is ignored.
 
     Attributes:
         start: See `Line`.

@@ -10,13 +10,13 @@ growing joint angles. The equation is computed in the base frame, with spatial v
 "Rigid Body Dynamics Algorithms", 2008). Forces are computed link by link, from the tool down to the base. Each row of
 the mass matrix is computed from the inertias of all bodies that the joint carries.
 
-**Accuracy.** The results are as accurate as the published masses and inertias (`urlink.models`). They agree with the
-gravity torques that simulated arms report. The gravity torques of a real UR3e agree within 2 mNm (with its calibration
-and payload), and the gravity torques of a real CB2 UR5 within 1.4 Nm. With `rotors`, the inertia of motors and gears
-(`urlink.arm.motors`) is included. This inertia is not published, but a log of a UR3e shows it. With this inertia, the
-results equal the moments that the controller of the UR3e reports to 0.02 Nm. At the wrists, the inertia of motors and
-gears is much larger than the inertia of the links. Friction is not included, because a controller includes friction in
-its currents and not in its moments.
+**Accuracy.** The results are as accurate as the published masses and inertias (`urlink.models`). The computed gravity
+torques agree with those that simulated arms report. The gravity torques of a real UR3e agree within 2 mNm (with its
+calibration and payload), and the gravity torques of a real CB2 UR5 within 1.4 Nm. With `rotors`, the inertia of motors
+and gears (`urlink.arm.motors`) is included. This inertia is not published, but a log of a UR3e shows it. With this
+inertia, the results equal the moments that the controller of the UR3e reports to 0.02 Nm. At the wrists, the inertia
+of motors and gears is much larger than the inertia of the links. Friction is not included, because a controller
+includes friction in its currents and not in its moments.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Dynamics(StrictAttributes):
             Torques, shape (..., 6), in Nm.
 
         Raises:
-            BadValue: If `q` is not joint positions.
+            BadValue: If `q` is not six finite numbers per row.
         """
         if rigid.is_single(q):
             return np.array(self._held(self._frames(q)))
@@ -172,7 +172,7 @@ class Dynamics(StrictAttributes):
             Symmetric matrices, shape (..., 6, 6), in kg m².
 
         Raises:
-            BadValue: If `q` is not joint positions.
+            BadValue: If `q` is not six finite numbers per row.
         """
         if rigid.is_single(q):
             return np.array(self._mass_matrix(self._frames(q)))

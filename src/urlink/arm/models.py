@@ -26,8 +26,8 @@ The sources of the numbers are:
   the meshes of UR15. Its arm links have the values of the vendor's ur10g-1750, because `ur_description` draws that arm
   with the meshes of UR8 Long.
 
-The attribute `guesses` of a model lists the values that are not published for this model. They are taken from another
-model.
+The attribute `guesses` of a model lists the values that are not published for this model. These values are taken from
+another model.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ _SHAPES: Mapping[str, tuple[int, ...]] = {
 
 _HALF_PI = math.pi / 2.0
 _ALPHA = np.array([_HALF_PI, 0.0, 0.0, _HALF_PI, -_HALF_PI, 0.0])
-# Axis of each link (0 is x, 1 is y, 2 is z), for inertias that are given as those of a cylinder, in the DH frame at the
-# end of the link: arm links lie along x, the flange along z, and the other joints along y.
+# Axis of each link in the DH frame at its end (0 is x, 1 is y, 2 is z), for inertias that are given as those of a
+# cylinder. Arm links lie along x, the flange along z, and the other joints along y.
 _AXES = (1, 0, 0, 1, 1, 2)
 
 

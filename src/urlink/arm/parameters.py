@@ -10,8 +10,8 @@ The kinds of evidence are:
 - **analogy**: the value is the known value of a similar object;
 - **guess**: the value is estimated without evidence. The interval shows how large the error can be.
 
-The value "assumed" is not a number. It marks a behaviour that is assumed. The name and the source of the row describe
-this behaviour. All modules read their numbers here, so that each number is defined in one place.
+The value "assumed" is not a number. The value "assumed" marks a behaviour that is assumed. The name and the source of
+the row describe this behaviour. All modules read their numbers here, so that each number is defined in one place.
 """
 
 from __future__ import annotations

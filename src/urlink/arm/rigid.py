@@ -195,7 +195,8 @@ def from_poses(poses: FloatArray) -> Rigid[FloatArray]:
 
 
 # Each of these functions multiplies one component of the unit quaternion by all four components (w, x, y, z), and
-# returns four times the products. If it is the largest component, the products are as precise as the matrix.
+# returns four times the products. If this component is the largest of the four, the products are as precise as the
+# matrix.
 def _by_w(r: Rigid[Number]) -> Quaternion[Number]:
     return 1.0 + r[0] + r[4] + r[8], r[7] - r[5], r[2] - r[6], r[3] - r[1]
 
@@ -240,8 +241,8 @@ def _scaled_quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
 def rotation_vector(rigid: Rigid[float]) -> tuple[float, float, float]:
     """Return the rotation vector of a transform, with an angle of 0 to pi.
 
-    At exactly pi, both directions of the axis describe the same rotation. Then the result is the direction that has a
-    positive largest component.
+    At exactly pi, both directions of the axis describe the same rotation. In this case, the result is the direction
+    that has a positive largest component.
     """
     w, x, y, z = _scaled_quaternion(rigid)
     sine = math.hypot(x, y, z)

@@ -170,7 +170,7 @@ def _sources(name: str, wanted: Interface | None) -> Iterator[tuple[Interface, b
 
 def _recorded(recording: RecordingFile, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
     if wanted is not None:
-        recording.channel(wanted)  # if it is not recorded, this raises an error with the recorded names
+        recording.channel(wanted)  # raises an error with the recorded names if `wanted` is none of them
     for number, info in recording.channels.items():
         name = info["name"]
         if name not in INTERFACES or wanted not in (None, name):

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     On a terminal, the view is drawn ten times a second. Elsewhere, and with --plain, one line is printed per second.
     The status is SLOW if less than 95 % of the controller's states arrive. `missed` counts states that never arrived,
     and `duplicates` counts states that arrived twice, based on the controller's clock. When the connection is lost,
-    the view shows LOST and marks the last values as old. It continues when the controller is available again.
+    the view shows LOST and marks the last values as old. The view continues when the controller is available again.
 
     The real-time interface sends 125 or 500 states a second, with tool speed and force. The primary interface sends
     ten states a second, with the analogue signals and the messages of the controller. At the end, a summary and a next
@@ -202,7 +202,7 @@ class _Name:
         return self._text
 
     def _ask(self) -> None:
-        with contextlib.suppress(LinkError):  # the connection is lost again, and the next one retries
+        with contextlib.suppress(LinkError):  # if the connection is lost again, the next one retries
             identity = self._robot.identity
             self._text = f"{identity.model or 'UR'}  firmware {identity.firmware}"
 

@@ -22,8 +22,8 @@ from ..protocol.primary.robot_state import MasterboardData, RobotModeData, Robot
 from ..protocol.realtime.packets import RealtimeState
 from .packet_stream import counted
 
-#: Age of the newest state, in seconds, above which its values count as old although the connection exists. It is the
-#: time of five states of the 10 Hz interfaces, or of 60 or more states of the real-time interface.
+#: Age of the newest state, in seconds, above which its values count as old although the connection exists. In this
+#: time, a 10 Hz interface sends five states, and the real-time interface sends 60 or more states.
 FRESH = 0.5
 #: Fraction of the usual rate below which the status is SLOW, however recent the newest state is.
 ENOUGH = 0.95
@@ -135,7 +135,7 @@ def _primary(state: RobotState) -> Reading:
 
 
 def _safety(mode: RobotModeData | None, board: MasterboardData | None) -> str | None:
-    """Return the safety mode. CB2 does not send it; there, it is derived from the flags of the robot mode."""
+    """Return the safety mode. CB2 does not send a safety mode; for CB2, derive it from the robot mode."""
     if board is not None and board.safety_mode is not None:
         return board.safety_mode.name
     if mode is None:
@@ -200,7 +200,8 @@ def status_of(
 
     Args:
         connection: State of the stream's connection.
-        has_latest: Whether the property `latest` of the stream is a state. It is None after the connection was lost.
+        has_latest: Whether the property `latest` of the stream is a state. After the connection was lost, `latest` is
+            None.
         reading: Last reading, possibly old; None before the first state.
         rate: States per second; None if unknown.
         usual: States per second that the controller sends; None if unknown.

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     show = shower(args, kind)
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
         recording = RecordingFile(args.file, progress)
-    number = recording.channel(interface)  # if it is not recorded, this raises an error with the recorded names
+    number = recording.channel(interface)  # raises an error with the recorded names if `interface` is none of them
     address = f"replay://{quote(str(Path(args.file).absolute()))}?rate={args.rate or 'max'}"
     with connect(address) as robot, ProgressBar(f"playing {args.file}", args.quiet) as progress:
         if not args.quiet:

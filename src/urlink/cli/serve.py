@@ -37,7 +37,7 @@ _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL)
 
 
 class Adapter(Protocol):
-    """Interface that every entry point of the group `urlink.serve` must have. It is a module or another object."""
+    """Interface that every entry point of the group `urlink.serve` must have: a module or another object."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the options of this adapter."""

@@ -66,7 +66,7 @@ class Arm(StrictAttributes):
 
     @classmethod
     def calibrated(cls, model: str | Model, table: DenavitHartenberg) -> Arm:
-        """Create an arm with the DH parameters that its controller sends. They are accurate to about 0.1 mm.
+        """Create an arm with the DH parameters that its controller sends. The result is accurate to about 0.1 mm.
 
         Args:
             model: Model of the robot.
@@ -188,8 +188,9 @@ class Arm(StrictAttributes):
 
         Raises:
             Unreachable: If a single pose was given, and it is out of reach.
-            BadValue: If an argument does not have its shape, contains a number that is not finite, or does not
-                broadcast. Also if a rotation vector is longer than one turn, for example because it is in degrees.
+            BadValue: If an argument has the wrong shape, contains a number that is not finite, or does not
+                broadcast. The error is also raised if a rotation vector is longer than one turn, for example because it
+                is in degrees.
         """
         if rigid.is_single(pose) and rigid.is_single(near):
             target, close = _target(_pose(pose), tcp), _one(near)
@@ -244,8 +245,8 @@ class Arm(StrictAttributes):
             tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            Joint positions, shape (n, 6), in rad, with n from 0 (out of reach) to 8. They are in (-pi, pi] unless
-            `near` is given.
+            Joint positions, shape (n, 6), in rad, with n from 0 (out of reach) to 8. The positions are in (-pi, pi]
+            unless `near` is given.
 
         Raises:
             BadValue: If an argument does not have this shape, or contains a number that is not finite.
@@ -339,7 +340,7 @@ class Arm(StrictAttributes):
             Velocity of the TCP in m/s, and angular velocity in rad/s, in the base frame, shape (..., 6).
 
         Raises:
-            BadValue: If an argument does not have its shape, contains a number that is not finite, or does not
+            BadValue: If an argument has the wrong shape, contains a number that is not finite, or does not
                 broadcast.
         """
         if rigid.is_single(q) and rigid.is_single(qd):
@@ -392,7 +393,8 @@ class Arm(StrictAttributes):
         distance, furthest = math.dist(wrist, (0.0, 0.0, d1)), math.hypot(abs(a2) + abs(a3) + d5, d4)
         aside = math.hypot(wrist[0], wrist[1])
         if distance > furthest:
-            # A wrist is never closer to the base than 1 cm, so do not ask whether 1.5 m should be 1.5 mm.
+            # A wrist is never closer to the base than 1 cm, so the message does not suggest that 1.5 m should be 1.5
+            # mm.
             asked = other_unit(distance, "m", 0.01, furthest)
             why = f"its wrist would be {distance:.3f} m from the shoulder; it reaches at most {furthest:.3f} m{asked}"
         elif aside < d4:

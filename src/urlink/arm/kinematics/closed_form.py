@@ -1,9 +1,9 @@
 """Joint positions that put the flange of a published UR arm at a pose, in closed form.
 
 An arm has up to eight solutions for a pose. These solutions are called branches: shoulder left or right, wrist flipped
-or not, elbow up or down. This is the classic geometric solution for arms whose joints 2, 3 and 4 turn about parallel
-axes. The position of the wrist determines joint 1, the orientation determines joints 5 and 6, and the triangle of the
-two arm links determines joints 2 and 3.
+or not, elbow up or down. The solution is the classic geometric one for arms with parallel axes of joints 2, 3 and 4.
+The position of the wrist determines joint 1, the orientation determines joints 5 and 6, and the triangle of the two
+arm links determines joints 2 and 3.
 
 An arm has three singularities. In the first, the wrist is on a cylinder of radius d4 about the axis of the base, and
 joint 1 is not determined. In the second, the axes of joints 4 and 6 are parallel, and joint 6 is not determined. In the
@@ -50,8 +50,9 @@ def solve(
         free_q6: Angle of joint 6, in rad, for poses in the wrist singularity. If the wrist is out of reach with this
             angle, the closest angle within reach is used.
         slack: Orientation error, in rad, that is accepted so that joint 6 can have this angle.
-        is_loose: Whether to return also branches that are slightly out of reach, and to bend an elbow that is almost
-            straight. Such branches are seeds of the search for a calibrated arm, because its reach differs slightly.
+        is_loose: Whether to return also branches that are slightly out of reach. An elbow that is almost straight is
+            then bent a little. Such branches are seeds of the search for a calibrated arm, because its reach differs
+            slightly.
 
     Returns:
         Branches in the order of `Arm.branches`. If two branches meet in a singularity, both are given.

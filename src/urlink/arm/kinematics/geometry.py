@@ -75,7 +75,7 @@ class DenavitHartenberg(Protocol):
 
 
 class DhTable(NamedTuple):
-    """DH table with numbers from another source, such as a file. It is a `DenavitHartenberg`.
+    """DH table with numbers from another source, such as a file; implements `DenavitHartenberg`.
 
     Attributes:
         dh_theta: Joint offsets, in rad.
@@ -193,8 +193,8 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
         # Distance along the next axis to the point that the link reaches with a link offset of 0.
         along = -d / math.cos(alpha)
         x, y = a, -along * math.sin(alpha)
-        # The published link points along -x. Turn the frame of the link by Rz(turn), so that it does so too. Undo this
-        # rotation at the end of the link.
+        # The published link points along -x. Turn the frame of the link by Rz(turn), so that this link also points
+        # along -x. Undo the rotation at the end.
         turn = math.atan2(-y, -x)
         alpha, beta, about = _hayati(-turn, alpha)
         links.append(ArmLink(math.remainder(theta + turn, math.tau), -math.hypot(x, y), 0.0, alpha, beta))

@@ -7,7 +7,7 @@ the wrist, and moves the joints by the inverse of the Jacobian times the error. 
 square of the error before it, so three steps are enough if the seed has an error of 0.01 rad. The inverse is computed
 from the axes of the joints, without a matrix, in less time than the forward kinematics.
 
-Close to a singularity, this method does not converge. Then `refine_anywhere` is used, which is slower.
+Close to a singularity, this method does not converge. In this case, the slower function `refine_anywhere` is used.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from .geometry import Angles, Geometry, angles, chain, jacobian
 
 #: Error in m and rad below which joint positions are a solution.
 CONVERGED = 5e-14
-# Bound of the second derivatives of the wrist's position and orientation: the error in m after a step of 1 rad. If it
-# is ten times too small, the error is ten times `CONVERGED`, which is still less than 1e-12.
+# Bound of the second derivatives of the wrist's position and orientation: the error in m after a step of 1 rad. If
+# this bound is ten times too small, the error is ten times `CONVERGED`, which is still less than 1e-12.
 _CURVATURE = 2.0
 # A step that is shorter than this, in rad, is the last one: the error after such a step is always below `CONVERGED`.
 _LAST = math.sqrt(CONVERGED / _CURVATURE)

@@ -95,7 +95,7 @@ RTDE_NAMES = ("timestamp", *(each.rtde for each in _FIELDS), "target_speed_fract
 
 #: Noisy values that identify packets of the same cycle.
 _KEYS = ("q_actual", "I_actual", "qd_actual", "tcp_force", "motor_temperatures", "tool_vector_actual")
-#: Minimum number of pairs for a match to be accepted.
+#: Minimum number of pairs with which a match is accepted.
 _FEWEST = 8
 #: Largest relative differences because of rounding, for numbers of 64 and of 32 bits; and the fraction of packets that
 #: may differ.
@@ -160,7 +160,7 @@ def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float
 def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
     """Return the lead of the other clock, in s, computed from the smallest delays, and rounded to a cycle.
 
-    It is used if no values change from cycle to cycle.
+    This method is used if no values change from cycle to cycle.
     """
     packets: Came = getattr(evidence, which)
     ahead = float((evidence.realtime.arrived - own).min() - (packets.arrived - other).min())
@@ -203,7 +203,7 @@ def _agree(evidence: Evidence) -> Measured:
 
 
 def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
-    """Return a description of a difference. If a third interface agrees with one of two, name the other one."""
+    """Return a description of a difference. If a third interface shows which of two is wrong, name the wrong one."""
     each = next((each for each in _FIELDS if each.realtime == name), None)
     odd, first = next(iter(said.items()))
     if each is None or each.primary is None or len(tried) < 2:

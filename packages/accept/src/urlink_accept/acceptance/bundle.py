@@ -33,7 +33,7 @@ _FORMAT = 1
 _LARGEST = {_MANIFEST: 1 << 16, _REQUIREMENTS: 1 << 20, _BYTES: 1 << 30}
 #: Size of the chunks that are unpacked, in bytes.
 _CHUNK = 1 << 16
-#: Time stamp in archives. It is constant, so that the same run results in the same bytes.
+#: Constant time stamp in archives, so that the same run results in the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 #: Pattern of a serial number: the year, and the number within the year.
 _SERIAL = re.compile(rb"(?<!\d)20\d{9}(?!\d)")

@@ -1,7 +1,7 @@
 """Likely cause of the requirements that are not held, for the top of the page.
 
-One defect of a controller can break many requirements. The requirements are ordered: a requirement comes before the
-requirements that its defect can also break.
+One defect of a controller can break many requirements. A requirement comes first in the order if the defect that
+breaks it can also break other requirements.
 """
 
 from __future__ import annotations

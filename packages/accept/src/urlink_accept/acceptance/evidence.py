@@ -200,7 +200,7 @@ class Evidence:
         return [wire for wire in self.wires if wire.interface == interface and not wire.is_sent]
 
     def _alone(self, interface: str) -> list[Wire]:
-        """Return consecutive connections, without those that were opened while another one was open."""
+        """Return the connections that were opened while no other connection to the interface was open."""
         return [wire for wire in self.received(interface) if not wire.is_beside]
 
     @cached_property

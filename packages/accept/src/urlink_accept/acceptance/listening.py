@@ -32,8 +32,8 @@ _NOT_ASKED = ("quit", "get serial number")
 _TIMEOUT = 5.0
 #: Interval between checks of the clock, in s.
 _STEP = 0.01
-#: Kinds of evidence for the first release of a variable. If the evidence is of such a kind, a controller without the
-#: variable is wrong; otherwise the table of variables might be wrong.
+#: Kinds of evidence for the first release of a variable. With such evidence, a controller without the variable is
+#: wrong. With other evidence, the table of variables might be wrong.
 _BACKED = ("vendor", "drivers")
 
 

@@ -1,4 +1,4 @@
-"""Logbook of an acceptance run, written during the run. It contains every byte, and notes of all steps.
+"""Logbook of an acceptance run, with every received and sent byte, and with notes of all steps.
 
 The logbook is a recording (`linkcore.recording.file`). A channel holds the consecutive connections to one port, in one
 direction: "realtime" for received bytes, "realtime sent" for sent bytes, and "primary 2" for connections that were

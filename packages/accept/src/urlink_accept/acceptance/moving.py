@@ -97,7 +97,7 @@ class _Wrist:
         self._guard.check()
 
     def _moving(self) -> Motion:
-        """Start a motion to the other side, which takes about a second."""
+        """Start a motion to the other side. The motion takes about one second."""
         motion = self._robot.motion.move_joints(self._goal(), SPEED, _ACCELERATION)
         self._robot.realtime.wait_until(lambda state: abs(state.qd_target[WRIST]) > 0.5 * SPEED * _SLOW, _SOON)
         return motion

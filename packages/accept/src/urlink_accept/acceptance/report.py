@@ -178,7 +178,7 @@ def _measured(each: Verdict) -> str:
 def as_text(
     evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "", address: str = ""
 ) -> str:
-    """Return the page as text. It depends only on the evidence, the limits, the site and the address."""
+    """Return the page as text. The page depends only on the evidence, the limits, the site and the address."""
     lines = [_TITLE, "=" * len(_TITLE), ""]
     if _is_simulated(evidence):
         lines += [f"{' SIMULATED ARM ':*^{_WIDTH}}", ""]
@@ -217,7 +217,7 @@ figure { margin: 1em 0; } figcaption { font-size: 10pt; }
 def as_html(
     evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "", address: str = ""
 ) -> str:
-    """Return the page as HTML without external resources. It depends only on the arguments."""
+    """Return the page as HTML without external resources. The page depends only on the arguments."""
 
     def cell(text: object) -> str:
         return f"<td>{html.escape(printable(text))}</td>"

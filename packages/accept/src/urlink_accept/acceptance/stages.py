@@ -60,7 +60,7 @@ def run(
         path: Path of the logbook, a file that does not exist yet.
         stages: Numbers of the stages, in this order.
         consent: Function that is called before each stage, and before each joint of stage 3, with the number of the
-            stage and its action. It returns the reason why the stage may not run, or "".
+            stage and its action. The function returns the reason why the stage may not run, or "".
         person: Person for actions that no program can do. If None, no person is present; for a simulated arm, a
             stand-in acts immediately.
         dead_man: Number of the digital input that is on while the arm may move in stages 2 and 3.
@@ -167,7 +167,7 @@ def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbo
 
 
 def _is_loopback(host: str) -> bool:
-    """Whether the controller is on this computer, so that it is a simulator."""
+    """Return whether a host is this computer. A controller on this computer is a simulator."""
     return host == "localhost" or host == "::1" or host.startswith("127.")
 
 

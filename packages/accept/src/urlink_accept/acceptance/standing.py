@@ -285,13 +285,13 @@ def _reconnect(robot: Robot, place: RobotAddress) -> Told:
 
 
 def _connects_back(robot: Robot) -> Told:
-    """Start a program that streams no set-points, so that it connects to this computer and moves nothing."""
+    """Start a program that connects to this computer. The program gets no set-points, so it moves nothing."""
     with robot.motion.servo():
         return {}
 
 
 def _latency(robot: Robot) -> Told:
-    """Measure the time from sending a program until the message that its first line sends arrives."""
+    """Measure the time from sending a program to the arrival of the message that its first line sends."""
     delays = []
     for number in range(_LATENCIES):
         heard: list[float] = []

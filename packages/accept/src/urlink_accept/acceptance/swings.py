@@ -1,7 +1,7 @@
 """Stage 3: each joint swings alone about its start position, to check the table of parameters.
 
-The joints swing as in `urlink exercise`, for identification. Each joint needs its own consent, which names the box that
-the arm sweeps. A guard stops any other motion.
+The joints swing as in `urlink exercise`, so that the arm can be identified. Each joint needs its own consent, which
+names the box that the arm sweeps. A guard stops any other motion.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried
 
-#: Factor for the interval of a value in the row of an arm, if the row has no interval and the joints were not measured.
-#: It is the largest factor that the source of such a row states.
+#: Factor for the interval of a value in the row of an arm, if the row has no interval and the joints were not
+#: measured. The value is the largest factor that the source of such a row states.
 _FACTOR = 1.5
 #: Weight of the unexplained current of wrist 3. This current is mostly friction, which the model explains less well.
 _WRIST_3 = 0.1
-#: Relative tolerance at the ends of an interval. It is needed for an arm without noise, because the fitted interval
-#: then has no width.
+#: Relative tolerance at the ends of an interval. The tolerance is needed for an arm without noise, because the fitted
+#: interval then has no width.
 _ROUNDING = 1e-6
 #: Number of digits for rounding the residual of a fit. Further digits differ between computers.
 _DIGITS = 9
@@ -63,8 +63,8 @@ def swing(robot: Robot, book: Logbook, is_held: Callable[[RealtimeState], bool],
         robot: Robot that was connected while the logbook was open, running, and in remote control if it has this mode.
         book: Logbook to write to.
         is_held: Function that takes a state, and returns whether the arm may move.
-        consent: Function that is called before each joint with a description of its motion. It returns the reason why
-            the joint may not swing, or "".
+        consent: Function that is called before each joint with a description of its motion. The function returns the
+            reason why the joint may not swing, or "".
 
     Raises:
         Cancelled: If the guard has stopped the arm, the dead-man switch is not held at the beginning, or a motion
@@ -128,8 +128,8 @@ def rows_of(name: str, arm: str) -> list[Parameter]:
         return of_size
     found = []
     for value, size in zip(numbers(name, arm), of_size, strict=True):
-        # The interval of a joint size comes from measured arms. It is valid for this arm if the value is in the
-        # interval.
+        # The interval of a joint size comes from measured arms. The interval is valid for this arm if it contains the
+        # value of the arm.
         low, high = size.low or 0.0, size.high or math.inf
         if not low <= value <= high:
             low, high = value / _FACTOR, value * _FACTOR

@@ -20,8 +20,8 @@ from .swings import contradictions
 
 #: Speed in rad/s below which the wrist is at rest.
 _STANDS = 2e-3
-#: Time in s without a packet or a set-point after which a stream may have starved. It is half of the default watchdog
-#: of a stream, because delays add up.
+#: Time in s without a packet or a set-point after which a stream may have starved. The value is half of the default
+#: watchdog of a stream, because delays add up.
 _STARVING = 0.05
 
 

@@ -24,12 +24,12 @@ from urlink.tools import FLOATS, ROWS, ArmLink, FloatArray, Geometry, angles, ch
 _FREE = np.array(
     [(1, 1, 1, 1, 0), (1, 1, 0, 1, 1), (1, 1, 0, 1, 1), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0)], dtype=bool
 )
-# Expected difference of a calibration from the published arm, in rad and m. It affects only properties that cannot be
-# found from the poses.
+# Expected difference of a calibration from the published arm, in rad and m. This prior affects only properties that
+# cannot be found from the poses.
 _PRIOR = np.array([5e-3, 2e-3, 2e-3, 5e-3, 5e-3])
 _PRIOR_TOOL = 1.0
-# Expected error of a pose in each step of the search, in m and rad. It is larger for the first steps, which begin at
-# the published arm.
+# Expected error of a pose in each step of the search, in m and rad. The expected error is larger in the first steps,
+# because they begin at the published arm.
 _SPREADS = (1e-4, 1e-6, 1e-8, 1e-8, 1e-8)
 _STEP = 1e-6
 #: Maximum number of rows; more rows are thinned out.

@@ -47,7 +47,7 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
 
     Args:
         samples: Samples of the recording.
-        coulomb: Coulomb friction, shape (6,), in A. It is used to recognise stiction.
+        coulomb: Coulomb friction, shape (6,), in A; used to recognise stiction.
     """
     rests = list(_rests(samples))
     needs = f"two rests of {_SETTLING} s and more"
@@ -129,7 +129,10 @@ def _rate_of(t: FloatArray, distance: FloatArray, speed: FloatArray, push: Float
 
 
 def clock_drift(samples: Samples) -> Estimate:
-    """Return the drift of the controller's clock relative to the computer's clock, as a fraction; positive if fast."""
+    """Return the drift of the controller's clock relative to the computer's clock, as a fraction.
+
+    The drift is positive if the clock of the controller is faster.
+    """
     if samples.arrival is None:
         return Estimate.unknown("arrival times, as recordings contain them")
     arrival, times = samples.arrival - samples.arrival[0], samples["timestamp"] - samples["timestamp"][0]
