@@ -156,8 +156,8 @@ class Group(StrictAttributes):
     ) -> GroupMotion:
         """Move each arm to joint positions, straight in joint space. All arms arrive at the same time.
 
-        Each arm starts at its current position. The call is a `follow` of quintic trajectories that are at rest at both
-        ends, so no joint exceeds the speed or the acceleration.
+        Each arm starts at its current position. The call uses `follow` with quintic trajectories that are at rest at
+        both ends, so no joint exceeds the speed or the acceleration.
 
         Args:
             q: Goal joint positions of each arm, shape (6,), in rad.
@@ -224,7 +224,7 @@ class Group(StrictAttributes):
             buffer, acceleration, jerk, watchdog, lookahead_time, gain, link: Options of each arm; see `Motions.stream`.
 
         Raises:
-            LocalError: If `Motions.stream` would raise it for one of the arms.
+            LocalError: If `Motions.stream` would raise this error for one of the arms.
         """
         common = CommonPace()
         streams = []
@@ -304,7 +304,7 @@ class Group(StrictAttributes):
 
         Raises:
             LinkTimeout: If no state of an arm arrives in time.
-            RemoteError, LocalError: If `Stream.iterate` would raise it.
+            RemoteError, LocalError: See `Stream.iterate`.
         """
         moments = self._moments()
         others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in moments.others}

@@ -90,15 +90,15 @@ def connect(options: ConnectOptions) -> Robot:
         start_timeout: Longest time until an uploaded program starts, in seconds. A program that starts later gets no
             start permission, and ends without moving the arm.
         start_register: Number of the integer output register, 0 to 47, for the start permission of a program. All
-            clients that use this library may share one register; no other program may use it. None uses the flags
-            instead.
+            clients that use this library may share one register; no other program may use it. If None, the flags are
+            used instead.
         start_flags: Numbers of the flags, 0 to 31, that carry the start permission on firmware that lacks the register
             (before 3.9 on CB3, before 5.3 on e-Series). With more flags, it is less likely that the permission of
             another client starts an abandoned program. With neither register nor flags, each program starts when the
             controller reads it, even if that is very late. In this case, the controller can still execute a motion
             long after its handle has failed.
-        reverse_host: Address of this computer as seen by the robot, for streamed set-points. None derives it from the
-            route to the robot.
+        reverse_host: Address of this computer as seen by the robot, for streamed set-points. If None, the address is
+            derived from the route to the robot.
         reverse_port: Port on this computer for connections from the robot; 0 for a free port.
         reverse_peer: Source address of the robot's connections; None for the address of the robot. A simulator in a
             container might connect from another address.
@@ -140,8 +140,8 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     """Start a simulated controller, and return it with its address.
 
     Raises:
-        UnknownModel, BadValue: If there is no such arm, it does not run the firmware, the file belongs to another arm,
-            or the scene file does not exist.
+        UnknownModel, BadValue: If the arm does not exist or does not run the firmware, if the file belongs to another
+            arm, or if the scene file does not exist.
         LocalError: If no adapter for the scene is installed, or the adapter cannot open the scene.
     """
     from .arm.arm_file import read_arm_file
@@ -406,7 +406,7 @@ class Robot(StrictAttributes, Closing):
 
         Args:
             start_timeout: Maximum time until the program accepts statements, in seconds.
-            finish_timeout: Time that pending statements have to finish when a ``with`` block is left, in seconds.
+            finish_timeout: Maximum time for pending statements to finish when a ``with`` block is left, in seconds.
             on_text: Function that is called with each line of `textmsg`, in the robot's callback thread.
 
         Raises:
@@ -446,7 +446,8 @@ class Robot(StrictAttributes, Closing):
         Args:
             mass: Mass in kg, at most 25 % above the payload in the data sheet of the arm. A UR5e has the limit of the
                 UR7e, because both arms report the same robot type.
-            cog: Centre of gravity in the flange frame, shape (3,), in m, each coordinate within 1 m. Not on CB2.
+            cog: Centre of gravity in the flange frame, shape (3,), in m, each coordinate within 1 m. CB2 has no such
+                setting.
             inertia: Moments of inertia about the centre of gravity: xx, yy, zz, xy, xz, yz, in kg m². Firmware 5.10 or
                 later.
             transition_time: Duration of the change to the new payload, in seconds. A gradual change avoids a jerk when

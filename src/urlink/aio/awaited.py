@@ -155,7 +155,7 @@ class Block(StrictAttributes, Generic[T]):
     Args:
         workers: Threads of the robot.
         make: Call that returns the context manager.
-        given: given: Function that converts the entered or awaited object to its version for asyncio.
+        given: Function that converts the entered or awaited object to its version for asyncio.
     """
 
     __slots__ = ("_entered", "_given", "_make", "_workers")

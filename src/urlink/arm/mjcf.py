@@ -2,8 +2,8 @@
 
 Links and joints have the names and frames of `urlink.urdf`, with the same geometry, limits, masses and inertias. MJCF
 also contains values for which URDF has no place: the inertia of each rotor, as `armature`, and the friction of motors
-and gears (`urlink.arm.motors`), as `frictionloss` and `damping`. The shapes are similar to those of the URDF file.
-These shapes follow the geometry of the arm, but they neither look like the arm nor enclose it.
+and gears (`urlink.arm.motors`), as `frictionloss` and `damping`. The shapes are similar to those of `urlink.urdf`: they
+follow the geometry of the arm, but they neither look like the arm nor enclose it.
 """
 
 from __future__ import annotations

@@ -155,7 +155,7 @@ class Model:
 def _arm(name: str, row: Mapping[str, str]) -> Model:
     a2, a3 = _numbers(row["a2 a3"])
     d1, d4, d5, d6 = _numbers(row["d1 d4 d5 d6"])
-    shoulder, elbow, wrists = _numbers(row["torque"])  # base and shoulder have equal motors, and so have the wrists
+    shoulder, elbow, wrists = _numbers(row["torque"])  # base and shoulder have equal motors, and also the three wrists
     turn = 2.0 * math.pi
     limits = np.array([[-turn, turn]] * 6)
     if row.get("position_limits") == "endless wrist":

@@ -84,7 +84,7 @@ def joint_sizes(name: str) -> list[str]:
 
 
 def force_size(name: str) -> str:
-    """Return the size of the base joint, with which the noise of the force is found in the table of parameters.
+    """Return the size of the base joint, for a search of the noise of the force in the table of parameters.
 
     Larger joints, for which the table has no noise, count as "size 4".
     """

@@ -84,8 +84,8 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
 def guess_interface(data: bytes) -> Interface | None:
     """Return the interface with packets that fill most of `data`; None if there is no packet of any interface."""
     found = {interface: _filled(data, interface) for interface in _BOUNDARIES}
-    # If both interfaces are possible, prefer the primary interface, because its packets have more marks than their
-    # size.
+    # If both interfaces are possible, prefer the primary interface, because its packets can be recognised by more than
+    # their size.
     best = max(found, key=lambda interface: found[interface])
     return best if found[best] else None
 
@@ -199,7 +199,7 @@ class PacketPiece:
         layout: First firmware that sends this layout; None if there is no layout.
         rows: Fields, with offsets from the beginning of the piece.
         parts: Sub-packages.
-        error: Reason why the piece could not be decoded completely; None if it is decoded.
+        error: Reason why the piece could not be decoded completely; None if there was no error.
     """
 
     offset: int

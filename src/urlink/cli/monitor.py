@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 def run(args: argparse.Namespace) -> int:
     """Watch a robot: joints, tool, modes, inputs and outputs, and the rate of its data.
 
-    On a terminal, the view is drawn ten times a second. Elsewhere, and with --plain, one line is printed per second.
+    On a terminal, the view is drawn ten times a second. Otherwise, and with --plain, one line is printed per second.
     The status is SLOW if less than 95 % of the controller's states arrive. `missed` counts states that never arrived,
     and `duplicates` counts states that arrived twice, based on the controller's clock. When the connection is lost,
     the view shows LOST and marks the last values as old. The view continues when the controller is available again.

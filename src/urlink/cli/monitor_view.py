@@ -25,7 +25,7 @@ from .packet_stream import counted
 #: Age of the newest state, in seconds, above which its values count as old although the connection exists. In this
 #: time, a 10 Hz interface sends five states, and the real-time interface sends 60 or more states.
 FRESH = 0.5
-#: Fraction of the usual rate below which the status is SLOW, however recent the newest state is.
+#: Fraction of the usual rate below which the status is SLOW, even if the newest state is recent.
 ENOUGH = 0.95
 
 
@@ -45,7 +45,8 @@ class Reading:
     Attributes:
         received: Time of arrival.
         q: Joint positions in rad. Other values per joint: speeds in rad/s, currents in A, temperatures in degC.
-        pose: Pose of the tool, in m and rad. Also of the tool: speed in m/s and rad/s, force on it in N and Nm.
+        pose: Pose of the tool, in m and rad. Other attributes of the tool: speed in m/s and rad/s, force on the tool in
+            N and Nm.
         robot_mode: Name of the robot mode. The other modes are also given as names.
         speed_scaling: Speed of the program; 1 is full speed.
         digital_inputs: Bit mask of the inputs; the outputs are a bit mask too.

@@ -90,7 +90,7 @@ def print_packets(
     """Print the packets of one class on one interface.
 
     Raises:
-        RemoteError: If the stream could not be opened, gave up, or was silent for longer than `--timeout`.
+        RemoteError: If the stream could not be opened, gave up reconnecting, or was silent for longer than `--timeout`.
     """
     # On a terminal, the progress bar is shown only until the first packet is printed.
     with (

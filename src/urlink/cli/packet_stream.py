@@ -38,7 +38,7 @@ class Tap:
         """Return the next packets: empty if none arrives within `timeout` seconds, None if the stream has ended.
 
         Raises:
-            RemoteError: If the stream gave up.
+            RemoteError: If the stream gave up reconnecting.
         """
         packet = self._queue.next(timeout)
         if packet is not None:
@@ -54,7 +54,7 @@ class Tap:
 
         Raises:
             LinkTimeout: If no packet arrives for `silence` seconds.
-            RemoteError: If the stream gave up.
+            RemoteError: If the stream gave up reconnecting.
         """
         until = math.inf if duration is None else clock.now() + duration
         while (left := until - clock.now()) > 0.0:

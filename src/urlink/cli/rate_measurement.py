@@ -28,7 +28,7 @@ def measure(
     """Print a line each second until the stream ends, or until `duration` seconds or `count` lines are reached.
 
     Raises:
-        RemoteError: If the stream could not be opened, gave up, or no state arrived.
+        RemoteError: If the stream could not be opened or gave up reconnecting, or if no state arrived.
     """
     periods: deque[float] = deque(maxlen=window)
     last: float | None = None

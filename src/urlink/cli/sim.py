@@ -94,10 +94,10 @@ def run(args: argparse.Namespace) -> int:
     The controller serves the primary, secondary and real-time interfaces, their read-only variants, RTDE and the
     dashboard, each to at most a hundred clients. Packets have the wire format of the firmware. The arm stands still
     until a program is sent; with --motion demo, it moves slowly around a home posture until then. With --ports
-    standard, it uses the ports of a real controller, which other programs expect. With --like ursim, it starts in the
-    same state as URSim, the vendor's simulator: in URSim's posture, with "Default program" loaded and wait_program.urp
-    in /ursim/programs. The controller is then not in remote control, but still accepts commands, unless
-    --local-control is given.
+    standard, the controller uses the ports of a real controller, which other programs expect. With --like ursim, the
+    controller starts in the same state as URSim, the vendor's simulator: in URSim's posture, with "Default program"
+    loaded and wait_program.urp in /ursim/programs. The controller is then not in remote control, but still accepts
+    commands, unless --local-control is given.
 
     The format of a fault is NAME[=ARGUMENT]@SECONDS. The fault happens SECONDS after the start. The faults are:
 

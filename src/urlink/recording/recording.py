@@ -289,7 +289,7 @@ class Recording(StrictAttributes):
             found: dict[str, Topic] = {}
             for name, table in tables.items():
                 for topic in topics_of(name, table.between(start, stop), arm):
-                    found.setdefault(topic.name, topic)  # of equal topics of several streams, keep the first
+                    found.setdefault(topic.name, topic)  # if several streams have this topic, keep the first
                 if isinstance(stream := self.tables[name], RobotStates):
                     said = stream.of(RobotMessage)
                     begin, end = np.searchsorted(said.time, [start, stop]).tolist()

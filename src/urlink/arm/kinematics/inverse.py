@@ -27,8 +27,8 @@ from .refinement import error_at, refine, refine_anywhere, refine_rows
 _ALMOST = 0.05
 _CONTINUES = 0.3
 # Settings of the last attempt, `_search`. This function tries `_TURNS` values of joint 6. A seed may use the tried
-# value if the orientation error is then below `_SLACK`, in rad. `_SLACK` is about the tilt of the axes. A seed is
-# skipped if it is within `_TRIED`, in rad, of an earlier seed.
+# value if the orientation error is then below `_SLACK`, in rad. `_SLACK` approximately equals the tilt of the axes. A
+# seed is skipped if it is within `_TRIED`, in rad, of an earlier seed.
 _SLACK = 0.03
 _TURNS = 16
 _TRIED = 1e-3

@@ -108,7 +108,8 @@ class _Joined(NamedTuple):
     Attributes:
         own: Indices on the real-time interface, shape (n,).
         other: Indices on the other interface, shape (n,).
-        offset: Lead of the clock of the other interface, in s; None if it cannot be found from the values.
+        offset: Time by which the clock of the other interface is ahead, in s; None if it cannot be found from the
+            values.
     """
 
     own: NDArray[np.intp]
@@ -136,7 +137,7 @@ def _join(evidence: Evidence, which: str) -> _Joined:
 
 
 def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float | None:
-    """Return the lead of the other clock, in s, computed from values that both interfaces have sent."""
+    """Return the time by which the other clock is ahead, in s, computed from values that both interfaces have sent."""
     for each in _FIELDS:
         if each.realtime not in _KEYS:
             continue
@@ -158,9 +159,9 @@ def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float
 
 
 def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
-    """Return the lead of the other clock, in s, computed from the smallest delays, and rounded to a cycle.
+    """Return the time by which the other clock is ahead, in s, computed from delays, and rounded to a cycle.
 
-    This method is used if no values change from cycle to cycle.
+    The smallest delays of both interfaces are compared. This method is used if no values change from cycle to cycle.
     """
     packets: Came = getattr(evidence, which)
     ahead = float((evidence.realtime.arrived - own).min() - (packets.arrived - other).min())

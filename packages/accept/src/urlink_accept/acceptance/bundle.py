@@ -2,8 +2,8 @@
 
 A bundle is a ZIP archive of the logbook, the requirements with the limits of this run, and a manifest with the SHA-256
 of these two files. The SHA-256 of the manifest is the digest of the bundle. Serial numbers, names of programs and
-network addresses identify the owner of the robot. At all places where they are known to occur, each of their bytes is
-overwritten with an x. The calibration of the arm is kept, because positions cannot be judged without it.
+network addresses identify the owner of the robot. Known occurrences of these texts are overwritten, with one x for each
+byte. The calibration of the arm is kept, because positions cannot be judged without it.
 """
 
 from __future__ import annotations

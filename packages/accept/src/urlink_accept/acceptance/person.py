@@ -47,13 +47,13 @@ DEEDS: Mapping[Deed, str] = {
 
 
 class Person(Protocol):
-    """Person who does what is requested."""
+    """Person who performs the requested actions."""
 
     def does(self, deed: Deed) -> bool:
         """Request an action, and wait for the person. Return whether the person has done the action."""
 
     def holds(self) -> bool:
-        """Return whether the person holds the dead-man switch. Used if no digital input shows this."""
+        """Return whether the person holds the dead-man switch, if no digital input shows this."""
 
 
 def is_held_by(person: Person, dead_man: int | None) -> Callable[[RealtimeState], bool]:

@@ -106,7 +106,7 @@ def _does(joint: int, planned: Exercise, slider: float) -> str:
 
 
 def contradictions(found: Iterable[tuple[Parameter, Estimate]]) -> tuple[str, ...]:
-    """Return the contradicted parameters. Their interval does not overlap the measured interval."""
+    """Return the contradicted parameters: the interval of the parameter does not overlap the measured interval."""
     return tuple(
         f"{row.name}{f' of {row.of}' if row.of else ''}: measured {_text(each)}{f' {row.unit}' if row.unit else ''}; "
         f"the table has {row.low:g} to {row.high:g} ({row.evidence}: {row.source})"

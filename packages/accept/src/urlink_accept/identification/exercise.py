@@ -155,7 +155,8 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joi
         start: Current joint positions, shape (6,), in rad.
         tcp: Pose of the TCP in the flange frame, shape (6,).
         swing: Motion to either side, in rad. With less than 0.1, the calibration cannot be found from the motion.
-        joint: Only joint that swings, 0 to 5. If None, each joint swings alone, and then all joints together.
+        joint: Number of the only joint that swings, 0 to 5. If None, each joint swings alone, and then all joints
+            together.
 
     Raises:
         BadValue: If a joint would leave its position limits. The message names the joint.
