@@ -60,7 +60,7 @@ _OPTIONS = (
         "--require-enable",
         choices=get_args(Policy),
         default="never",
-        help="when motions must be enabled: on_startup, or always, which includes after each stop (default: never)",
+        help="when a person must enable motions: on_startup, or always (also after each stop; default: never)",
     ),
     argument(
         "--watchdog",

@@ -118,7 +118,7 @@ def _claims(evidence: Evidence, said: Told) -> Measured:
 
 def _compile_error(evidence: Evidence, said: Told) -> Measured:
     if not said["told"]:
-        return Measured(math.inf, f"a program that cannot be compiled had no error within {said['took']:.1f} s")
+        return Measured(math.inf, f"no error of a program that cannot be compiled within {said['took']:.1f} s")
     return Measured(said["took"], said["told"])
 
 
@@ -182,11 +182,11 @@ def _silent(evidence: Evidence, said: Told) -> Measured:
     times = moments("realtime", evidence.realtime)
     during = times[(evidence.realtime.arrived >= begin) & (evidence.realtime.arrived <= end)]
     if len(during) < 2 or evidence.firmware is None:
-        return Measured(1.0, "no packet arrived meanwhile")
+        return Measured(1.0, "no packet arrived while another client did not read")
     expected = (during[-1] - during[0]) * evidence.firmware.rate + 1.0
     lost = max(1.0 - len(during) / expected, 0.0)
     then = f"the controller closed its connection: {said['closed']}" if said["closed"] else "it could continue to read"
-    return Measured(lost, f"{len(during)} of {expected:.0f} packets reached another client meanwhile; {then}")
+    return Measured(lost, f"{len(during)} of {expected:.0f} packets arrived while another client did not read; {then}")
 
 
 def _local(evidence: Evidence, said: Told) -> Measured:

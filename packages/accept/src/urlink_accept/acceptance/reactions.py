@@ -166,7 +166,7 @@ def _latency(evidence: Evidence) -> Measured:
         return Measured(math.inf, said["error"])
     delays = said["delays"]
     if len(delays) < said["tried"]:
-        return Measured(math.inf, f"{said['tried'] - len(delays)} of {said['tried']} texts of programs were lost")
+        return Measured(math.inf, f"{said['tried'] - len(delays)} of {said['tried']} messages of programs were lost")
     return Measured(min(delays), f"{min(delays) * 1e3:.0f} to {max(delays) * 1e3:.0f} ms until a program acts")
 
 

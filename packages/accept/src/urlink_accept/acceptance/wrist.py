@@ -143,9 +143,9 @@ def _stops(step: str) -> Check:
             took -= WATCHDOG
             after = f" after the watchdog of {WATCHDOG} s"
         if stood <= 0.1:
-            return Measured(math.inf, f"it still moved {took:.2f} s{after}")
+            return Measured(math.inf, f"the wrist still moved {took:.2f} s{after}")
         if "undone" in moved.told and moved.far() > 2e-3:
-            return Measured(math.inf, f"it did not continue to its goal: {moved.far():.4f} rad away")
+            return Measured(math.inf, f"the wrist did not continue to its goal, and is {moved.far():.4f} rad away")
         if step == "protective-stop" and not moved.said.get("ended"):
             return Measured(math.inf, "the motion did not fail with SafetyStop")
         return Measured(max(took, 0.0), f"at rest after {took * 1e3:+.0f} ms{after}")

@@ -23,7 +23,11 @@ from ..acceptance.requirements import from_file, requirements
     "test a controller and store the evidence",
     *address("?"),
     argument(
-        "--stage", type=int, action="append", choices=list(stages.STAGES), help="run this stage; repeatable (all)"
+        "--stage",
+        type=int,
+        action="append",
+        choices=list(stages.STAGES),
+        help="stage to run; can be repeated (default: all)",
     ),
     argument("--yes", action="store_true", help="consent to the stages given by --stage"),
     argument("--dead-man", type=int, choices=range(8), metavar="N", help="move only while digital input N is on"),

@@ -68,7 +68,7 @@ def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibrati
     if len(q) < 30 or (moved < _LEAST_MOVED).sum() > 1:
         still = [str(joint) for joint in np.flatnonzero(moved < _LEAST_MOVED)]
         raise BadValue(
-            f"got {len(q)} rows, and the joints {', '.join(still) or 'none'} move by less than {_LEAST_MOVED} rad; "
+            f"got {len(q)} rows; joints that move by less than {_LEAST_MOVED} rad: {', '.join(still) or 'none'}; "
             "expected 30 or more rows, and motion of at least five joints"
         )
     chosen = np.linspace(0, len(q) - 1, min(len(q), _MOST_ROWS)).astype(int)
