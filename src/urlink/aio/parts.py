@@ -258,7 +258,7 @@ class AsyncInterpreter(AwaitedHandle[Interpreter]):
     wait_executed = awaited(Interpreter.wait_executed)
 
     async def state(self) -> InterpreterState:
-        """Return the state of the interpreter. The call waits for the controller, so it is not a property here."""
+        """Return `Interpreter.state`. The call waits for the controller, so it is not a property here."""
         return await self._workers.make(lambda: self._part.state)
 
     texts = attribute(Interpreter, lambda part: part.texts)

@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     the file was closed properly. With --rate, packets are printed as in `urlink echo`, with the same options, at their
     recorded times divided by the rate. `--rate max` prints them immediately.
 
-    A recording can also be used as an address, with every command that takes one. For example, `urlink monitor
-    replay:///tmp/run.urlog?rate=2` shows the recording at twice the recorded speed.
+    A recording can also be used as an address, with every command that takes one. For example,
+    `urlink monitor replay:///tmp/run.urlog?rate=2` shows the recording at twice the recorded speed.
 
     examples:
       urlink replay run.urlog

@@ -393,8 +393,8 @@ class Arm(StrictAttributes):
         distance, furthest = math.dist(wrist, (0.0, 0.0, d1)), math.hypot(abs(a2) + abs(a3) + d5, d4)
         aside = math.hypot(wrist[0], wrist[1])
         if distance > furthest:
-            # A wrist is never closer to the base than 1 cm, so the message does not suggest that 1.5 m should be 1.5
-            # mm.
+            # The wrist is never closer to the base than 1 cm. So the message does not suggest that 1.5 m was meant as
+            # 1.5 mm.
             asked = other_unit(distance, "m", 0.01, furthest)
             why = f"its wrist would be {distance:.3f} m from the shoulder; it reaches at most {furthest:.3f} m{asked}"
         elif aside < d4:
