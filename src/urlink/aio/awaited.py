@@ -226,7 +226,7 @@ def _end(value: Any) -> None:
     """End or close the object that an abandoned call has returned."""
     if isinstance(value, Handle):
         _leave(value)
-    elif hasattr(value, "close"):  # a stream, a recorder, inputs
+    elif hasattr(value, "close"):  # such as a stream, a recorder or RTDE inputs
         value.close()
 
 

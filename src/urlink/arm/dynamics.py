@@ -14,8 +14,8 @@ the mass matrix is computed from the inertias of all bodies that the joint carri
 torques agree with those that simulated arms report. The gravity torques of a real UR3e agree within 2 mNm (with its
 calibration and payload), and the gravity torques of a real CB2 UR5 within 1.4 Nm. With `rotors`, the inertia of motors
 and gears (`urlink.arm.motors`) is included. This inertia is not published, but a log of a UR3e shows it. With this
-inertia, the results equal the moments that the controller of the UR3e reports to 0.02 Nm. At the wrists, the inertia
-of motors and gears is much larger than the inertia of the links. Friction is not included, because a controller
+inertia, the results agree within 0.02 Nm with the moments that the controller of the UR3e reports. At the wrists, the
+inertia of motors and gears is much larger than the inertia of the links. Friction is not included, because a controller
 includes friction in its currents and not in its moments.
 """
 

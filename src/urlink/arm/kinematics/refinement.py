@@ -1,11 +1,11 @@
 """Search for the joint positions of a calibrated arm, from seeds that almost put its flange at a pose.
 
-A seed is the closed form, or the joint positions of the previous cycle. The closed form is exact only for published
-arms. For a calibrated arm, its error is 0.1 mm to 1 mm. The joint positions of the previous cycle have an error because
-the arm has moved since then. Newton's method converges from a seed to full precision: each step measures the error of
-the wrist, and moves the joints by the inverse of the Jacobian times the error. The error after a step is about the
-square of the error before it, so three steps are enough if the seed has an error of 0.01 rad. The inverse is computed
-from the axes of the joints, without a matrix, in less time than the forward kinematics.
+A seed is a solution of the closed form, or the joint positions of the previous cycle. The closed form is exact only for
+published arms. For a calibrated arm, its error is 0.1 mm to 1 mm. The joint positions of the previous cycle have an
+error because the arm has moved since then. Newton's method converges from a seed to full precision: each step measures
+the error of the wrist, and moves the joints by the inverse of the Jacobian times the error. The error after a step is
+about the square of the error before it, so three steps are enough if the seed has an error of 0.01 rad. The inverse is
+computed from the axes of the joints, without a matrix, in less time than the forward kinematics.
 
 Close to a singularity, this method does not converge. In this case, the slower function `refine_anywhere` is used.
 """

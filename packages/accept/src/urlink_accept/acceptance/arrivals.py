@@ -38,7 +38,7 @@ def known_arm(evidence: Evidence) -> tuple[Identity, Model]:
     """Return the identity of the controller, and the model of its arm.
 
     Raises:
-        NotTried: If the controller has not reported them, or the arm is unknown.
+        NotTried: If the controller has not reported its identity, or the arm is unknown.
     """
     known = evidence.identity
     if known is None or known.arm is None:
@@ -156,7 +156,7 @@ def moments(name: str, packets: Came) -> NDArray[np.float64]:
     """Return the controller's time of each state of an interface, in s, shape (n,).
 
     Raises:
-        NotTried: If the states have no time, or too few arrived.
+        NotTried: If the states contain no time, or if too few states arrived.
     """
     if len(packets.states) < _FEWEST:
         raise NotTried(f"{len(packets.states)} packets of {name} arrived; {_FEWEST} are needed")

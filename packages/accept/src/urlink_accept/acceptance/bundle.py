@@ -142,8 +142,8 @@ def _unpacked(archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
 
     Raises:
         ValueError: If the part is larger.
-        NotImplementedError: If the part is not compressed with the method of `pack`. The memory that other methods need
-            has no limit.
+        NotImplementedError: If the part is not compressed with the method of `pack`. With other methods, the size of
+            the unpacked data cannot be limited.
     """
     if archive.getinfo(name).compress_type not in (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED):
         raise NotImplementedError(f"{name} is compressed by a method other than deflate")

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .report import Verdict
 
-#: Requirements, those with the most likely cause first, each with the beginning of the sentence on the page.
+#: Requirements, sorted so that the most likely cause comes first, and the beginning of the sentence for each on the
+#: page.
 _ORDER: Mapping[str, str] = {
     "ports": "An interface cannot be reached",
     "connects-back": "The controller cannot connect back to this computer",
