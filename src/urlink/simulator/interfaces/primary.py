@@ -131,8 +131,7 @@ class SecondaryInterface(Interface):
 
 
 class PrimaryInterface(SecondaryInterface):
-    """Primary interface of one controller, which sends robot messages in addition to robot states.
-    """
+    """Primary interface of one controller, which sends robot messages in addition to robot states."""
 
     _NAME = "primary"
 
