@@ -68,7 +68,7 @@ class Still:
         self.start(_posture(q))
 
     def start(self, q: Sequence[float]) -> None:
-        """Hold the arm at the six joint positions at which it is, in rad."""
+        """Hold the arm at six joint positions, in rad."""
         self._setpoint = Setpoint(list(q), REST, REST)
 
     def advance(self, seconds: float) -> Setpoint:
