@@ -1,7 +1,7 @@
 """Compliant motion of a simulated arm: freedrive, direct torque and force mode.
 
 Freedrive and direct torque use the same model of the arm, which consists of the masses of the links and the payload,
-and of the rotors.
+and of the rotors. Freedrive along only some axes is simulated as force mode.
 
 In **freedrive**, the external torques move the arm. Gravity and friction are compensated, and the joint speeds are
 damped. A joint stops at the end of its range. If the tool becomes too fast, the controller stops the arm. The damping
