@@ -1,6 +1,7 @@
-"""An outgoing TCP connection that never blocks, because its owner polls it, for example once per cycle.
+"""Outgoing TCP connection that never blocks. The owner polls the connection, for example once per cycle.
 
-It is for programs whose time is counted in cycles. A thread or a wait would make their result depend on the machine.
+Use it for programs whose time is counted in cycles. With a thread or a wait, the result of such a program would depend
+on the speed of the computer.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ _IN_PROGRESS = {0, errno.EINPROGRESS, errno.EWOULDBLOCK, errno.EALREADY}
 
 
 class PolledConnection:
-    """Connection that starts to connect when the object is made.
+    """Outgoing connection. The connection attempt starts when the object is made.
 
-    Its methods never wait or raise `OSError`. It holds a descriptor while it connects and while it is open.
+    The methods never wait, and never raise `OSError`. The object uses a descriptor while it connects and while it is
+    open.
 
     Args:
         host: Numeric address. Names are not resolved, because this can take seconds.

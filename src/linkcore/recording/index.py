@@ -1,13 +1,13 @@
-"""The offsets of the records of a recording, found without a Python object for each record.
+"""Index of a recording: the offsets of its records, found without a Python object for each record.
 
-Recordings contain long runs of records of one size. If the next records declare the same size as the current one, they
-are checked together. Damage is skipped, and reading continues with the next record that has a correct checksum.
+Recordings contain long runs of records of one size. If the next records declare the same size as the current record,
+they are checked together. Damage is skipped, and reading continues with the next record that has a correct checksum.
 
 The checksums of many records of one size are checked at once, on several processors. A call of `zlib.crc32` for each
 record would take as long as the checksum itself. CRC-32 is linear, so the checksum of many consecutive records can be
-computed from the checksums that are written in them. One call over all their bytes then checks all of them. crc(A + B)
-is crc(A), advanced by the length of B, xor crc(B). Advancing a CRC by zero bytes is a multiplication by a matrix over
-GF(2). See zlib's `crc32_combine`. `benchmarks/loading.py` measures the gain.
+computed from the checksums that are written in them. One call of `zlib.crc32` over all bytes of the records then checks
+all of them. crc(A + B) is crc(A), advanced by the length of B, xor crc(B). Advancing a CRC by zero bytes is a
+multiplication by a matrix over GF(2). See zlib's `crc32_combine`. `benchmarks/loading.py` measures the gain.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ class _Route(NamedTuple):
 
 
 class FanOut:
-    """The subscribers of one stream, and the newest packet of each class.
+    """Subscribers of one stream, and the newest packet of each class.
 
     Args:
         kind: Main class of packets.

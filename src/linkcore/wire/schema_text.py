@@ -1,4 +1,7 @@
-"""Construct schemas as text, with the offset, type and unit of each field. `linkcore.wire.schema` imports it."""
+"""Construct schemas as text, with the offset, type and unit of each field.
+
+`linkcore.wire.schema` imports this module.
+"""
 
 from __future__ import annotations
 
