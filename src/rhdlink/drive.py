@@ -82,7 +82,7 @@ class _Motions:
         return not self._requested and self._current is None
 
     def number(self) -> int:
-        """Number for a new request. Read it at the start of the call that requests the motion."""
+        """Return the number for a new request. Call this at the start of the call that requests the motion."""
         return next(self._numbers)
 
     def put(self, command: _Command) -> None:

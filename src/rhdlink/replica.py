@@ -74,7 +74,7 @@ class Replica:
         raise NotThere(f"{self._robot} has no variable {name!r}{similar(name, self.names())}")
 
     def names(self) -> list[str]:
-        """Names of all variables, read variables first."""
+        """Return the names of all variables, read variables first."""
         return [row.name for row in (*self.database.read, *self.database.write)]
 
     def find_to_set(self, name: str) -> tuple[VariableTable, int]:

@@ -25,7 +25,7 @@ from .state import ControllerState
 
 
 class ControlLoop:
-    """Advances the state of one controller.
+    """Control loop that advances the state of one controller.
 
     Args:
         state: State of the controller.

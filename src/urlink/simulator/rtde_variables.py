@@ -228,7 +228,8 @@ def write_inputs(state: ControllerState, values: Mapping[str, Any]) -> None:
 
     All inputs keep their last value. When a package contains any input of a group of outputs, the controller applies
     the group's current mask and values. It is assumed that a mask and its values can arrive in different recipes. The
-    speed slider moves once for each package in which its mask is 1. NaN changes nothing.
+    speed slider moves once for each package in which its mask is 1. A value of NaN moves neither the slider nor an
+    analogue output.
 
     In local control, an e-Series controller accepts values for registers, but not for outputs and the speed slider.
     This is a cautious assumption: it is known only that such a controller accepts no URScript.

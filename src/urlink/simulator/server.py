@@ -1,4 +1,4 @@
-"""Serve the controller's interfaces over TCP.
+"""Server that offers the controller's interfaces over TCP.
 
 One thread keeps the clock and transfers the bytes of every client.
 
@@ -85,7 +85,7 @@ class _Client(Handler):
 
 
 class Server:
-    """Serves the interfaces of one controller from one thread, which then owns the controller.
+    """Server for the interfaces of one controller. It runs in one thread, which then owns the controller.
 
     Args:
         loop: Control loop that advances the controller.

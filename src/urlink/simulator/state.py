@@ -125,13 +125,13 @@ class ControllerState:
         like: Identified properties of an arm. None selects the known properties of the model.
 
     Attributes:
-        kinematics, serial: The arguments of the same names.
+        kinematics, serial: See the arguments with the same names.
         firmware: Current firmware.
         rate: Cycles per second.
         period: Duration of a cycle, in s.
         cycle: Number of cycles since the controller was made, including reboots.
         uptime: Number of cycles since the controller came up.
-        cycles_down: Number of cycles until a reboot is complete; 0 while the controller is up.
+        cycles_down: Number of cycles until the current reboot is complete; 0 while the controller is up.
         surroundings: Objects that the tool touches. They persist across reboots.
         arm: Joints, tool and sensors.
         modes: Robot mode, safety mode and program state.
@@ -151,7 +151,7 @@ class ControllerState:
         slider: Fraction of the speed slider that takes effect; it approaches `speed_fraction` gradually.
         scaling: Speed at which the commands of programs are executed, as a fraction of the commanded speed. It
             approaches `slider`, and is 0 at the start of a program.
-        scaling_parameters: The argument of the same name.
+        scaling_parameters: See the argument `scaling_parameters`.
         remote_control: Whether an e-Series is in remote control.
         has_local_control: Whether an e-Series in local control rejects commands that do not come from the pendant.
         control_mode: Quantity that the running program controls; position if there is no program.
@@ -228,7 +228,7 @@ class ControllerState:
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
         """Reboot: shut down for a time, then start with this firmware, or with the current one if it is None.
 
-        The time is at least one cycle.
+        The controller is down for at least one cycle.
 
         Without power, the brakes hold the joints. The small distance that the joints move before the brakes engage is
         not modelled.
@@ -328,7 +328,7 @@ def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
     """Return the firmware if it runs on the model.
 
     UR3, UR5 and UR10 run 3.x. UR5 and UR10 also run 1.x. The UR3 does not, because it was introduced with CB3. All
-    other arms run 5.0 and later. Whether a later release is needed for the newer arms is not checked.
+    other arms run 5.0 and later. It is not checked whether a newer arm needs a later release than 5.0.
 
     Raises:
         BadVersion: If there is no such firmware.

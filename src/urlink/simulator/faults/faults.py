@@ -371,10 +371,10 @@ class Faults(StrictAttributes):
     # -- RTDE ----------------------------------------------------------------------------------------
 
     def rtde_text(self, text: str, source: str = "simulator", level: int = MessageLevel.INFO) -> None:
-        """Send a text message to all RTDE clients, once.
+        """Once, send a text message to all RTDE clients.
 
         Args:
-            text: Text of the message. It is cut after 255 bytes.
+            text: Text of the message. A text of more than 255 bytes is truncated.
             source: Sender of the text, as shown in the message.
             level: Level of the message: 0 exception, 1 error, 2 warning, 3 info.
         """
@@ -400,7 +400,7 @@ class Faults(StrictAttributes):
 
         Args:
             request: Letter of the request: V, v, O, I, S or P.
-            text: Text of the message. It is cut after 255 bytes.
+            text: Text of the message. A text of more than 255 bytes is truncated.
 
         Raises:
             BadValue: If there is no such request.

@@ -49,7 +49,7 @@ def with_garbage_inside(packet: bytes, garbage: bytes) -> bytes:
 
 
 class Segmenter:
-    """Divides the bytes of one connection into segments that do not end where packets end.
+    """Segmenter that divides the bytes of one connection into segments, which do not end where packets end.
 
     >>> cut = Segmenter(sizes=[4, 2])
     >>> cut.put(b"abcde"), cut.put(b"fghij"), cut.rest()

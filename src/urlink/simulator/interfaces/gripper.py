@@ -12,7 +12,7 @@ from .interface import Interface, InterfaceClient, LineReceiver
 
 
 class GripperInterface(Interface):
-    """Serves the gripper of one controller.
+    """Interface that serves the gripper of one controller.
 
     Args:
         state: State of the controller.

@@ -171,7 +171,7 @@ def _robot_mode(state: ControllerState) -> Fields:
         "target_speed_fraction": state.speed_fraction,
         "speed_scaling": state.speed_scaling,
         "target_speed_fraction_limit": 1.0,
-        "reserved": 0,  # internal to the vendor, so assumed to be zero
+        "reserved": 0,  # a field that only the vendor uses, so zero is assumed
     }
 
 
@@ -254,7 +254,7 @@ def _kinematics(state: ControllerState) -> Fields:
     return {
         "checksum": checksum,
         **dict(zip(DhTable._fields, table.tolist(), strict=True)),
-        "calibration_status": 0,  # assumed
+        "calibration_status": 0,  # assumed value
         # In this field, the oldest firmware sends the pose of a laser pointer. These values are from the only capture.
         "pointer": [1000.0] * 3,
     }
@@ -283,7 +283,7 @@ def _configuration(state: ControllerState) -> Fields:
         "robot_type": model.robot_type,
         "robot_sub_type": 3 if state.firmware.is_e_series else 1,
         "motor_type": [2] * 6,
-        "reserved": [0, 0],  # internal to the vendor, so assumed to be zero
+        "reserved": [0, 0],  # a field that only the vendor uses, so zero is assumed
     }
 
 
@@ -350,5 +350,6 @@ _UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     5: _kinematics,
     6: _configuration,
     8: _additional,
-    9: lambda state: dict.fromkeys(CalibrationData.FIELDS, 0.0),  # internal to the vendor; assumed
+    # The vendor does not publish the meaning of these fields; zeros are assumed.
+    9: lambda state: dict.fromkeys(CalibrationData.FIELDS, 0.0),
 }

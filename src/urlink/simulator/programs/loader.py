@@ -1,4 +1,4 @@
-"""Load programs from the lines of clients, and start them.
+"""Loader that assembles programs from the lines of clients, compiles them and starts them.
 
 See docs/protocols/urscript.md, Sending a program. A program begins with `def` or `sec` in the first column and ends
 with `end` in the first column. Every other line is a program with one line, or one of a few commands that are not
@@ -52,7 +52,7 @@ _SPEED = re.compile(r"set speed ([0-9]+(?:\.[0-9]+)?|\.[0-9]+)")
 
 
 class LineAssembler:
-    """Assembles the lines of one client into programs.
+    """Assembler that makes programs from the lines of one client.
 
     Attributes:
         refused: Number of characters in programs that were too long.
@@ -163,7 +163,7 @@ class ProgramQueue:
 
 
 class ProgramLoader:
-    """Compiles and starts the programs that the clients of one controller have sent.
+    """Loader that compiles and starts the programs which the clients of one controller have sent.
 
     The compilation of long programs runs in another thread. Everything else runs in the thread that owns the
     controller.

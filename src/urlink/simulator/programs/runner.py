@@ -1,4 +1,4 @@
-"""Run the programs of a controller: the main program and secondary programs.
+"""Runner of the programs of a controller, which are the main program and secondary programs.
 
 The main program commands the arm. In each cycle, the threads of this program run first. Then the program's motion
 generator converts their commands to one set-point. The arm follows this set-point, and has no access to programs.
@@ -93,7 +93,7 @@ class RunningProgram:
 
 
 class ProgramRunner:
-    """Runs the programs of one controller, and returns the set-points for its arm.
+    """Runner of the programs of one controller, which returns the set-points for the arm.
 
     Args:
         state: State of the controller.

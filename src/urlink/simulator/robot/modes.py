@@ -3,8 +3,8 @@
 The numbers and names of the modes are in `urlink.protocol.enums`. The dependencies are from manuals, from drivers, and
 from three captures of robots at rest. The following is assumed:
 
-- The times for powering on and releasing the brakes. They are short, so that tests are fast. After a reboot, the arm is
-  running immediately.
+- The times for powering on and releasing the brakes. These times are short, so that tests are fast. After a reboot, the
+  arm is running immediately.
 - A protective stop pauses the program, and an emergency stop ends it. Two facts are known. After a protective stop, the
   motors stay on. An emergency stop is a stop of category 1. According to the manual, such a stop leaves the motors "in
   a power off state with brakes engaged" after the arm has come to rest.

@@ -139,7 +139,8 @@ class _Program:
         For any other function, return None and 0.
         """
         if code.source is not self.source:
-            return None, 0  # otherwise its errors would show positions in the text of a later statement
+            # Otherwise errors in the leaf function would show positions in the text of a later statement.
+            return None, 0
         if id(definition) not in self._leaves:
             size = leaf_size(definition, self.globals)
             compiler = _Compiler(self, Code(self.source), definition.body, definition.parameters, None)

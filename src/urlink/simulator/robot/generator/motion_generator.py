@@ -353,7 +353,7 @@ class MotionGenerator:
             dynamics: Dynamics of the arm with its rotors and its payload; gravity has no effect.
             motors: Motors of the arm.
             torque: Joint torques including external torques, shape (6,), in Nm.
-            friction: Fraction of its friction that acts on each joint, shape (6,).
+            friction: For each joint, the fraction of the friction that is not compensated, shape (6,).
         """
         return self._begin(TorqueMotion(dynamics, motors, torque, friction, self._limits.acceleration))
 
