@@ -6,9 +6,9 @@ before a stop sends nothing after this stop. So a motion that is still being pre
 not start after the stop. A call that was entered later is not affected.
 
 In Python, a thread cannot be interrupted by another thread. So each long wait of the library is surrounded by
-`interruptible`, which ends the wait when the call is abandoned; the call then raises `Cancelled`. An abandoned call
-sends nothing more, because `check_wanted` is called before bytes leave this computer. The motions and programs that it
-has started are cancelled.
+`interruptible`. When the call is abandoned, `interruptible` ends the wait, and the call raises `Cancelled`. An
+abandoned call sends nothing more, because `check_wanted` is called before bytes leave this computer. The motions and
+programs that it has started are cancelled.
 """
 
 from __future__ import annotations

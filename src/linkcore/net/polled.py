@@ -28,7 +28,7 @@ class PolledConnection:
         host: Numeric address. Names are not resolved, because this can take seconds.
         port: TCP port, 1 to 65535.
         most_waiting: Maximum number of bytes in `received`. If there are more, the peer has to wait.
-        source: Numeric address of this computer to connect from; None if the system should choose it.
+        source: Numeric address of this computer from which to connect; None if the system should choose it.
 
     Attributes:
         received: Received bytes. The owner deletes the bytes that it has used.

@@ -3,10 +3,10 @@
 A transport is opened, read until it raises an error, closed, and opened again. It raises only errors of this library.
 Errors of the operating system are converted in this module and nowhere else.
 
-Data of a failed call must not arrive later. Normally, TCP retransmits data that `send` has passed to the kernel for
-several minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15 minutes). The
-data then arrives when the network is available again. A robot would execute a motion although the call for this motion
-failed long ago. Three measures prevent this:
+Data of a failed call must not arrive later. Normally, after `send` has passed data to the kernel, TCP retransmits this
+data for several minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15
+minutes). The data then arrives when the network is available again. A robot would execute a motion although the call
+for this motion failed long ago. Three measures prevent this:
 
 - `SO_LINGER` of 0 s is set from the beginning. When the connection ends, by `abort`, a crash of the process or the
   garbage collector, the kernel discards its data and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).

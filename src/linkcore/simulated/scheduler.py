@@ -140,7 +140,7 @@ class Scheduler:
     # -- tasks -----------------------------------------------------------------------------------------
 
     def adopt(self, name: str, computer: TaskComputer) -> Task:
-        """Make the calling thread the first task, which is running."""
+        """Make the calling thread the first task, and let it run."""
         task = self.spawn(name, computer, is_ready=False)
         task.ident = self.ident = get_ident()
         self.running = task

@@ -47,7 +47,7 @@ def package_ports(port: str | None) -> tuple[str, ...]:
     """
     names = tuple(name for name in port_names(port) if interface_of(name) in ("primary", "secondary"))
     if not names:
-        raise BadValue(f"port={port!r} has no packages with types; expected a primary or secondary port")
+        raise BadValue(f"the packages of port={port!r} have no type; expected a primary or secondary port")
     return names
 
 

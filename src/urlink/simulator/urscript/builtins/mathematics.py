@@ -78,7 +78,7 @@ def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) ->
     text = string(src, "str_sub: src")
     at, count = integer(index, "str_sub: index", 0), integer(len, "str_sub: len", 0)
     if at > text.__len__():
-        raise Fault(f"str_sub: index out of range: {at} of {text.__len__()}")
+        raise Fault(f"str_sub: index {at} is out of range; the string has {text.__len__()} characters")
     return made(thread, text[at : at + count])
 
 

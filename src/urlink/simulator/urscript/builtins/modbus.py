@@ -143,7 +143,7 @@ def _set(
     """
     signal = _signal(thread, name, what)
     if signal.is_input or signal.is_digital is not (check is boolean):
-        raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}")
+        raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}, which this function cannot set")
     if isinstance(signal.value, int):
         new: int | list[int] = int(check(value, f"{what}: {argument}"))
     elif is_list(value) and len(value) == len(signal.value):
