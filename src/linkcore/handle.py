@@ -379,8 +379,8 @@ class Handle(StrictAttributes):
                 thread would have to receive the end.
             LinkTimeout: If it has not ended in time; it keeps running.
             Cancelled: If it was cancelled, or preempted by another one.
-            LinkError: If something else ended it. For an arm: `SafetyStop`, `NotRunning`, `ConnectFailed`,
-                `ConnectionLost`, `ProgramStopped`, `ScriptError`, `ToleranceExceeded`.
+            LinkError: If something else has ended the motion, program or mission. For an arm: `SafetyStop`,
+                `NotRunning`, `ConnectFailed`, `ConnectionLost`, `ProgramStopped`, `ScriptError`, `ToleranceExceeded`.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
         try:
@@ -464,7 +464,7 @@ def waited(handle: H, seconds: float) -> H:
 
     Raises:
         LinkTimeout: If it has not ended in time; it keeps running.
-        LinkError: If something else ended it. See `Handle.wait`.
+        LinkError: If something else has ended it. See `Handle.wait`.
     """
     has_started()
     if seconds:

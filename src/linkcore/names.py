@@ -5,7 +5,8 @@
 - `plugin` loads a part from a separate distribution, such as a command or a recorder. If the distribution is missing,
   the error shows the command that installs it.
 - `StrictAttributes` is a base class whose objects raise an error with a hint when a program reads or sets an attribute
-  that they do not have. Without it, setting a misspelt attribute would create a new attribute and have no effect.
+  that they do not have. Without this class, setting a misspelt attribute would create a new attribute and have no
+  effect.
 """
 
 from __future__ import annotations

@@ -305,7 +305,8 @@ class Runnable(Closing, ABC):
     def _begin_once(self) -> None:
         if self._is_used:
             raise Closed(f"this {self._kind} has already run; create a new one")
-        # Set before anything that might fail: a failed attempt might have left devices open, so it cannot be repeated.
+        # Set the flag before anything that might fail. A failed attempt cannot be repeated, because it might have left
+        # devices open.
         self._is_used = True
         try:
             self._begin()

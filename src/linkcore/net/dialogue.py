@@ -5,7 +5,7 @@ take turns. After a failed
 exchange the connection is closed, because a late answer would be mistaken for the answer to the next question. The next
 question uses a new connection. A question that might have reached the peer is never asked again.
 
-If a signal handler asks while the interrupted thread waits for an answer, it uses a separate connection.
+If a signal handler asks while the interrupted thread waits for an answer, the handler uses a separate connection.
 """
 
 from __future__ import annotations

@@ -126,7 +126,7 @@ class TcpListener:
         except ConnectionError as error:
             raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
         except OSError as error:
-            if error.errno == errno.ENOTCONN:  # reset before it was accepted (Wine)
+            if error.errno == errno.ENOTCONN:  # the connection was reset before it was accepted (Wine)
                 raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
             raise mapped(error, f"waiting on {where}", timeout, ConnectFailed) from error
         transport = TcpTransport(numeric_host(peer[0]), peer[1], silence=_SILENCE)

@@ -146,7 +146,7 @@ _MOST = 1 << 16
 _SEARCHED = 1 << 20
 #: Budget of bytes for the checksums of supposed records that are not records: a constant, plus a number for each byte
 #: of the file before them. A supposed record that exceeds the budget is skipped. Otherwise the time for a file that
-#: consists of lengths would grow with the square of its size.
+#: consists only of such lengths would grow with the square of the file's size.
 _TRIED, _TRIED_EACH = 1 << 20, 16
 
 Numbers = NDArray[np.int64]

@@ -1,9 +1,9 @@
 """Simulated computers and TCP connections between them, including the behaviour of operating systems and cables.
 
 The order of data is kept within a connection, but not between two connections. Sent data are kept until they are
-acknowledged. Lost data are sent again, after 0.2 s at first and after twice the time on each further attempt (RFC 6298;
-0.2 s is the minimum of Linux). So data of an abandoned command are still delivered when the network works again, unless
-the connection was reset, as on a real network.
+acknowledged. Lost data are sent again. The first wait is 0.2 s, the minimum of Linux, and each further wait is twice as
+long as the previous one (RFC 6298). So data of an abandoned command are still delivered when the network works again,
+unless the connection was reset, as on a real network.
 """
 
 from __future__ import annotations

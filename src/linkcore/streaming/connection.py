@@ -201,7 +201,7 @@ class Connection:
         has_ended = self._join_reader(timeout)
         for delivery in self.fan_out.deliveries:
             delivery.join(clock.left(until))
-            if isinstance(delivery, InlineDelivery):  # it refers to this connection
+            if isinstance(delivery, InlineDelivery):  # an inline delivery refers to this connection
                 self.fan_out.remove_delivery(delivery)
         if not has_ended:
             self.fan_out.close(all=True)

@@ -1,6 +1,6 @@
 """Distribution of the packets of a stream to each queue and each inline callback that subscribed to their class.
 
-The thread that reads the stream calls this, and needs no lock here, because tuples are replaced and never changed.
+The thread that reads the stream publishes the packets. It needs no lock, because tuples are replaced and never changed.
 """
 
 from __future__ import annotations

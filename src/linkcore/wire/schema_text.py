@@ -70,7 +70,7 @@ def schema_text(title: str, schema: Any) -> str:
 def _size(schema: Any) -> int | None:
     try:
         return int(schema.sizeof())
-    except (construct.SizeofError, KeyError, AttributeError):  # it depends on another field
+    except (construct.SizeofError, KeyError, AttributeError):  # the size depends on another field
         return None
 
 

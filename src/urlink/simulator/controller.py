@@ -275,7 +275,7 @@ class Controller(StrictAttributes):
 
     @property
     def world(self) -> Surroundings:
-        """Surroundings of the tool.
+        """Objects and forces that act on the arm.
 
         You can add planes and springs, attach a load to the flange, and set a scene of bodies.
         """
@@ -448,8 +448,8 @@ class Controller(StrictAttributes):
     def take(self, text: str) -> None:
         """Load a text as if a client had sent it: one or more programs, or lines with commands.
 
-        Any thread may call this. Even long programs begin in the next cycle. A program without `end` is discarded, like
-        the program of a client that disconnects.
+        Any thread may call this. Even long programs begin in the next cycle. A program without `end` is discarded, as
+        if the client had disconnected before the end of the program.
         """
         assembler = LineAssembler()
         lines = [line.removesuffix("\r") for line in text.split("\n")]

@@ -8,8 +8,8 @@ controllers:
   number in the reply is 0. With protocol 1, the reply has no number, so only the words show the rejection.
 - There are floor(rate / frequency) cycles from one output package to the next. A second output recipe replaces the
   first.
-- Input recipes are numbered from 1 in the order of the requests, and rejected requests count too. One client relies on
-  this. The maximum number is 255.
+- Input recipes are numbered from 1 in the order of the requests, and rejected requests count too. A public client
+  relies on this numbering. The maximum number is 255.
 - Data packages from clients are accepted even before a start, and without an output recipe. If a package is longer than
   its recipe, the additional bytes are ignored. Other invalid packages are ignored.
 - If a client does not read, the controller drops data packages instead of queuing them, and finally closes the

@@ -1,6 +1,6 @@
 """Interface between a running program and the controller, and the sockets of a program.
 
-`ProgramWorld` implements the protocol `World` of `urlink.simulator.urscript`.
+`ProgramWorld` implements the protocol `ScriptWorld` of `urlink.simulator.urscript`.
 
 Programs can connect to this computer and to the computers of connected clients. They can connect to other computers
 only if the controller allows these addresses. For a program, 127.0.0.1 is the controller, and its ports have the
@@ -115,7 +115,7 @@ def _reads(read: Callable[[ProgramWorld], T]) -> T:
 
 
 class ProgramWorld:
-    """Access of one program to the controller; implements `World` of `urlink.simulator.urscript`.
+    """Access of one program to the controller; implements `ScriptWorld` of `urlink.simulator.urscript`.
 
     Args:
         state: State of the controller.

@@ -38,7 +38,7 @@ MOST_WAITING = 1 << 20
 
 
 class RunningProgram:
-    """A program that commands the arm: a source of set-points.
+    """Main program, which commands the arm and is a source of set-points.
 
     Attributes:
         name: Name of the program.

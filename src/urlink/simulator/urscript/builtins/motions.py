@@ -215,5 +215,5 @@ def _turning(aRot: Any, a: float, what: str) -> float:
 
 @declare()
 def is_steady(thread: ScriptThread) -> bool:
-    """Whether the arm is at rest. On a real arm, it must have been at rest for some time; this is not modelled."""
+    """Return whether the arm is at rest. A real arm must have been at rest for some time; this is not modelled."""
     return thread.world.motion.is_standing

@@ -80,8 +80,8 @@ def protective_stop(thread: ScriptThread) -> None:
 def jump_to_label(thread: ScriptThread, label: Any) -> Waiting:
     """Continue at the node of the same function that has this name, or this number (assumed).
 
-    In the text, a label such as `$ 3 "home"` is written before a node. The compiler emits an instruction for this
-    function, so the Python function is never called.
+    In the text of the program, a label such as `$ 3 "home"` is before each node. The compiler emits an instruction for
+    this function, so the Python function is never called.
     """
     yield
 
