@@ -87,7 +87,7 @@ def test_table_has_columns_times_and_units() -> None:
         urlink.BadValue, match=r"no field 'q_actuel'; did you mean q_actual.*its fields are: time, q_target"
     ):
         table["q_actuel"]
-    with pytest.raises(urlink.BadRecording, match="holds no primary; it holds realtime"):
+    with pytest.raises(urlink.BadRecording, match="has no channel 'primary'; its channels are: realtime"):
         run.primary  # noqa: B018  # reading it raises
     assert "50 rows" in repr(table)
     assert "tcp_force" in table._repr_html_()

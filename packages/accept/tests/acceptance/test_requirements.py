@@ -61,7 +61,7 @@ def test_user_file_changes_limits_and_names_site(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("[clock-drive]\nlimit = 1", "'clock-drive'"),
-        ("[clock-drift]\nstage = 1", "can change limit, why, source"),
+        ("[clock-drift]\nstage = 1", "sets stage; your own file can set only limit, why, source"),
         ("[clock-drift]\nlimit = -1", "limit = -1"),
         ("[clock-drift]\nlimit = true", "limit = True"),
         ("[clock-drift]\nlimit = NaN", "limit = nan"),
