@@ -126,7 +126,7 @@ def test_cancelled_goal_and_ended_client_stop_the_arm(robot: urlink.Robot, drive
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_lost_client_cancels_goal_while_other_client_exists(
+def test_goal_is_cancelled_when_its_client_dies_but_another_lives(
     robot: urlink.Robot, drive: Drive, end: signal.Signals
 ) -> None:
     with serve({"arm": robot}):
@@ -154,7 +154,7 @@ def test_newest_of_several_goals_is_followed(robot: urlink.Robot, drive: Drive) 
     assert robot.realtime.wait().q_actual == pytest.approx(targets[-1], abs=0.01)
 
 
-def test_goal_starts_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
+def test_goal_starts_at_the_time_in_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
     moved: list[float] = []
 
     def note(state: urlink.packets.RealtimeState) -> None:
@@ -476,7 +476,7 @@ def test_script_message_is_run(robot: urlink.Robot, drive: Drive) -> None:
         until(lambda: robot.io.digital_out(5))
 
 
-def test_description_and_zeroed_force_sensor(robot: urlink.Robot, drive: Drive) -> None:
+def test_description_is_published_and_force_sensor_is_zeroed(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         said = drive("describe")
         zeroed = drive("call", "io_and_status_controller/zero_ftsensor")

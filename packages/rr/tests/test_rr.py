@@ -248,7 +248,7 @@ def test_velocity_commands_by_wire_move_arm(arm: Any, node: Any, robot: urlink.R
     assert robot.realtime.wait().q_actual[0] > before + 0.1
 
 
-def test_homing_signals_speed_and_payload(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_client_homes_arm_and_sets_signals_speed_and_payload(arm: Any, node: Any, robot: urlink.Robot) -> None:
     arm.command_mode = modes(node, arm)["homing"]
     rest_of(arm.home())
     assert robot.realtime.wait().q_actual == pytest.approx(HOME, abs=1e-3)

@@ -36,7 +36,7 @@ def test_tomllib_reads_same_requirements() -> None:
 
 
 @pytest.mark.parametrize("name", requirements())
-def test_source_files_exist(name: str) -> None:
+def test_source_files_of_requirements_exist(name: str) -> None:
     """Each source file exists, and each requirement has a reason."""
     each = requirements()[name]
     assert each.why

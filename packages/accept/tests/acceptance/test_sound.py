@@ -46,7 +46,7 @@ def verdict(name: str, of: Evidence) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("sign", "state"), [(1.0, "held"), (-1.0, "not held")])
-def test_arm_may_start_and_brake_within_one_cycle(sign: float, state: str) -> None:
+def test_velocities_requirement_accepts_start_and_stop_in_one_cycle(sign: float, state: str) -> None:
     speeds = np.zeros((400, 6))
     speeds[:, 5] = np.repeat(np.tile([0.1, 0.0], 20), 10)
     of = evidence(speeds, [Note(0.0, "stage", {"number": 0})])
@@ -119,7 +119,7 @@ def test_sudden_delay_is_not_clock_drift(late: float, drift: float, state: str) 
 
 
 @pytest.mark.parametrize("each", [2, 1])
-def test_lag_from_half_of_states_does_not_contradict(each: int) -> None:
+def test_lag_measured_from_half_the_states_is_no_contradiction(each: int) -> None:
     notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "servo-lag", {"event": "begin"})]
     notes.append(Note(1.9, "servo-lag", {"event": "end", "lag": 0.045, "lookahead": 0.03}))
     of = evidence(np.zeros((1000, 6)), notes)
