@@ -43,7 +43,7 @@ class TestAnalytic:
         module: Any = pytest.importorskip("ur_analytic_ik")
         return getattr(module, name.lower().replace(" ", ""))
 
-    def test_module_has_every_arm(self) -> None:
+    def test_ur_analytic_ik_has_every_arm_of_the_library(self) -> None:
         module: Any = pytest.importorskip("ur_analytic_ik")
         assert {arm for arm in dir(module) if arm.startswith("ur")} == {
             name.lower().replace(" ", "") for name in MODELS
