@@ -101,7 +101,7 @@ def test_attribute_error_in_a_module_raises_import_error(
         hasattr(package, "Name")
 
 
-def test_module_is_available_under_its_last_name() -> None:
+def test_lazy_submodule_is_available_under_its_last_name() -> None:
     get, names, public = lazy_names("email", {"json": "loads"}, modules="mime.text utils")
     assert get("text") is importlib.import_module("email.mime.text")
     assert (names(), public) == (["loads", "text", "utils"], ["loads"])
@@ -145,7 +145,7 @@ def test_missing_plugin_error_names_the_install_command(distribution: str, insta
     ("extra", "distribution", "says"),
     [("fast", "made-json", "pip install 'made-json[fast]'"), ("", "made-json", "pip install made-json")],
 )
-def test_needs_names_the_distribution_of_the_extra(extra: str, distribution: str, says: str) -> None:
+def test_needs_error_names_the_extra_to_install(extra: str, distribution: str, says: str) -> None:
     with pytest.raises(LocalError, match=f"not installed: {re.escape(says)}$"), needs(extra, "reading", distribution):
         importlib.import_module("made_no_such")
 

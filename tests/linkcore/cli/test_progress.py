@@ -61,7 +61,7 @@ def test_terminal_shows_a_bar_and_erases_it(monkeypatch: pytest.MonkeyPatch) -> 
     assert sys.stdout is terminal
 
 
-def test_terminal_shows_work_of_unknown_length(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_shows_elapsed_time_when_length_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
     with ProgressBar("connecting"):
         until(lambda: "\rconnecting  0 s" in terminal.getvalue())
@@ -106,7 +106,7 @@ def test_last_called_bar_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
         until(lambda: terminal.getvalue().count("outer [") > shown)
 
 
-def test_other_streams_get_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_prints_plain_lines_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = with_lines(monkeypatch)
     with ProgressBar("reading") as progress:
         until(lambda: "reading: after 0 s\n" in lines.getvalue())

@@ -163,7 +163,7 @@ def test_queue_has_ended_before_the_end_is_reported(monkeypatch: pytest.MonkeyPa
 # -- between two threads ---------------------------------------------------------------------
 
 
-def test_consumer_is_woken_again_after_sleeping_again() -> None:
+def test_consumer_is_woken_for_each_packet_after_each_sleep() -> None:
     queue, woken = PacketQueue(drop_oldest(8)), [0]
 
     class Consumer:

@@ -76,7 +76,7 @@ def test_queues_get_a_packet_before_inline_callbacks(stream: Stream[Count], tran
     go.set()
 
 
-def test_slow_inline_call_is_counted_and_shown_by_age(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_slow_inline_callback_is_counted_and_increases_age(stream: Stream[Count], transport: ScriptedTransport) -> None:
     go, called = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
