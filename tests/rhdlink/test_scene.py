@@ -102,7 +102,7 @@ def points(scene: Scene) -> list[tuple[float, float]]:
         ('<g><g><line x1="2" y1="2" x2="4" y2="2"/></g></g>', [(1, 4), (2, 4)]),
     ],
 )
-def test_shapes_become_tape(tmp_path: Path, shape: str, expected: list[tuple[float, float]]) -> None:
+def test_svg_shapes_become_tape_in_metres(tmp_path: Path, shape: str, expected: list[tuple[float, float]]) -> None:
     """The view box becomes the world: a width of 20 becomes 10 m, and y points up from the lower edge."""
     assert points(drawn(tmp_path, shape)) == expected
 
@@ -116,7 +116,7 @@ def test_curves_become_straight_segments(tmp_path: Path) -> None:
     assert len(scene.tapes[0].points) > 10
 
 
-def test_strokes_define_width_brightness_and_walls(tmp_path: Path) -> None:
+def test_svg_strokes_define_tape_width_brightness_and_walls(tmp_path: Path) -> None:
     scene = drawn(
         tmp_path,
         '<line x1="0" y1="0" x2="9" y2="0" stroke="#fff" stroke-width="0.2"/>'

@@ -385,7 +385,7 @@ def test_too_large_package_is_rejected_before_it_arrives() -> None:
         assert ("no end within" in str(found[-1])) == (len(rows) > 1000)
 
 
-def test_package_with_known_variables_reuses_its_selection(
+def test_decoder_reuses_selection_of_packages_with_same_variables(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With eleven kinds of packages, including an empty one, the first is forgotten when the eleventh arrives."""
@@ -536,7 +536,7 @@ def test_corrupted_handshake_result_does_not_depend_on_chunking(
 
 @pytest.mark.property
 @given(st.data())
-def test_many_entries_can_be_cut_anywhere(data: st.DataObject) -> None:
+def test_package_with_many_entries_decodes_when_split_anywhere(data: st.DataObject) -> None:
     """Data remembered from the last package speeds up the next one, but must never change it."""
     count = data.draw(st.integers(2, 40))
     sizes = data.draw(st.lists(st.integers(1, 3), min_size=count, max_size=count))

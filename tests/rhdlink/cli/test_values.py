@@ -34,7 +34,7 @@ def test_vars_prints_a_table(run: Run, address: str) -> None:
 
 
 @pytest.mark.parametrize("option", [(), ("--json",)])
-def test_vars_of_a_robot_without_variables(run: Run, option: tuple[str, ...]) -> None:
+def test_vars_prints_count_zero_for_a_robot_without_variables(run: Run, option: tuple[str, ...]) -> None:
     with ScriptedServer(serving(Robot(read=(), write=()))) as server:
         status, out, err = run("vars", server.address, *option)
     assert (status, err) == (0, "")

@@ -62,7 +62,7 @@ def one_text(effects: MissionEffects, text: str) -> Outcome:
         {"kinds": (ParameterKind.TEXT,), "repeats": True},
     ],
 )
-def test_row_with_a_mismatching_function_is_rejected(options: dict[str, object]) -> None:
+def test_script_command_rejects_a_function_with_other_parameters(options: dict[str, object]) -> None:
     assert ScriptCommand("one", one_text, (ParameterKind.TEXT,)).most == 1
     with pytest.raises(TypeError, match=r"^one takes .*, but its function does not: "):
         ScriptCommand("one", one_text, **options)  # type: ignore[arg-type]

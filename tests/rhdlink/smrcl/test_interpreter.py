@@ -64,7 +64,7 @@ def test_wait_line_uses_the_end_of_the_previous_command(profile: str) -> None:
 
 
 @PROFILES
-def test_condition_number_is_read_once(profile: str) -> None:
+def test_condition_number_is_zero_after_it_was_read(profile: str) -> None:
     source = "fwd 1 : ($cmdtime > 9) | ($drivendist > 0.1) | (0)\neval $condition\neval $condition\n"
     assert Bench("velomega", profile).run(source).values == [[2.0], [0.0]]
 
@@ -158,7 +158,7 @@ def test_followwall_uses_the_gain_at_its_start() -> None:
 @pytest.mark.parametrize(
     ("line", "printed"), [('wallest "left" 1', "Wrong parameter \n"), ('wallest "lb" 1', ""), ('wallest "rc" 1', "")]
 )
-def test_mrc_messages_of_wallest(line: str, printed: str) -> None:
+def test_mrc_profile_prints_the_messages_of_wallest(line: str, printed: str) -> None:
     assert Bench("velomega", "mrc").run(line).texts(SaidKind.MESSAGE) == ([printed] if printed else [])
 
 
@@ -221,7 +221,7 @@ def test_input_can_be_routed_from_a_variable(profile: str) -> None:
         ('speak "hi"\nopen "wifi"\n', '/usr/local/bin/flite -t "hi"open wifi \n'),
     ],
 )
-def test_mrc_messages_of_invalid_lines(source: str, printed: str) -> None:
+def test_mrc_profile_prints_the_messages_of_invalid_lines(source: str, printed: str) -> None:
     bench = Bench("velomega", "mrc").run(source, cycles=60)
     assert "".join(said.printed for said in bench.said if said.kind is not SaidKind.LINE) == printed
 
