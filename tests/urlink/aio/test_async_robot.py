@@ -137,7 +137,7 @@ def test_starting_a_motion_requires_wait(controller: Controller) -> None:
     run(command())
 
 
-def test_each_part_works_like_the_blocking_part(controller: Controller) -> None:
+def test_each_async_part_works_like_its_blocking_part(controller: Controller) -> None:
     async def use() -> None:
         async with urlink.connect_async(controller.address) as robot:
             async with robot.interpreter() as interpreter:
