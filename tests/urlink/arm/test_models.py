@@ -118,7 +118,7 @@ def test_centre_of_mass_is_inside_link(arm: Model) -> None:
 
 
 @EVERY
-def test_limits_are_whole_turns_and_degrees_per_second(arm: Model) -> None:
+def test_position_limits_are_full_turns_and_speed_limits_are_round(arm: Model) -> None:
     assert (arm.position_limits[:, 0] == -arm.position_limits[:, 1]).all()
     assert (arm.position_limits[:5, 1] == 2.0 * math.pi).all()
     assert math.isinf(arm.position_limits[5, 1]) == arm.name.startswith("UR3") & (arm.name != "UR30")
@@ -137,7 +137,7 @@ def test_inertias_are_physically_possible(arm: Model) -> None:
 
 
 @EVERY
-def test_guesses_name_attributes(arm: Model) -> None:
+def test_guesses_contain_only_attribute_names(arm: Model) -> None:
     assert arm.guesses <= set(vars(arm))
     # The accelerations that controllers report are known for two arms.
     assert ("max_acceleration" in arm.guesses) == (arm.name not in ("UR5", "UR5e"))
