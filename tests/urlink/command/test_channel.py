@@ -44,12 +44,12 @@ def test_motion_times_out_after_half_a_second_without_room(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize("line", ["stopj(2)", "stopj(2)\n", "stopj(2)\n\n"])
-def test_motion_ends_text_with_one_newline(desk: Desk, line: str) -> None:
+def test_motion_sends_text_with_exactly_one_final_newline(desk: Desk, line: str) -> None:
     desk.channel.motion(line)
     assert desk.sent == ["stopj(2)\n"]
 
 
-def test_motion_without_wait_sends_immediately_or_fails(desk: Desk) -> None:
+def test_motion_without_wait_sends_or_raises_immediately(desk: Desk) -> None:
     desk.primary.room = 0
     with pytest.raises(LinkTimeout, match="within 0 s"):
         desk.channel.motion(TEXT, wait=False)
@@ -190,7 +190,9 @@ NEWS: dict[str, tuple[Callable[[CommandChannel], object], RobotState, bool]] = {
 
 
 @pytest.mark.parametrize("name", NEWS)
-def test_blocked_call_waits_for_next_report(desk: Desk, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_call_waits_for_next_state_when_last_state_forbids_motion(
+    desk: Desk, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The blocking state may be outdated, so the call waits for the next report."""
     act, in_the_way, moves = NEWS[name]
     asked: list[bool] = []
@@ -257,7 +259,7 @@ def test_discard_aborts_only_recently_sent_text(desk: Desk) -> None:
     assert desk.primary.aborts == 1  # nothing was sent since the last abort
 
 
-def test_beside_and_setpoint_check_safety_and_robot_mode(desk: Desk) -> None:
+def test_setting_and_set_point_check_safety_and_robot_mode(desk: Desk) -> None:
     """Set-points need an arm that may be moved; settings that move nothing need only a running robot."""
     sent: list[str] = []
     desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))

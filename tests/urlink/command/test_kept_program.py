@@ -331,7 +331,7 @@ def test_other_program_is_not_stopped_after_end_or_replacement(title: str, name:
 
 
 @pytest.mark.parametrize(("title", "is_its_own"), [(STOPPED, False), (STARTED, True)])
-def test_report_about_other_program_keeps_kept_program(title: str, is_its_own: bool) -> None:
+def test_report_about_another_program_does_not_end_kept_program(title: str, is_its_own: bool) -> None:
     desk = Programming()
     run = stopped(desk)
     desk.key(title, run.program if is_its_own else "theirs")
@@ -554,7 +554,7 @@ def test_cancelled_secondary_program_stops_nothing() -> None:
     assert desk.stops == 0
 
 
-def test_end_of_secondary_program_does_not_advance_stop() -> None:
+def test_end_of_secondary_program_does_not_trigger_pending_stop() -> None:
     """Like a state, it may arrive before the report of the running program."""
     desk = Programming()
     beside = desk.script(BESIDE)
@@ -589,7 +589,7 @@ def test_program_cancelled_before_stop_is_stopped_after_stop(caplog: pytest.LogC
     assert caplog.messages == []
 
 
-def test_stop_is_left_to_later_script_in_unknown_robot_state(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_robot_state_does_not_end_a_program_during_a_script(monkeypatch: pytest.MonkeyPatch) -> None:
     """The interlock is not asked whether the program may be stopped."""
 
     def unknown(is_stop: bool) -> None:

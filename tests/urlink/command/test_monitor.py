@@ -250,7 +250,9 @@ def test_close_drops_references_to_hooks(desk: Monitored) -> None:
         lambda monitor: monitor._interlock.enable(monitor.clock()),
     ],
 )
-def test_refusal_is_freed_after_being_caught(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
+def test_refusal_leaves_no_reference_cycle_after_being_caught(
+    desk: Monitored, ask: Callable[[SafetyMonitor], None]
+) -> None:
     """The traceback contains the frame that raised the error, so that frame must not refer to the error."""
     caught: list[weakref.ref[LinkError]] = []
     gc.disable()

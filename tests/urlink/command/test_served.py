@@ -121,7 +121,7 @@ def test_every_setting_is_confirmed(address: str) -> None:
 
 
 @pytest.mark.slow
-def test_not_confirmed_names_local_control(robot: urlink.Robot) -> None:
+def test_not_confirmed_error_names_local_control(robot: urlink.Robot) -> None:
     robot.io.set_digital_out(0, True)
     robot.controller.remote_control = False
     acts: list[Callable[[], object]] = [

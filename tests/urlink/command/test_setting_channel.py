@@ -114,7 +114,7 @@ def test_setting_without_confirm_claims_nothing(robot: ScriptedController, input
     assert len(robot.sent) == 1
 
 
-def test_package_does_not_overtake_text(
+def test_rtde_package_does_not_overtake_a_script(
     robot: ScriptedController, inputs: Inputs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(settings, "_SETTLED", 60.0)
@@ -191,7 +191,7 @@ class Desk:
         self.settings.send("text", lambda: values)
 
 
-def test_rtde_is_used_half_a_second_after_text() -> None:
+def test_setting_uses_rtde_again_half_a_second_after_a_script() -> None:
     desk = Desk()
     desk.inputs.held = {"a"}
     desk.send({"a": 1})
@@ -212,7 +212,7 @@ def test_setting_without_inputs_is_sent_as_text() -> None:
     assert (desk.inputs.written, desk.sent) == ([{"a": 1}], ["text"])
 
 
-def test_refusal_lasts_until_reconnection(caplog: pytest.LogCaptureFixture) -> None:
+def test_refused_input_is_not_requested_again_until_reconnection(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     desk = Desk()
     desk.inputs.held = {"a"}

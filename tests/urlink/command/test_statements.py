@@ -152,7 +152,7 @@ def test_statement_with_compile_error_raises_immediately(mode: Mode, monkeypatch
         mode.interpreter.execute("a = 1")
 
 
-def test_statements_are_cleared_after_500(mode: Mode) -> None:
+def test_interpreter_clears_statements_after_every_500(mode: Mode) -> None:
     clears = []
     for _ in range(1001):
         before = len(mode.peer.asked)
@@ -222,7 +222,7 @@ def test_clear_returns_statement_number(mode: Mode) -> None:
     assert (mode.interpreter.execute("a = 1"), mode.interpreter.clear()) == (1, 2)
 
 
-def test_state_queries_progress_in_safe_order(mode: Mode) -> None:
+def test_interpreter_state_asks_for_the_furthest_number_last(mode: Mode) -> None:
     mode.peer.answers += [f"state: {number}: x" for number in (3, 5, 7, 9)]
     assert mode.interpreter.state == InterpreterState(9, 7, 5, 3)
     # Statements are executed between the queries, so a later reply shows more progress.
@@ -274,7 +274,7 @@ def test_normal_end_of_block_ends_the_mode(mode: Mode, monkeypatch: pytest.Monke
         (RemoteError("failed"), False),
     ],
 )
-def test_program_that_may_resume_is_ended(mode: Mode, error: LinkError, is_told: bool) -> None:
+def test_interpreter_end_aborts_a_paused_program(mode: Mode, error: LinkError, is_told: bool) -> None:
     """A stop only pauses the program."""
     mode.life.fail(error)
     with pytest.raises(type(error)):
