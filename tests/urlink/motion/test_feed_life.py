@@ -9,7 +9,7 @@ from urlink.motion.stream.feed_life import TRANSITIONS, FeedEvent, FeedLife, Fee
 
 @pytest.mark.parametrize("event", FeedEvent)
 @pytest.mark.parametrize("phase", FeedPhase)
-def test_event_outside_table_raises(phase: FeedPhase, event: FeedEvent) -> None:
+def test_feed_event_outside_transition_table_raises(phase: FeedPhase, event: FeedEvent) -> None:
     life = FeedLife()
     life.phase = phase
     if (phase, event) in TRANSITIONS:

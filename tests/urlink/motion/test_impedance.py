@@ -123,7 +123,7 @@ def turned(q: FloatArray, angle: float) -> FloatArray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", range(6))
-def test_wrench_moves_arm_by_compliance_of_springs(axis: int) -> None:
+def test_displacement_of_joints_is_torque_divided_by_stiffness(axis: int) -> None:
     soft = Soft()
     wrench = [0.0] * 6
     wrench[axis] = 15.0 if axis < 3 else 2.0
@@ -265,7 +265,7 @@ def test_motion_to_target_follows_speed_slider() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gap", [0.2, 0.4])
-def test_messages_may_be_missing_for_watchdog_time(gap: float) -> None:
+def test_impedance_continues_without_messages_for_watchdog_time(gap: float) -> None:
     soft = Soft()
     soft.lead(turned(soft.q, 0.2), 0.05)
     soft.silent(gap)

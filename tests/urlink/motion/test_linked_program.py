@@ -260,7 +260,7 @@ def test_early_program_end_raises_program_stopped(talk: Talk) -> None:
     talk.fails(ProgramStopped, "the program of talk ended unexpectedly")
 
 
-def test_dialogue_can_outlive_program(robot: Rehearsal) -> None:
+def test_linked_dialogue_can_continue_after_its_program_ended(robot: Rehearsal) -> None:
     talk = Talk(robot, survives_its_program=True).begin()
     talk.heard = b"never mind"
     robot.finish()

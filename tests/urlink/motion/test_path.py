@@ -117,7 +117,7 @@ def test_waypoint_options_are_limited_to_ranges() -> None:
             Joint(READY, **bad)
 
 
-def test_waypoint_with_options_has_separate_motion() -> None:
+def test_waypoint_with_options_becomes_a_separate_movement() -> None:
     assert not Joint(READY).has_motion_of_its_own
     for own in ({"blend": 0.1}, {"speed": 0.1}, {"acceleration": 0.1}):
         assert Joint(READY, **own).has_motion_of_its_own
@@ -197,7 +197,7 @@ def test_blend_makes_path_fast_at_start_or_end() -> None:
                 plan(waypoints, JOINT_RATES, rates, ARM, state)
 
 
-def test_joint_movement_without_distance_is_complete() -> None:
+def test_progress_of_joint_movement_without_distance_is_1() -> None:
     (section,) = planned([Joint(READY)]).sections
     assert (section.seconds, section.part(state_at(READY))) == (0.0, 1.0)
 

@@ -68,7 +68,7 @@ def test_program_follows_streamed_set_points(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_missing_set_point_causes_no_dent(firmware: Firmware) -> None:
+def test_missing_set_point_changes_path_by_less_than_half_a_step(firmware: Firmware) -> None:
     smooth, gappy = streaming(firmware), streaming(firmware)
     for bench in (smooth, gappy):
         for i in range(100):
@@ -239,7 +239,7 @@ def test_program_follows_requested_points(firmware: Firmware, is_quintic: bool) 
 
 @pytest.mark.parametrize("is_quintic", [False, True])
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_each_number_of_a_point_is_used(firmware: Firmware, is_quintic: bool) -> None:
+def test_program_uses_position_speed_and_acceleration_of_each_point(firmware: Firmware, is_quintic: bool) -> None:
     """Points in between have speeds and accelerations in every joint, all of them different."""
     rng = np.random.default_rng(7)
     q = np.tile(HOME, (4, 1)) + 0.1 * rng.uniform(-1, 1, (4, 6))
@@ -258,7 +258,7 @@ def test_each_number_of_a_point_is_used(firmware: Firmware, is_quintic: bool) ->
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> None:
+def test_requested_waypoint_may_arrive_nearly_one_segment_late(firmware: Firmware) -> None:
     bench, server = handing_over(firmware, late=round(0.4 * firmware.rate))
     bench.run(round(5.0 / bench.period), server)
     assert bench.said == []

@@ -222,7 +222,7 @@ def test_arm_leaves_path_if_scaling_is_ignored(cell: Callable[[str, str], Cell])
         one.robot.motion.follow(curve(), scaling="ignore", path_tolerance=0.05).wait(TIMEOUT)
 
 
-def test_low_bandwidth_uses_only_time_of_robot(cell: Callable[[str, str], Cell]) -> None:
+def test_low_bandwidth_rejects_scaling_ignore(cell: Callable[[str, str], Cell]) -> None:
     one = cell("UR5e", "5.11")
     with pytest.raises(LocalError, match="in its own time"):
         one.robot.motion.follow(curve(), low_bandwidth=True, scaling="ignore")

@@ -193,7 +193,7 @@ def went(way: Callable[[Cell], contextlib.AbstractContextManager[None]], fractio
         one.close()
 
 
-def test_each_motion_is_measured() -> None:
+def test_slider_effect_is_measured_for_each_motion() -> None:
     assert set(EFFECTS) == set(WAYS), f"every motion in EFFECTS needs an entry in WAYS of {__name__}"
 
 

@@ -189,7 +189,7 @@ def test_waypoint_far_too_early_is_rejected() -> None:
         added(4.2)
 
 
-def test_waypoint_is_over_when_set_point_was_sent() -> None:
+def test_waypoint_is_rejected_after_its_set_point_was_sent() -> None:
     """The set-point that answers a state is for `delay` later; the next set-point follows at least a cycle later."""
     for delay in (0.0, 0.125):
         made = schedule(delay)

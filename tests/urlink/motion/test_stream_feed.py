@@ -186,7 +186,7 @@ def test_forgetting_unappended_points_keeps_end() -> None:
     assert mark(stream) is end
 
 
-def test_feed_is_answered_when_no_cut_is_pending() -> None:
+def test_feed_is_answered_when_all_replacements_are_answered() -> None:
     stream = moves(Streamed(E_SERIES, way=5))
     feed = stream.feed
     curve = stream.reader.curve(waves(0.4, 2.5), 0.4, mark(stream))
@@ -213,14 +213,14 @@ def test_check_rejects_impossible_replacement_in_advance() -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_cut_is_planned_six_cycles_and_10_ms_ahead(firmware: Firmware) -> None:
+def test_cut_takes_effect_six_cycles_and_10_ms_later(firmware: Firmware) -> None:
     stream = moves(Streamed(firmware))
     for later in (0.0, 0.1):
         ahead = stream.feed.reach(later) - stream.feed.time
         assert ahead == pytest.approx(6 * stream.period + 0.01 + later, abs=1e-9)
 
 
-def test_cut_is_planned_at_most_a_second_ahead() -> None:
+def test_cut_takes_effect_at_most_a_second_later() -> None:
     stream = moves(Streamed(E_SERIES, buffer=3.0, way=400))
     stream.feed.margin = 0.6  # messages take 0.8 s
     assert stream.replace(0.0, waves(0.05, 6.0)) > 1.0
@@ -401,7 +401,7 @@ def test_replacement_may_start_at_end_of_sent_points() -> None:
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
 
 
-def test_same_points_are_reached_again_after_four_cycles() -> None:
+def test_replacing_with_same_points_takes_four_cycles() -> None:
     """A step takes at least two cycles, and the first step takes twice that."""
     stream = moves(Streamed(E_SERIES))
     curve = stream.reader.curve(waves(0.05, 2.5), 0.0, mark(stream))
@@ -481,7 +481,7 @@ def test_cut_is_answered_by_first_report_after_message() -> None:
     assert done.result(0.0) == pytest.approx(0.65)
 
 
-def test_margin_is_doubled_after_late_cut() -> None:
+def test_time_margin_is_doubled_after_a_late_cut() -> None:
     stream = moves(Streamed(E_SERIES, way=30))
     margin, before = stream.feed.margin, mark(stream)
     done, number = cutting(stream)
@@ -566,7 +566,7 @@ def test_cleared_stream_starves_only_after_new_points() -> None:
 
 
 @pytest.mark.parametrize("way", [5, 9, 10, 11, 20])
-def test_stream_rests_at_most_once_for_any_delay(way: int) -> None:
+def test_stream_stops_at_most_once_after_braking_for_any_delay(way: int) -> None:
     """This holds even if the cut comes in time, but the first point, a cycle later, does not."""
     stream = Streamed(E_SERIES, way=way)
     stream.append(waves(0.05, 0.6))
@@ -806,7 +806,7 @@ def test_arm_reports_motion_to_common_pace() -> None:
     assert [look.is_led for look in paces.looks].index(False) == pytest.approx(0.09 / stream.period, abs=6)
 
 
-def test_time_is_right_while_pace_changes() -> None:
+def test_stream_time_is_correct_within_two_cycles_while_pace_changes() -> None:
     """The error stays within the two cycles that a pace needs to arrive."""
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
