@@ -327,7 +327,7 @@ def test_status_at_rest_has_final_position(
     assert status.position == 75
 
 
-def test_threads_take_turns(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
+def test_gripper_commands_of_threads_are_serialised(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
     gripper = answering({f"GET {name}": f"{name} {at}\n".encode() for at, name in enumerate(READABLE)})
     wrong: list[LinkError | str] = []
 
