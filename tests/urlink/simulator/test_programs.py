@@ -305,7 +305,7 @@ def test_secondary_program_runs_while_the_program_is_paused(watched: Watched) ->
     assert watched.controller._state.is_paused
 
 
-def test_is_steady_in_a_secondary_program(watched: Watched) -> None:
+def test_is_steady_returns_false_while_a_program_runs(watched: Watched) -> None:
     ask = "sec s():\n  textmsg(is_steady())\nend\n"
     watched.take(ask).step(0.01)
     watched.take(SPIN).step(1)

@@ -20,7 +20,9 @@ def test_zero_length_takes_no_time() -> None:
 
 @pytest.mark.property
 @given(lengths, rates, rates, rates, st.floats(0.0, 1.0))
-def test_position_and_speed_agree(length: float, speed: float, fall: float, rise: float, part: float) -> None:
+def test_profile_speed_is_the_derivative_of_its_position(
+    length: float, speed: float, fall: float, rise: float, part: float
+) -> None:
     profile = Trapezoid(length, speed, fall, rise)
     time, step = part * profile.duration, 1e-6 * profile.duration
     way, now, acceleration = profile.at(time)

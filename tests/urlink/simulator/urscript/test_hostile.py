@@ -271,7 +271,7 @@ def test_long_elif_chain_and_long_list_are_not_nested() -> None:
         ("kill [1]", "thread handle"),
     ],
 )
-def test_malicious_program_ends_with_an_error(text: str, message: str) -> None:
+def test_malicious_program_ends_with_a_compile_or_runtime_error(text: str, message: str) -> None:
     last = error_of(text)
     assert last.split()[1] == "error", last
     assert re.search(message, last), last
