@@ -116,7 +116,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
 
 
 @pytest.mark.parametrize("name", ["movej", "moton"])
-def test_attribute_error_leaves_python_nothing_to_suggest(name: str) -> None:
+def test_attribute_error_disables_pythons_suggestions(name: str) -> None:
     with pytest.raises(AttributeError) as caught:
         getattr(StrictAttributes(), name)
     assert (caught.value.name, caught.value.obj) == (name, None)
