@@ -74,7 +74,7 @@ def signatures(extensions: None) -> Any:
         ("time.time", None),
     ],
 )
-def test_page_name_leads_to_its_description(names: Any, text: str, name: str | None) -> None:
+def test_name_in_page_resolves_to_its_public_name(names: Any, text: str, name: str | None) -> None:
     assert names.public(text, False) == name
 
 
