@@ -102,7 +102,7 @@ def test_consecutive_movep_calls_replace_the_running_motion(controller: Controll
         assert near(robot.movep(pose, acc=2.0, vel=0.2, radius=0, wait=True), begin)
 
 
-def test_tool_coordinates_are_attributes(controller: Controller) -> None:
+def test_tool_coordinates_can_be_read_and_changed_as_attributes(controller: Controller) -> None:
     with urx.Robot(controller.address, use_rt=True, urFirm=3.4) as robot:
         robot.movej(NEAR, acc=6.0, vel=2.0)
         begin = robot.getl(wait=True)

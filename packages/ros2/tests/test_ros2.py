@@ -126,9 +126,7 @@ def test_cancelled_goal_and_ended_client_stop_the_arm(robot: urlink.Robot, drive
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_goal_is_cancelled_when_its_client_dies_but_another_lives(
-    robot: urlink.Robot, drive: Drive, end: signal.Signals
-) -> None:
+def test_goal_is_cancelled_when_one_of_two_clients_dies(robot: urlink.Robot, drive: Drive, end: signal.Signals) -> None:
     with serve({"arm": robot}):
         watching = drive("watch", "120", wait=False)
         assert json.loads(watching.stdout.readline()) == {"ready": True}
@@ -276,7 +274,9 @@ def test_invalid_and_failed_goals_report_error_codes(
         assert drive("follow", goal((0.0, START), (1.0, FAR))) == {"accepted": False}
 
 
-def test_services_command_robot(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
+def test_services_set_outputs_and_send_dashboard_commands(
+    robot: urlink.Robot, drive: Drive, urlink_controller: Controller
+) -> None:
     with serve({"arm": robot}):
         assert drive("call", "io_and_status_controller/set_digital_out_4", "on")["success"]
         assert robot.io.digital_out(4)
@@ -294,7 +294,7 @@ def test_services_command_robot(robot: urlink.Robot, drive: Drive, urlink_contro
 
 
 @pytest.mark.urlink(connect={})
-def test_robots_in_namespaces_survive_lost_robot(
+def test_other_robot_keeps_running_when_one_robot_is_lost(
     robot: urlink.Robot, urlink_controller: Controller, drive: Drive
 ) -> None:
     with urlink.connect("sim://ur10e?firmware=5.11") as other, serve({"left": robot, "right": other}, rate=50.0):
@@ -373,7 +373,7 @@ def test_read_goal_converts_points_and_tolerances() -> None:
             read_goal(message(bad), JOINT_NAMES, here)
 
 
-def test_read_goal_continues_late_trajectory() -> None:
+def test_read_goal_omits_points_that_have_passed() -> None:
     q, far = {"positions": START}, {"positions": FAR}
     here = np.array(START)
     stamped = message([(0.0, q), (2.0, q), (3.0, far)], stamp=100.0)

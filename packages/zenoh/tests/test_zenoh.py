@@ -406,7 +406,9 @@ def test_expiry_rejects_missing_or_invalid_parameters(parameters: dict[str, str 
         expiry.check({**good, **parameters})
 
 
-def test_cancel_accepts_id_of_one_command(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
+def test_cancel_with_an_id_cancels_only_that_command(
+    server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
+) -> None:
     with RemoteRobot(session, "arm") as remote:
         remote.call("move_joints", q=FAR, speed=0.1)
         remote.call("cancel", command="another")

@@ -29,7 +29,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Evidence]:
     return found
 
 
-def test_defects_are_many_and_name_known_checks() -> None:
+def test_sixty_defects_exist_and_name_existing_checks() -> None:
     assert len(DEFECTS) >= 60
     assert {each.named for each in DEFECTS.values()} <= CHECKS.keys()
 

@@ -67,7 +67,7 @@ def test_joint_at_rest_has_no_estimates() -> None:
     assert found.rotor_inertias[3].is_known
 
 
-def test_missing_currents_leave_moment_estimates() -> None:
+def test_inertia_is_estimated_without_currents() -> None:
     given = columns(np.random.default_rng(3))
     del given["target_current"]
     found = fit_joints(MODEL, given)
