@@ -33,7 +33,7 @@ def package(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return made
 
 
-def test_lazy_name_is_the_object_of_its_module(package: ModuleType) -> None:
+def test_lazy_name_returns_the_object_of_its_module(package: ModuleType) -> None:
     assert package.loads is json.loads
     assert vars(package)["loads"] is json.loads, "after its first use the name is an attribute of the package"
     assert "dumps" not in vars(package)
@@ -125,7 +125,7 @@ def entries(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[importlib.metadat
     return found
 
 
-def test_plugin_loads_what_an_entry_point_names(entries: dict[str, list[importlib.metadata.EntryPoint]]) -> None:
+def test_plugin_loads_the_object_of_an_entry_point(entries: dict[str, list[importlib.metadata.EntryPoint]]) -> None:
     entries["made.parsers"] = [importlib.metadata.EntryPoint("json", "json:loads", "made.parsers")]
     assert plugin("made.parsers", "json", "made-json", "reading") is json.loads
 

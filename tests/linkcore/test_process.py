@@ -45,7 +45,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     signal.signal(signal.SIGTERM, before)
 
 
-def test_exit_closes_connections_that_are_still_open_only(events: dict[str, Any]) -> None:
+def test_exit_aborts_only_connections_that_are_still_open(events: dict[str, Any]) -> None:
     kept, closed = Part(), Part()
     process.abandon_at_end(kept)
     process.abandon_at_end(closed)

@@ -85,13 +85,13 @@ def moves() -> Iterator[tuple[str, Any, str, str]]:
             method = inspect.getattr_static(kind, name)
             if (name == "__init__" or name[0] != "_") and inspect.isfunction(method) and _moves(method):
                 if kind.__name__.startswith("Async"):
-                    continue  # raises only when awaited; see test_async_move_names_own_argument_for_a_foreign_one
+                    continue  # raises only when awaited; see test_async_move_names_the_right_argument_for_a_wrong_one
                 for foreign, own in _OWN_KEYWORDS.items():
                     if own in _arguments(method):
                         yield f"{kind.__name__}.{name}", method, foreign, own
 
 
-def test_argument_of_another_library_raises_error_with_own_name() -> None:
+def test_wrong_argument_name_raises_error_with_the_right_name() -> None:
     tried = set()
     for name, method, foreign, own in moves():
         with pytest.raises(TypeError, match=f"has no argument '{foreign}'; use '{own}'"):
@@ -104,7 +104,7 @@ def test_argument_of_another_library_raises_error_with_own_name() -> None:
 
 
 @pytest.mark.simulated_time
-def test_async_move_names_own_argument_for_a_foreign_one() -> None:
+def test_async_move_names_the_right_argument_for_a_wrong_one() -> None:
     import asyncio
 
     async def move() -> None:
@@ -156,7 +156,7 @@ def test_methods_can_be_replaced_by_functions() -> None:
         assert motion.move_joints(None) == "replaced"
 
 
-def test_code_of_its_package_can_add_attributes() -> None:
+def test_code_of_the_defining_package_can_add_attributes() -> None:
     class Own(StrictAttributes):
         def __init__(self) -> None:
             self.count = 0

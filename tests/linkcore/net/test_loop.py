@@ -615,7 +615,7 @@ def test_port_can_refuse_and_listen_again(bench: Bench) -> None:
     assert kept.connection.is_open
 
 
-def test_paused_port_makes_clients_wait(bench: Bench) -> None:
+def test_paused_port_accepts_no_client_until_resumed(bench: Bench) -> None:
     bench.port.pause()
     waiting = bench.connect()
     waiting.sendall(b"x")
@@ -849,7 +849,7 @@ def test_every_call_runs_once_when_the_loop_closes(served: Served) -> None:
     assert sorted(done) == list(range(400))
 
 
-def test_wake_works_before_and_after_close(served: Served) -> None:
+def test_wake_raises_nothing_before_and_after_close(served: Served) -> None:
     served.loop.wake()
     served.loop.call(lambda: None, TIMEOUT)
     served.close()

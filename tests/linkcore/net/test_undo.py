@@ -215,7 +215,7 @@ def test_users_share_undos_and_the_last_close_ends_the_thread() -> None:
     undos.close(first)
 
 
-def test_robot_and_its_dashboard_share_pending_undos() -> None:
+def test_robot_and_dashboard_share_pending_undos() -> None:
     peer, whole, part, first, second = Peer(), object(), object(), User(), User()
     undos = PendingUndos.of(whole, "robot", first, part)
     assert PendingUndos.of(part, "dashboard", second) is undos

@@ -352,7 +352,7 @@ def test_close_of_a_waiting_replay_is_quick(tmp_path: Path) -> None:
 @pytest.mark.property
 @given(st.lists(st.binary(min_size=1, max_size=30), max_size=20), st.data())
 @pytest.mark.simulated_time
-def test_recording_a_replay_equals_the_recording(chunks: list[bytes], data: st.DataObject) -> None:
+def test_recording_of_a_replay_equals_the_original(chunks: list[bytes], data: st.DataObject) -> None:
     """A recording of a replay has the same contents as the replayed file, for any bytes and chunks."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

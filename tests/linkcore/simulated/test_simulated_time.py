@@ -223,7 +223,7 @@ def test_holder_of_a_module_lock_is_not_preempted(tmp_path: Path, monkeypatch: p
                 thread.join()
 
 
-def test_random_values_follow_from_the_seed() -> None:
+def test_random_values_depend_only_on_the_seed() -> None:
     def program(sim: Simulation) -> object:
         return random.random(), secrets.token_hex(8), uuid.uuid4(), sim.random.random()
 
@@ -511,7 +511,7 @@ def test_semaphore_release_wakes_thread_that_is_about_to_wait() -> None:
     assert {outcome(seed, program)[0] for seed in range(200)} == {9}
 
 
-def test_semaphore_admits_its_number_of_threads() -> None:
+def test_semaphore_of_two_admits_two_threads_at_a_time() -> None:
     with simulated_time() as sim:
         free, taken = threading.Semaphore(2), []
 
@@ -657,7 +657,7 @@ def test_suspended_computer_makes_no_progress() -> None:
         assert seen == [1, 2, 3, 7.25, 8.25, 9.25, 10.25, 11.25, 12.25, 13.25]
 
 
-def test_schedule_accepts_named_faults() -> None:
+def test_schedule_executes_named_faults_in_order() -> None:
     with simulated_time() as sim:
         robot = sim.computer("robot", "192.168.0.2")
         to, back = sim.network.route(sim.here, robot), sim.network.route(robot, sim.here)

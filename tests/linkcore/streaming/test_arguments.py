@@ -180,5 +180,5 @@ def test_dir_lists_public_names_only(stream: Stream[Count], transport: ScriptedT
         assert public(history) == {"array", "close"}
 
 
-def test_stream_has_its_name(transport: ScriptedTransport) -> None:
+def test_stream_reports_the_name_that_it_was_given(transport: ScriptedTransport) -> None:
     assert scripted(transport, name="left").name == "left"

@@ -40,7 +40,7 @@ def test_backoff_waits_without_jitter_grow_up_to_a_maximum(first: float, factor:
 
 @pytest.mark.property
 @given(seconds, factors, seconds, shares)
-def test_jitter_varies_each_wait_by_its_share(first: float, factor: float, most: float, jitter: float) -> None:
+def test_jitter_varies_each_backoff_wait_by_its_share(first: float, factor: float, most: float, jitter: float) -> None:
     steady = first_waits(Backoff(first, factor, most, jitter=0))
     varied = first_waits(Backoff(first, factor, most, jitter=jitter))
     for wait, exact in zip(varied, steady, strict=True):

@@ -94,7 +94,7 @@ def test_failed_first_connection_is_not_retried_while_caller_waits() -> None:
     assert one.error is one.failure is one.attempt.failure is None
 
 
-def test_waits_grow_until_packets_arrive() -> None:
+def test_reconnection_waits_grow_until_packets_arrive() -> None:
     one = life()
     one.use(is_patient=True, received=3)
     waits = []

@@ -25,7 +25,7 @@ def monitor(limit: float | None = 2.0) -> SilenceMonitor:
 # -- the monitor, without clock or thread ----------------------------------------------------------------
 
 
-def test_expired_waits_add_up_to_silence() -> None:
+def test_timed_out_waits_add_up_to_silence() -> None:
     silence, reported = monitor(), list[float]()
     silence.watch(0.5, reported.append)
     assert silence.wait == 0.5
@@ -98,7 +98,7 @@ def test_silence_without_limit_calls_watchers_but_raises_nothing() -> None:
     assert silence.wait is None
 
 
-def test_removed_watcher_is_not_called() -> None:
+def test_removed_silence_watcher_is_not_called() -> None:
     silence, reported = monitor(), list[float]()
     remove = silence.watch(0.5, reported.append)
     remove()

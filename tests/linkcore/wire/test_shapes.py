@@ -95,7 +95,7 @@ def test_mask_is_read_from_a_double(mask: int) -> None:
     assert parsed(Mask64, struct.pack(">d", float(mask))) == mask
 
 
-def test_mask_equals_the_vendor_example() -> None:
+def test_mask_of_vendor_example_is_five() -> None:
     # Inputs 0 and 2 give five, as in the vendor's table.
     assert parsed(Mask64, bytes.fromhex("0000000000000005")) == 5
     assert parsed(Mask64, bytes.fromhex("4014000000000000")) == 5
