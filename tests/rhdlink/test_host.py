@@ -555,7 +555,7 @@ def test_idle_reader_keeps_its_slot_unless_needed_and_old() -> None:
         assert host.stats.evicted_clients == 0
 
 
-def test_slot_of_the_master_is_free_after_it_leaves() -> None:
+def test_slot_of_the_master_is_free_after_its_disconnection() -> None:
     with Host([Echo()], port=0, period=0.002) as host, ExitStack() as stack:
         with RawClient(host.port, b"aw") as master:
             assert master.greeting().granted == "w"

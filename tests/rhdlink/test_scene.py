@@ -52,7 +52,9 @@ def test_wall_is_detected_at_its_distance() -> None:
     x=st.floats(-5, 5), y=st.floats(-5, 5), angle=st.floats(-4, 4), walls=st.integers(1, 60), seed=st.integers(0, 999)
 )
 @pytest.mark.property
-def test_wall_distance_does_not_depend_on_their_number(x: float, y: float, angle: float, walls: int, seed: int) -> None:
+def test_distance_to_nearest_wall_does_not_depend_on_wall_count(
+    x: float, y: float, angle: float, walls: int, seed: int
+) -> None:
     """Few walls are checked one by one, many walls all at once."""
     ends = np.random.default_rng(seed).uniform(-4, 4, (walls, 2, 2))
     scene = Scene(walls=[[(a[0], a[1]), (b[0], b[1])] for a, b in ends])

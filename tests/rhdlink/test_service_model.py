@@ -355,7 +355,7 @@ def test_service_buffers_four_kilobytes_before_it_has_replied() -> None:
     assert not client.may_send
 
 
-def test_service_fixes_its_slots_and_variables() -> None:
+def test_service_limits_slots_and_accepts_no_variables_later() -> None:
     database = Database([SymbolRow("tick", 1)])
     assert Service(database, clients=10_000).slots == 10_000
     with pytest.raises(BadValue, match="clients"):

@@ -180,7 +180,7 @@ def test_64_bit_time_stamps_are_decoded() -> None:
     assert found[1][1][2] == [list(late)]  # type: ignore[index]
 
 
-def test_last_entry_of_a_repeated_variable_wins() -> None:
+def test_last_entry_of_a_repeated_variable_is_used() -> None:
     database = Database(write=[SymbolRow("a", 1), SymbolRow("b", 2)])
     stream = ClientDecoder(database.write.layout)
     entry = struct.Struct(">iiii")

@@ -100,7 +100,7 @@ def test_rates_are_counted_over_two_seconds() -> None:
     assert counter.rates(200.0) == (0.0, {})
 
 
-def test_trouble_is_shown_until_the_connection_is_back() -> None:
+def test_watch_shows_the_error_until_the_connection_is_restored() -> None:
     counter = RateCounter(began=0.0)
     lost = rhdlink.ConnectionLost("gone")
     counter.on_connection(ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))

@@ -44,7 +44,7 @@ def cycles_of(line: str, profile: str) -> int:
         ("resetmotors", 8),
     ],
 )
-def test_each_kind_of_line_takes_its_cycles(line: str, cycles: int, profile: str) -> None:
+def test_each_kind_of_line_takes_the_expected_number_of_cycles(line: str, cycles: int, profile: str) -> None:
     found = cycles_of(line, profile)
     assert found == cycles
 
@@ -136,7 +136,7 @@ def test_function_generator_keeps_omitted_parameters(profile: str) -> None:
     assert (sent.count(7.0), sent.count(9.0)) == (5, 5)
 
 
-def test_followwall_uses_the_gain_at_its_start() -> None:
+def test_followwall_keeps_the_gain_that_was_set_at_its_start() -> None:
     """MRC copies the gain when the motion starts."""
 
     def end(settings: str) -> tuple[float, float, float]:

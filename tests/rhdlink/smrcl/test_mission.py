@@ -78,7 +78,7 @@ ARC = 'log "$odox"\nfwd 0.3\nturnr 0.5 90\nfwd 0.3\nstop\n'
         (SmrTurtle, ARC, 650, (0.8018, 0.7991, 90.02)),
     ],
 )
-def test_drives_end_at_the_pose_of_the_original(
+def test_drives_end_at_the_pose_reached_with_mrc(
     robot: type[Turtle | SmrTurtle], script: str, cycles: int, end: tuple[float, float, float]
 ) -> None:
     """The poses in m, m and degrees, and the numbers of cycles, come from lockstep runs of MRC."""
@@ -217,7 +217,7 @@ def test_exception_in_a_callback_does_not_affect_others(caplog: pytest.LogCaptur
     assert "no paper" in caplog.text
 
 
-def test_command_that_needs_hardware_calls_a_function() -> None:
+def test_command_for_special_hardware_calls_a_given_function() -> None:
     seen: list[tuple[object, ...]] = []
 
     def vision(*parameters: object) -> dict[str, float]:
@@ -356,7 +356,7 @@ def test_started_mission_can_be_awaited() -> None:
 
 
 @pytest.mark.slow
-def test_run_reports_its_conditions() -> None:
+def test_run_returns_the_values_of_its_stop_conditions() -> None:
     robot = turtle()
     with Mission("drive : ($drivendist > 900) | ($odox < 0)\n", robot).start() as run:
         until(lambda: run.conditions == (False, False))
