@@ -309,7 +309,7 @@ def test_silent_or_paused_stream_has_rate_zero() -> None:
 
 @pytest.mark.parametrize("ahead", [0.0, 0.02, 0.1, 0.3])
 @pytest.mark.parametrize("leader", [0, 1])
-def test_leading_stream_waits_for_slower_stream(leader: int, ahead: float) -> None:
+def test_leading_stream_slows_down_for_the_slower_stream(leader: int, ahead: float) -> None:
     """It stops if it is 0.2 s ahead or more; otherwise it slows down until the streams are together."""
     paces = Paces()
     paces.step(40)

@@ -526,7 +526,7 @@ def test_low_bandwidth_starts_at_position_of_arm(robot: Rehearsal) -> None:
     assert "stopj" in robot.sent[-1]
 
 
-def test_invalid_request_raises_program_stopped(robot: Rehearsal) -> None:
+def test_follow_raises_program_stopped_after_an_invalid_request(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH, low_bandwidth=True)
     robot.connect()
     assert robot.link is not None

@@ -299,7 +299,7 @@ def test_wrong_state_time_moves_the_arm_by_few_cycles_only() -> None:
     assert abs(feeding.sent[-1][5] - before) <= 6 * fastest
 
 
-def test_unavoidable_jump_raises_tolerance_exceeded() -> None:
+def test_set_point_jump_ends_trajectory_with_tolerance_exceeded() -> None:
     """The arm is not where the trajectory is, and too little time passes for the arm to get there."""
     led = follower(tolerances=Tolerances(path=None, goal=0.05, goal_time=5.0, start=1.0))
     led.step(b"", state(50.0, turned(0.0)), 1000.0)
@@ -502,7 +502,7 @@ def test_follower_model_moves_like_the_program_on_the_robot(firmware: Firmware) 
 
 @pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
 @pytest.mark.parametrize("watchdog", [0.05, 5.0])
-def test_coasting_of_program_matches_prediction(firmware: Firmware, watchdog: float) -> None:
+def test_coasting_distance_of_program_equals_the_prediction(firmware: Firmware, watchdog: float) -> None:
     """Compare the distance of each number of cycles without a set-point, and the speed in the last cycle."""
     how = servoing(firmware, watchdog)
     bench = Bench(how.body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware)

@@ -171,7 +171,7 @@ def test_missing_connection_raises_connect_failed(talk: Talk) -> None:
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_program_has_a_second_to_end_after_farewell(talk: Talk, is_told: bool) -> None:
+def test_program_has_one_second_to_end_after_the_end_message(talk: Talk, is_told: bool) -> None:
     talk.begin().look(3.0)
     assert not talk.program.is_finishing
     talk.is_over = True
@@ -189,7 +189,7 @@ def test_program_has_a_second_to_end_after_farewell(talk: Talk, is_told: bool) -
     assert talk.closed == [True]
 
 
-def test_farewell_is_the_last_message(talk: Talk) -> None:
+def test_no_message_is_sent_after_the_end_message(talk: Talk) -> None:
     """One thread might have composed a message while another thread ends the program."""
     talk.begin()
     talk.program.finish()
@@ -199,7 +199,7 @@ def test_farewell_is_the_last_message(talk: Talk) -> None:
     talk.motion.wait(TIMEOUT)
 
 
-def test_messages_of_program_after_farewell_are_ignored(talk: Talk) -> None:
+def test_messages_of_program_after_the_end_message_are_ignored(talk: Talk) -> None:
     talk.begin()
     talk.program.finish()
     talk.robot.text("urlink: nothing to go to")
@@ -208,7 +208,7 @@ def test_messages_of_program_after_farewell_are_ignored(talk: Talk) -> None:
     talk.motion.wait(TIMEOUT)
 
 
-def test_program_without_farewell_is_stopped(robot: Rehearsal) -> None:
+def test_program_without_an_end_message_is_stopped(robot: Rehearsal) -> None:
     talk = Talk(robot, farewell=b"").begin()
     talk.program.finish()
     assert b"" not in talk.said
@@ -221,7 +221,7 @@ def test_program_without_farewell_is_stopped(robot: Rehearsal) -> None:
     assert [b"" in other.said, other.closed] == [False, [False]]
 
 
-def test_loss_is_reported_after_a_second_without_reason(talk: Talk) -> None:
+def test_lost_connection_is_reported_after_a_second_without_reason(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("first")
     talk.look()

@@ -88,7 +88,7 @@ def test_lost_messages_are_repeated() -> None:
 
 
 @pytest.mark.slow
-def test_tail_is_replaced_and_cleared() -> None:
+def test_last_points_can_be_replaced_and_cleared_over_registers() -> None:
     stream = Registered(E_SERIES)
     stream.append(waves(0.05, 3.0))
     stream.until(lambda: stream.feed.time > 0.5)

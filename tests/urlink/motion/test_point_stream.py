@@ -35,7 +35,7 @@ def there(angle: float, t: float) -> TrajectoryPoint:
     ("firmware", "buffer", "capacity"),
     [("5.11", 0.3, 79), ("5.11", 0.5, 129), ("5.11", 10.0, 256), ("3.4", 0.48, 34), ("3.4", 0.05, 7)],
 )
-def test_buffer_determines_number_of_points(
+def test_stream_buffer_time_determines_the_number_of_points(
     rehearsal: Callable[..., Rehearsal], firmware: str, buffer: float, capacity: int
 ) -> None:
     """Points are two cycles apart, and there are at most 256."""

@@ -277,7 +277,7 @@ def test_missing_waypoint_ends_program_at_rest(firmware: Firmware) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_cut_link_is_noticed_without_pending_waypoint(firmware: Firmware) -> None:
+def test_lost_link_is_noticed_while_no_waypoint_is_requested(firmware: Firmware) -> None:
     slow = Trajectory.from_arrays([0, 10], [turned(0), turned(2)])
     bench, server = handing_over(firmware, slow)
     bench.run(round(5.0 / bench.period), server)

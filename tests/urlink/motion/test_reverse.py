@@ -117,7 +117,7 @@ def test_unread_messages_raise_connection_lost(link: ReverseLink) -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"farewell": False}, {"farewell": True}])
-def test_close_discards_pending_data_except_farewell(link: ReverseLink, options: dict[str, bool]) -> None:
+def test_close_discards_pending_data_except_the_end_message(link: ReverseLink, options: dict[str, bool]) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(lambda: is_up(link))

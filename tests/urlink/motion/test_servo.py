@@ -440,7 +440,7 @@ def test_cut_link_raises_connection_lost(robot: Rehearsal) -> None:
             servo.send(HOME)
 
 
-def test_cut_link_is_noticed_by_send(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_send_raises_after_the_link_was_cut(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.block_motion._REASON", 0.05)
     with opened(robot) as servo:
         assert robot.link is not None

@@ -44,7 +44,7 @@ def mark(stream: Streamed) -> Mark:
     return stream.feed.mark
 
 
-def test_feed_before_start_and_at_rest() -> None:
+def test_feed_has_no_points_before_start_and_at_rest() -> None:
     stream = Streamed(E_SERIES)
     feed = stream.feed
     assert (feed.time, feed.reach(1.0), feed.ahead, feed.is_dry, feed.is_answered) == (0.0, 0.0, 0.0, True, True)
@@ -107,7 +107,7 @@ def test_points_may_come_before_first_report() -> None:
     assert stream.path[-1] == pytest.approx(wave(0.5).q, abs=2e-2)
 
 
-def test_farewell_contains_only_a_stop() -> None:
+def test_end_message_of_a_stream_contains_only_a_stop() -> None:
     """The program does not end on its own."""
     assert struct.unpack(f">{MESSAGE}i", StreamFeed.farewell) == (STOP, *[0] * (MESSAGE - 1))
     assert not StreamFeed.survives_its_program
@@ -169,7 +169,7 @@ def test_cut_is_repeated_if_messages_may_be_lost(is_lossy: bool) -> None:
 
 
 @pytest.mark.parametrize("cycles", [0, 2, 10])
-def test_time_without_states_is_counted(cycles: int) -> None:
+def test_feed_measures_the_time_without_states(cycles: int) -> None:
     """After three or more cycles, a report may be older than the state that comes with it."""
     stream = moves(Streamed(E_SERIES))
     stream.run(cycles, is_frozen=True)
@@ -178,7 +178,7 @@ def test_time_without_states_is_counted(cycles: int) -> None:
     assert stream.feed._unseen == pytest.approx(passed if cycles > 1 else 0.0)
 
 
-def test_forgetting_unappended_points_keeps_end() -> None:
+def test_forgetting_points_never_appended_does_not_change_the_end() -> None:
     stream = moves(Streamed(E_SERIES))
     stream.feed.replace(0.67, ())
     end = mark(stream)
@@ -256,7 +256,7 @@ def test_append_future_is_done_when_last_point_was_sent() -> None:
 
 
 @pytest.mark.parametrize("cycles", [0, 1, 2, 3, 30])
-def test_time_is_right_after_computer_was_frozen(cycles: int) -> None:
+def test_stream_time_is_correct_after_the_computer_was_frozen(cycles: int) -> None:
     """The first reports after that are older than the state."""
     stream = moves(Streamed(E_SERIES, way=3), 0.3)
     for _ in range(20):
@@ -385,7 +385,7 @@ def test_points_are_replaced_right_after_resuming_from_braking(cycles: int) -> N
     assert np.abs(qddd).max() < JERK * 1.05
 
 
-def test_first_points_are_all_kept() -> None:
+def test_first_points_of_a_stream_are_all_queued() -> None:
     stream = Streamed(E_SERIES)
     stream.append([TrajectoryPoint(turned(angle), t) for angle, t in ((0.05, 0.05), (0.0, 2.0))])
     stream.run(1)
@@ -410,7 +410,7 @@ def test_replacing_with_same_points_takes_four_cycles() -> None:
     assert stream.feed._queue[0].time == pytest.approx(begin + 4 * stream.period)
 
 
-def test_point_at_current_time_is_past_at_rest() -> None:
+def test_replacing_points_at_the_current_time_are_skipped_at_rest() -> None:
     stream = Streamed(E_SERIES)
     stream.replace(0.0, [TrajectoryPoint(turned(0.1 * t), t, [0] * 6) for t in (0.0, 0.5, 1.0)])
     assert [aim.time for aim in stream.feed._queue] == [0.5, 1.0]
@@ -447,7 +447,7 @@ def test_replacement_at_rest_skips_unreachable_points() -> None:
 
 
 @pytest.mark.parametrize(("buffer", "cycles", "starved"), [(0.1, 20, 0), (0.1, 100, 1), (0.3, 100, 0), (0.3, 200, 1)])
-def test_late_points_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
+def test_points_that_arrived_too_late_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
     """The network is blocked in both directions, partly for longer than the program holds points."""
     stream = moves(Streamed(E_SERIES, buffer=buffer), 0.5)
     begin = len(stream.path)
@@ -688,7 +688,7 @@ def test_unreachable_points_after_pause_end_stream() -> None:
 # -- abandoned points --------------------------------------------------------------------------------------
 
 
-def test_abandoned_unsent_points_are_removed() -> None:
+def test_unsent_points_of_an_abandoned_call_are_removed() -> None:
     """The next points begin where the previous ones end; if no points are left, they begin at rest."""
     stream = Streamed(E_SERIES)
     feed = stream.feed
@@ -707,7 +707,7 @@ def test_abandoned_unsent_points_are_removed() -> None:
     assert not np.ptp(stream.path or [list(HOME)], axis=0).any()
 
 
-def test_abandoned_sent_points_are_still_reached() -> None:
+def test_sent_points_of_an_abandoned_call_are_still_reached() -> None:
     stream = Streamed(E_SERIES, buffer=0.3)
     handed = stream.append(waves(0.05, 1.0))
     stream.until(lambda: stream.feed.time > 0.2)
@@ -745,7 +745,7 @@ def test_points_abandoned_after_clear_keep_end() -> None:
     assert end.moment.qd == pytest.approx(wave(end.time).qd, abs=1e-4)
 
 
-def test_stream_is_dry_when_points_are_dropped_after_the_cut() -> None:
+def test_stream_is_dry_after_points_behind_a_cut_were_dropped() -> None:
     """The program has opened an epoch for points that will not be sent."""
     stream = Streamed(E_SERIES)
     handed = stream.append(waves(0.05, 0.5))
@@ -777,7 +777,7 @@ class Paces:
 
 
 @pytest.mark.parametrize(("change", "paces"), [(0.0, 0), (0.0004, 2), (0.0015, 3)])
-def test_pace_changed_by_a_thousandth_is_sent_before_point(change: float, paces: int) -> None:
+def test_pace_change_of_0_1_percent_is_sent_before_the_next_point(change: float, paces: int) -> None:
     """The program receives one message in each cycle."""
     stream, pace = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, pace)
@@ -792,7 +792,7 @@ def test_pace_changed_by_a_thousandth_is_sent_before_point(change: float, paces:
     assert (kinds.count(WAIT), kinds.count(POINT)) == (paces, 6 - paces)
 
 
-def test_arm_reports_motion_to_common_pace() -> None:
+def test_stream_reports_its_motion_to_the_common_pace() -> None:
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
     stream.run(5)

@@ -187,7 +187,7 @@ def test_rounding_does_not_exceed_limits() -> None:
             bounds().check([step], ["one"])
 
 
-def test_corner_has_no_acceleration() -> None:
+def test_acceleration_is_not_checked_between_straight_steps() -> None:
     """Speeds jump between straight steps; the program on the robot brakes there."""
     there, back = only(0, 0.0, 0.02), only(0, 0.0, 0.0)
     bounds().check([Step.to(back, there, 0.02, 1), Step.to(there, back, 0.02, 1)], ["one", "two"])
