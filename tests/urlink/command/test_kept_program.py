@@ -266,7 +266,7 @@ def test_program_sent_before_stop_is_not_stopped_when_it_begins() -> None:
     assert not script.done
 
 
-def test_reader_does_not_wait_when_controller_reads_nothing() -> None:
+def test_reader_thread_does_not_wait_if_send_buffer_is_full() -> None:
     desk = Programming()
     stopped(desk)
     desk.primary.room = 0
@@ -352,7 +352,7 @@ def test_kept_program_is_stopped_without_enable() -> None:
 
 
 @pytest.mark.parametrize(("firmware", "stops"), [("5.11", 2), ("1.8", 1)])
-def test_stop_is_repeated_only_when_ends_are_reported(firmware: str, stops: int) -> None:
+def test_stop_is_repeated_only_on_firmware_that_reports_program_ends(firmware: str, stops: int) -> None:
     """A CB2 does not report ends by name, so a program that runs later may be a different one."""
     desk = Programming(firmware=firmware)
     run = desk.motion(asks=False)

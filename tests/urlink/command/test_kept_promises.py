@@ -89,7 +89,7 @@ def test_claims_are_marked_closed_before_release(monkeypatch: pytest.MonkeyPatch
     assert seen[0] is True
 
 
-def test_claims_are_registered_before_they_connect(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_claims_are_registered_before_connecting(monkeypatch: pytest.MonkeyPatch) -> None:
     with urlink.connect("sim://") as robot:
         brief, seen = robot.rtde._brief, []
         subscribe = Connection.subscribe_inline
@@ -174,7 +174,7 @@ def test_stream_opened_after_rtde_close_is_closed() -> None:
 # -- between two threads -----------------------------------------------------------------------------------
 
 
-def test_registers_of_a_kind_have_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_output_registers_of_one_type_share_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     with urlink.connect("sim://") as robot:
         made = []
         outputs = type(robot.rtde).outputs

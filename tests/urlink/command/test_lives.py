@@ -489,7 +489,7 @@ def test_replacing_program_drops_pending_undos(
     undos.close()
 
 
-def test_motion_sent_while_stop_waits_is_not_stopped(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_that_had_to_wait_does_not_stop_a_newer_motion(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
     one, others = desk.motion(), list[Any]()
     prepare = desk.channel._prepare
 

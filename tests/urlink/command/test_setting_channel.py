@@ -202,7 +202,7 @@ def test_setting_uses_rtde_again_half_a_second_after_a_script() -> None:
     assert len(desk.sent) == 3
 
 
-def test_setting_without_inputs_is_sent_as_text() -> None:
+def test_setting_without_rtde_inputs_is_sent_as_script() -> None:
     """For example, whether an analogue output is a voltage or a current is unknown before the robot reports it."""
     desk = Desk()
     desk.send(None)
