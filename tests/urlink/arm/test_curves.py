@@ -76,7 +76,7 @@ def test_position_beyond_a_curve_end_maps_to_that_end() -> None:
     assert Line([1.0] * 6, [1.0] * 6).part([0.0] * 3) == 0.0
 
 
-def test_fixed_tool_turns_with_arc() -> None:
+def test_tool_orientation_turns_with_the_arc_if_fixed() -> None:
     quarter = Arc(
         [1.0, 0, 0, 0, 0, 0.5], [math.sqrt(0.5), math.sqrt(0.5), 0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0], is_fixed=True
     )

@@ -100,7 +100,7 @@ def test_reach_is_between_stretched_arm_and_wrist(arm: Model) -> None:
 
 
 @EVERY
-def test_links_weigh_most_of_the_arm(arm: Model) -> None:
+def test_link_masses_add_up_to_most_of_the_arm_weight(arm: Model) -> None:
     weight = WEIGHTS[arm.name]
     if weight is None:
         pytest.skip(f"the weight of a {arm.name} is not known here")

@@ -317,7 +317,7 @@ def test_captured_connections_are_found() -> None:
     assert _CAPTURES
 
 
-def test_dissection_equals_decoded_packet() -> None:
+def test_dissected_values_equal_the_decoded_packet() -> None:
     state = RealtimeState("5.11", q_actual=[1, 2, 3, 4, 5, 6])
     (piece,) = dissect(bytes(state), "realtime", None)
     values = {row.name: row.value for row in piece.rows}

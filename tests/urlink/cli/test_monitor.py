@@ -273,7 +273,7 @@ def test_status_is_slow_when_states_are_missing(address: str, controller: Contro
         assert view.stats.missed
 
 
-def test_age_text_uses_suitable_unit() -> None:
+def test_age_text_uses_milliseconds_seconds_or_minutes() -> None:
     assert [age_text(age) for age in (0.0021, 3.44, 90, 1200)] == ["2 ms", "3.4 s", "90.0 s", "20 min"]
 
 

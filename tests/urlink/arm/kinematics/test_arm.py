@@ -277,7 +277,7 @@ def test_inverse_keeps_the_turns_of_an_endless_joint() -> None:
 
 
 @EVERY
-def test_each_branch_keeps_index_along_path(arm: Arm) -> None:
+def test_branch_keeps_its_index_along_a_path(arm: Arm) -> None:
     begin, end = np.array([0.4, -1.4, 1.8, -1.2, 1.3, 0.2]), np.array([0.6, -1.3, 1.7, -1.1, 1.1, 0.5])
     path = arm.forward(begin + np.linspace(0.0, 1.0, 200)[:, None] * (end - begin))
     ways = arm.branches(path)
@@ -516,7 +516,7 @@ def test_inverse_matches_joints_reported_by_controller(captures: Path, name: str
 
 
 @pytest.mark.captures("ur")
-def test_oldest_package_does_not_report_tcp(captures: Path) -> None:
+def test_oldest_cartesian_package_contains_no_tcp(captures: Path) -> None:
     found = subpackages(captures / "cb2_old_state_465.bin")
     reported, tcp = cartesian(found)
     assert tcp is None

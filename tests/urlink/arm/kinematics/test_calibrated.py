@@ -153,7 +153,7 @@ def test_calibrated_branches_are_exact_and_close_to_published_arm() -> None:
     np.testing.assert_allclose(arm.branches(there[0]), ours[0], atol=1e-9)
 
 
-def test_refinement_takes_three_steps_to_full_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refinement_reaches_full_precision_in_three_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = calibrated("UR5e", 5)
     rng = np.random.default_rng(14)
     q = rng.uniform(-3.0, 3.0, (200, 6))
