@@ -78,7 +78,7 @@ def test_name_in_page_resolves_to_its_public_name(names: Any, text: str, name: s
     assert names.public(text, False) == name
 
 
-def test_page_of_rhdlink_prefers_its_names(names: Any) -> None:
+def test_page_of_rhdlink_prefers_names_of_rhdlink(names: Any) -> None:
     assert names.public("connect", True) == "rhdlink.connect"
     assert names.public("robot.sync", True) == "rhdlink.Variables.sync"
 

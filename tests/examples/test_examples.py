@@ -147,7 +147,7 @@ def test_notebook_cells_show_their_last_values(tmp_path: Path, monkeypatch: pyte
     ]
 
 
-def test_rtde_cell_counts_up() -> None:
+def test_rtde_cell_prints_increasing_numbers() -> None:
     lines = output("rtde_cell.py", "--count", "5").splitlines()
     counted = [int(line.rpartition(" ")[2]) for line in lines]
     assert len(counted) == 5
