@@ -121,7 +121,7 @@ def test_images_are_equal_from_several_threads(drawing: MujocoWorld) -> None:
     assert all((each == pictures[0]).all() for each in pictures)
 
 
-def test_renderer_is_freed_when_other_thread_collects(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_renderer_is_freed_when_collected_in_another_thread(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     failed: list[object] = []
     monkeypatch.setattr(sys, "unraisablehook", failed.append)
     before = set(threading.enumerate())

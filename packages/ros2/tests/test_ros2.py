@@ -126,7 +126,9 @@ def test_cancelled_goal_and_ended_client_stop_the_arm(robot: urlink.Robot, drive
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_goal_is_cancelled_when_one_of_two_clients_dies(robot: urlink.Robot, drive: Drive, end: signal.Signals) -> None:
+def test_goal_is_cancelled_when_its_client_dies_and_another_lives(
+    robot: urlink.Robot, drive: Drive, end: signal.Signals
+) -> None:
     with serve({"arm": robot}):
         watching = drive("watch", "120", wait=False)
         assert json.loads(watching.stdout.readline()) == {"ready": True}
