@@ -600,7 +600,7 @@ def test_loop_delays_accept_when_descriptors_are_exhausted(bench: Bench, monkeyp
     bench.serve(lambda: bench.handlers[0].data)
 
 
-def test_port_can_refuse_and_listen_again(bench: Bench) -> None:
+def test_port_can_stop_listening_and_listen_again(bench: Bench) -> None:
     _, kept = bench.client()
     number = bench.port.number
     bench.port.refuse()

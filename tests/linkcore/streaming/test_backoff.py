@@ -51,7 +51,7 @@ def test_wait_with_jitter_does_not_exceed_the_maximum() -> None:
     assert max(first_waits(Backoff(first=1, factor=2, most=4, jitter=0.5), 200)) <= 4
 
 
-def test_two_clients_get_different_waits() -> None:
+def test_two_clients_get_different_backoff_waits() -> None:
     assert first_waits(Backoff(jitter=0.2)) != first_waits(Backoff(jitter=0.2))
 
 
