@@ -217,7 +217,7 @@ def test_equal_changes_for_two_observers_share_one_selection() -> None:
     assert table.select(ids) is table.select(ids)
 
 
-def test_now_lies_between_the_surrounding_times() -> None:
+def test_successive_times_of_the_database_never_decrease() -> None:
     before, stamp, after = now(), now(), now()
     assert before <= stamp <= after
     assert TimeStamp(3, 250_000).time == 3.25

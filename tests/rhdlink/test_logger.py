@@ -42,7 +42,7 @@ def read_table(path: Path) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def test_table_has_every_tick_and_every_value(tmp_path: Path) -> None:
+def test_logger_table_has_every_tick_and_every_value(tmp_path: Path) -> None:
     logger = Logger(tmp_path / "drive.csv")
     drive(logger)
     head, rows = read_table(tmp_path / "drive.csv")

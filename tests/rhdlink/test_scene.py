@@ -32,7 +32,7 @@ def test_tape_has_its_brightness_and_width() -> None:
     assert seen(scene, (0.5, 0.0)) == [0.5]
 
 
-def test_floor_may_be_dark() -> None:
+def test_scene_accepts_a_dark_floor_with_bright_tape() -> None:
     scene = Scene([Tape(((0.0, 0.0), (1.0, 0.0)), brightness=1.0)], floor=0.2)
     assert seen(scene, (0.5, 0.0), (0.5, 0.5)) == [1.0, 0.2]
 

@@ -432,7 +432,7 @@ def test_decoders_reject_invalid_widths(width: int) -> None:
         ClientDecoder(TableLayout([1]), width=width)
 
 
-def test_largest_row_is_encoded() -> None:
+def test_largest_allowed_row_is_encoded() -> None:
     assert encode_table("r", [SymbolRow("n" * 32, 2**31 - 1)]) == b"tr\0\0\0\1\x7f\xff\xff\xff" + b"n" * 32 + b"\0"
 
 
