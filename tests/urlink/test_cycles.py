@@ -460,7 +460,7 @@ def test_connection_leaves_no_reference_cycle(address: str, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_calls_cover_every_method_that_sends() -> None:
+def test_reference_cycle_tests_cover_every_sending_method() -> None:
     own = {
         f"{held.__name__}.{name}"
         for held in SURFACE

@@ -29,7 +29,7 @@ def desk() -> Desk:
     return desk
 
 
-def test_motion_times_out_after_half_a_second_without_room(desk: Desk) -> None:
+def test_motion_times_out_if_send_buffer_is_full_for_0_5_s(desk: Desk) -> None:
     # If only a part was sent, the connection is aborted, so that the controller does not receive the rest.
     for room, aborts in ((0, 0), (3, 1)):
         desk.waits.clear()
@@ -80,7 +80,7 @@ def test_motion_checks_interlock_again_after_each_wait(desk: Desk, room: int) ->
 
 
 @pytest.mark.parametrize("room", [0, 3])
-def test_text_does_not_continue_on_another_connection(desk: Desk, room: int) -> None:
+def test_partly_sent_script_is_not_continued_on_a_new_connection(desk: Desk, room: int) -> None:
     desk.primary.room = room
 
     def reconnect() -> None:
@@ -153,7 +153,7 @@ def test_interrupted_text_is_not_continued_after_signal_handler(desk: Desk) -> N
     assert (desk.sent, desk.primary.aborts) == (["mov", "stopj(2)\n"], 1)
 
 
-def test_waiting_for_text_of_another_thread_sleeps(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thread_sleeps_while_another_thread_sends_its_script(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk.primary.room = 3
     begun, go_on = threading.Event(), threading.Event()
 
@@ -246,7 +246,7 @@ def test_claimed_text_is_sent_when_its_task_is_cancelled(desk: Desk, monkeypatch
     assert desk.sent == [f"{TEXT}\n"]
 
 
-def test_discard_aborts_only_recently_sent_text(desk: Desk) -> None:
+def test_discard_aborts_only_if_a_script_was_sent_recently(desk: Desk) -> None:
     desk.channel.discard(1000.0)
     assert desk.primary.aborts == 0  # nothing was ever sent
     desk.channel.motion(TEXT)

@@ -207,7 +207,7 @@ def test_silence_reported_by_reader_ends_motions_once() -> None:
     assert isinstance(interlock.refusal_to_begin(2.6), NotEnabled)
 
 
-def test_missing_part_of_report_keeps_previous_value() -> None:
+def test_missing_part_of_a_state_keeps_the_previous_value() -> None:
     """A state without the safety part must not clear a stop."""
     interlock = Interlock()
     interlock.report("primary", STOP, 1.0)

@@ -474,7 +474,7 @@ def test_texts_before_the_beginning_are_ignored(robot: ScriptedController) -> No
     assert heard == ["1"]
 
 
-def test_secondary_program_has_no_texts(robot: ScriptedController) -> None:
+def test_texts_of_a_secondary_program_stay_empty(robot: ScriptedController) -> None:
     heard: list[str] = []
     robot.clear()
     program = robot.script.run("sec blink():\n  textmsg(1)\nend", on_text=heard.append)

@@ -644,7 +644,7 @@ def test_unread_text_times_out(robot: ScriptedController, monkeypatch: pytest.Mo
         robot.clear()
 
 
-def test_text_does_not_continue_on_next_connection(robot: ScriptedController) -> None:
+def test_partly_sent_text_is_not_continued_on_next_connection(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     sender, raised = send(robot, "movej(q)")

@@ -376,7 +376,9 @@ def offset(*pose: float) -> CartesianInfo:
         ((0, 0, 0, 0, 0, 0.5), (0, 0, 0, 0, 0, -0.5), False),
     ],
 )
-def test_tcp_is_confirmed_by_equal_pose(wanted: tuple[float, ...], shown: tuple[float, ...], is_same: bool) -> None:
+def test_tcp_is_confirmed_when_the_reported_pose_is_equal(
+    wanted: tuple[float, ...], shown: tuple[float, ...], is_same: bool
+) -> None:
     robot = Answering()
     assert robot.is_confirmed(lambda settings, confirm: settings.tcp(wanted, confirm), offset(*shown)) == is_same
     assert robot.doubts == (not is_same)
@@ -461,7 +463,7 @@ def test_setting_is_not_confirmed_by_states_without_its_fields() -> None:
             act()
 
 
-def test_likely_cause_is_named_without_dashboard() -> None:
+def test_not_confirmed_error_names_a_cause_without_dashboard() -> None:
     asked: list[str] = []
 
     def is_remote() -> bool | None:

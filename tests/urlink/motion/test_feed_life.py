@@ -21,7 +21,7 @@ def test_feed_event_outside_transition_table_raises(phase: FeedPhase, event: Fee
         assert life.phase is phase
 
 
-def test_every_phase_can_be_reached() -> None:
+def test_every_phase_of_a_feed_can_be_reached() -> None:
     reached, waiting = {FeedPhase.STARTING}, [FeedPhase.STARTING]
     while waiting:
         phase = waiting.pop()

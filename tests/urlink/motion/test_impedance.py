@@ -177,7 +177,7 @@ def test_gains_change_without_jump() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.3, 1.0])
-def test_swing_matches_damping_ratio(ratio: float) -> None:
+def test_oscillation_of_joints_matches_the_damping_ratio(ratio: float) -> None:
     """Release the base 30 mrad from its aim: the damping ratio determines how much each swing shrinks.
 
     The other joints are stiff, so that the arm is one mass. Damping in addition to the ratio is taken into account.

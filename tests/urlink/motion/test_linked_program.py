@@ -238,7 +238,7 @@ def test_lost_connection_is_reported_after_a_second_without_reason(talk: Talk) -
     assert not any("stopj" in text for text in talk.robot.sent)
 
 
-def test_safety_stop_is_reported_instead_of_loss(talk: Talk) -> None:
+def test_safety_stop_is_reported_instead_of_a_lost_connection(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("reset")
     talk.look()
@@ -322,7 +322,7 @@ def taken() -> Talk:
 @pytest.mark.parametrize(
     ("open_link", "raised", "error"), [(taken, BadAddress, BadAddress), (interrupted, KeyboardInterrupt, LocalError)]
 )
-def test_unavailable_link_fails_motion(
+def test_motion_fails_when_its_link_is_unavailable(
     talk: Talk, open_link: Callable[[], Talk], raised: type[BaseException], error: type[Exception]
 ) -> None:
     talk.program._open_link = open_link
@@ -431,7 +431,7 @@ def test_loop_messages_are_dropped_during_pause(talk: Talk) -> None:
 
 
 @pytest.mark.parametrize("state", [ProgramState.PAUSING, ProgramState.PAUSED, ProgramState.PLAYING])
-def test_pause_is_detected_in_unprocessed_state(talk: Talk, state: ProgramState) -> None:
+def test_pause_is_detected_in_a_state_not_processed_yet(talk: Talk, state: ProgramState) -> None:
     """The user's loop might receive a state before the thread that replies to states does."""
     context, found = talk.program._context, []
     for latest, holds in ((None, False), (SimpleNamespace(program_state=state), False), (None, True)):
@@ -452,7 +452,7 @@ def test_dialogue_resumes_once_after_pause(talk: Talk, monkeypatch: pytest.Monke
     assert not talk.program._pause.is_over
 
 
-def test_link_callback_is_released_at_end(talk: Talk) -> None:
+def test_link_callback_is_removed_when_the_program_ends(talk: Talk) -> None:
     """The callback refers to the handle, and the handle refers to the program."""
     talk.begin().motion.cancel()
     linked = talk.linked

@@ -168,7 +168,7 @@ def test_append_waits_a_minute_for_room_by_default(stream: Any) -> None:
     assert waited == [60.0]
 
 
-def test_second_producer_is_rejected(stream: Any) -> None:
+def test_points_from_a_second_thread_are_rejected(stream: Any) -> None:
     with stream._producing():
         with pytest.raises(LocalError, match="only one may do so at once"):
             stream.append(there(0.1, 0.4))

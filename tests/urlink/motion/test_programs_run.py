@@ -94,7 +94,7 @@ def test_program_coasts_at_decreasing_speed(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_coasting_uses_sent_speed_not_differences(firmware: Firmware) -> None:
+def test_program_coasts_at_the_sent_speed(firmware: Firmware) -> None:
     most = links.missable(0.1, firmware.rate)
     late = streaming(firmware, watchdog=0.1)
     targets: list[list[float]] = []

@@ -208,7 +208,7 @@ def test_slider_effect_matches_declaration(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_loop_advancing_at_slider_0_is_rejected() -> None:
+def test_set_points_that_advance_at_slider_0_are_rejected() -> None:
     """The budget counts the time of the program: with the slider at 0, the arm could only jump afterwards."""
     one = Cell("UR5e", "5.11")
     try:

@@ -507,7 +507,7 @@ def test_points_in_late_messages_are_sent_again(count: int) -> None:
     assert feed._head == feed._steps[-1].number == sent[0].number - 1
 
 
-def test_report_corrects_time() -> None:
+def test_report_of_the_robot_corrects_the_stream_time() -> None:
     stream = moves(Streamed(E_SERIES))
     before, begin = stream.feed.time, stream.bench.cycle
     stream.feed._passed += 0.01

@@ -97,7 +97,7 @@ def test_points_of_replacing_curve_need_minimum_interval() -> None:
 
 
 @pytest.mark.parametrize("time", [math.inf, math.nan, -1.0])
-def test_time_of_pose_is_checked(time: float) -> None:
+def test_time_of_a_pose_point_is_checked(time: float) -> None:
     with pytest.raises(BadValue, match="time"):
         PosePoint([0.1, 0.2, 0.3, 0.0, 0.0, 0.0], time)
 

@@ -214,7 +214,7 @@ def test_missing_outputs_end_stream(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_second_producer_is_rejected(connect: Callable[..., Robot]) -> None:
+def test_points_from_a_second_thread_are_rejected(connect: Callable[..., Robot]) -> None:
     robot = connect()
     raised: list[Exception] = []
     with robot.motion.stream() as stream:

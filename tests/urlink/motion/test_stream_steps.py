@@ -61,7 +61,7 @@ def same(one: JointMoment, other: JointMoment, *names: str) -> bool:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(("degree", "met"), [(1, ["q"]), (3, ["q", "qd"]), (5, ["q", "qd", "qdd"])])
-def test_step_meets_conditions_of_given_degree(degree: int, met: list[str], seed: int) -> None:
+def test_step_reaches_begin_and_end_for_each_degree(degree: int, met: list[str], seed: int) -> None:
     rng = np.random.default_rng(seed)
     begin, end, length = random_moment(rng), random_moment(rng), float(rng.uniform(0.1, 2.0))
     step = Step.to(begin, end, length, degree)
@@ -359,7 +359,7 @@ def test_path_joins_curve_at_last_point_if_necessary() -> None:
 @pytest.mark.parametrize(
     ("ends", "is_past"), [(1.0, True), (1.0 + 1.4 * SHORTEST, True), (1.0 + 1.6 * SHORTEST, False)]
 )
-def test_past_points_are_rejected(ends: float, is_past: bool) -> None:
+def test_points_in_the_past_are_rejected(ends: float, is_past: bool) -> None:
     curve, here = ramp(ends - 0.5, ends), only(5, 0.2, 0.2)
     why = rf"all points are in the past: the last is at {ends:g} s, but points are needed from 1 s on"
     with pytest.raises(BadValue, match=why) if is_past else contextlib.nullcontext():

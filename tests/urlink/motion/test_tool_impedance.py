@@ -176,7 +176,7 @@ def test_gains_change_without_jump() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.4])
-def test_swing_of_tool_matches_damping_ratio(ratio: float) -> None:
+def test_oscillation_of_tool_matches_the_damping_ratio(ratio: float) -> None:
     """Release the tool sideways on a soft spring. The other axes are stiff; they and the joints damp a little, too."""
     soft = SoftTool(
         stiffness=[1500.0, 200.0, 1500.0, 100.0, 100.0, 100.0],

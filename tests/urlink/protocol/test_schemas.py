@@ -557,7 +557,7 @@ def test_robot_modes_depend_on_generation() -> None:
     assert RobotModeData("5.4", robot_mode=100).robot_mode == 100
 
 
-def test_unknown_codes_decode() -> None:
+def test_unknown_codes_are_decoded_as_unknown_numbers() -> None:
     state = RealtimeState("5.10", robot_mode=99, joint_modes=[1, 2, 3, 4, 5, 6], safety_mode=-7, program_state=1000)
     assert state.joint_modes == (1, 2, 3, 4, 5, 6)
     assert state.to_dict()["robot_mode"] == "UNKNOWN_99"

@@ -224,7 +224,7 @@ def test_program_that_ends_while_moving_brakes(watched: Watched) -> None:
     assert watched.steadiest < 12
 
 
-def test_new_program_takes_over_at_speed(watched: Watched) -> None:
+def test_new_program_continues_at_the_current_speed(watched: Watched) -> None:
     watched.take(SPIN).step(1)
     watched.take(TURN).step(0.01)
     assert watched.story == ["started spin", "stopped spin", "started turn"]

@@ -13,7 +13,7 @@ lengths = st.floats(1e-3, 10.0)
 rates = st.floats(0.05, 50.0)
 
 
-def test_zero_length_takes_no_time() -> None:
+def test_profile_of_zero_length_takes_no_time() -> None:
     assert Trapezoid(0.0, 1.0, 1.0).duration == 0.0
     assert Trapezoid(0.0, 1.0, 1.0).at(0.0) == (0.0, 0.0, 0.0)
 

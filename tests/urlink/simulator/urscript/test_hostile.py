@@ -301,7 +301,7 @@ def test_memory_of_variables_is_bounded() -> None:
 
 
 @pytest.mark.slow
-def test_memory_of_frames_is_bounded() -> None:
+def test_memory_of_call_frames_is_bounded() -> None:
     text = f"def f(n):\n  local x = make_list({MAX_ELEMENTS - 1}, 1.5)\n  sync()\n  f(n)\n  textmsg(x)\nend\nf(1)"
     assert "error" in error_of(text, cycles=1000)
     lines = [f"local x{i} = make_list({MAX_ELEMENTS - 1}, {i})" for i in range(5)]
