@@ -232,7 +232,7 @@ def test_kinematics_tool_and_status_calls_return_values(controller: Controller, 
 
 
 @pytest.mark.slow
-def test_calls_work_after_stop_and_reconnect(
+def test_ur_rtde_calls_work_after_a_stop_and_a_reconnection(
     controller: Controller, control: RTDEControlInterface, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert control.isProgramRunning()

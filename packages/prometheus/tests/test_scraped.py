@@ -105,7 +105,7 @@ def test_prometheus_stores_every_metric_with_type_and_value(
     assert rate[1] > 0.0
 
 
-def test_alarms_of_page_fire(prometheus: Scraper, urlink_controller: Controller) -> None:
+def test_documented_alarms_fire(prometheus: Scraper, urlink_controller: Controller) -> None:
     stands, loses = re.findall(r"`([^`]+ (?:== 0|> 1))`", re.sub(r"\s+", " ", PAGE.read_text(encoding="utf-8")))
     assert not prometheus.found(stands)
     urlink_controller.faults.protective_stop()
