@@ -176,7 +176,7 @@ def test_each_async_part_works_like_its_blocking_part(controller: Controller) ->
 
 
 @pytest.mark.slow
-def test_history_and_live_plot_of_a_stream(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_async_stream_has_history_and_live_plot(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[tuple[plotting.Plot, float]] = []
     monkeypatch.setattr(plotting.LivePlot, "update", lambda self, plot, pause: drawn.append((plot, pause)))
 

@@ -37,7 +37,7 @@ WEIGHTS: dict[str, float | None] = {
 }
 
 
-def test_table_contains_every_arm_by_name() -> None:
+def test_model_table_contains_every_arm_by_name() -> None:
     assert list(MODELS) == list(WEIGHTS)
     assert all(arm.name == name for name, arm in MODELS.items())
     with pytest.raises(TypeError):

@@ -59,7 +59,7 @@ def test_guesses_in_comments_and_docstrings_are_counted() -> None:
 
 
 @pytest.mark.slow
-def test_table_lists_every_guess() -> None:
+def test_parameter_table_lists_every_guess() -> None:
     """A module that mentions more guesses than the table has rows for it has a guess that is not listed."""
     listed = Counter(place(row) for row in ROWS if row.evidence == "guess")
     # The module that reads the table explains the word.

@@ -109,7 +109,7 @@ def expected(policy: Policy, state: str, event: str) -> str:
 @pytest.mark.parametrize("event", EVENTS)
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_event_in_state_gives_expected_verdict(policy: Policy, state: str, event: str) -> None:
+def test_interlock_event_gives_expected_verdict_in_each_state(policy: Policy, state: str, event: str) -> None:
     driver = Driver(policy)
     for each in STATES[state]:
         driver.do(each)

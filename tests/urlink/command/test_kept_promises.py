@@ -104,7 +104,7 @@ def test_claims_are_registered_before_connecting(monkeypatch: pytest.MonkeyPatch
     assert seen == [True]
 
 
-def test_settings_connect_with_claim_timeout() -> None:
+def test_settings_use_the_claim_timeout_for_connecting() -> None:
     with urlink.connect("sim://") as robot:
         claims = robot.rtde._connect_briefly(Requests(("timestamp",), None))
         assert claims._connection._timeout == CLAIM_TIMEOUT

@@ -187,7 +187,7 @@ def test_monitor_subscribes_again_after_connection_gave_up(desk: Monitored, stat
     assert desk.monitor.refusal_to_begin() is None  # an event of the previous subscription is ignored
 
 
-def test_partial_reports_of_primary_interface(desk: Monitored) -> None:
+def test_state_without_robot_mode_does_not_clear_a_violation(desk: Monitored) -> None:
     desk.clear()
     desk.primary.deliver(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
     assert "violation" in str(desk.monitor.refusal_to_begin())
@@ -307,7 +307,7 @@ def test_wait_for_wakes_at_every_change() -> None:
         assert desk.monitor.wait_for(look, 3600.0)
 
 
-def test_timeouts_of_first_and_next_report() -> None:
+def test_monitor_waits_two_seconds_for_first_report_then_half_a_second() -> None:
     """Two seconds for a first report; if something blocks motion, half a second for every source's next report."""
     desk = Desk(may_wait=True)
     asked: list[tuple[Callable[[Interlock], object], float]] = []

@@ -633,7 +633,9 @@ def test_rest_of_text_is_not_sent_after_stop(robot: ScriptedController) -> None:
     until(lambda: robot.slow.opened == 2)  # the controller cannot take later texts for the rest
 
 
-def test_unread_text_times_out(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_that_the_controller_does_not_read_times_out(
+    robot: ScriptedController, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("urlink.command.channel.SEND_TIMEOUT", 0.05)
     robot.clear()
     for room, opened in ((0, 1), (3, 2)):

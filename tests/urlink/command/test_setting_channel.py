@@ -124,7 +124,9 @@ def test_rtde_package_does_not_overtake_a_script(
 
 
 @pytest.mark.parametrize("error", [ConnectFailed("refused"), urlink.LinkTimeout("no answer")], ids=str)
-def test_missing_rtde_is_tried_once_per_connection(robot: ScriptedController, inputs: Inputs, error: LinkError) -> None:
+def test_rtde_is_tried_once_per_connection_if_it_is_missing(
+    robot: ScriptedController, inputs: Inputs, error: LinkError
+) -> None:
     inputs.error = error
     acts: list[Callable[[], object]] = [
         lambda: robot.io.set_digital_out(0, True, confirm=0.01),
@@ -144,7 +146,7 @@ def test_missing_rtde_is_tried_once_per_connection(robot: ScriptedController, in
     assert (len(inputs.written), len(robot.sent)) == (1, 3)
 
 
-def test_input_in_use_is_refused_separately(robot: ScriptedController, inputs: Inputs) -> None:
+def test_input_in_use_does_not_block_other_inputs(robot: ScriptedController, inputs: Inputs) -> None:
     inputs.held = {"speed_slider_mask"}
     with pytest.raises(NotConfirmed):
         robot.settings.speed_slider(0.5, 0.01)

@@ -229,7 +229,9 @@ def test_not_confirmed_error_names_the_likely_cause(firmware: str, is_remote: bo
         ("5.11", lambda r: r.io.set_flag(3, True)),
     ],
 )
-def test_setting_without_echo_does_not_wait(firmware: str, act: Callable[[ScriptedController], None]) -> None:
+def test_setting_that_states_do_not_show_does_not_wait(
+    firmware: str, act: Callable[[ScriptedController], None]
+) -> None:
     with ScriptedController(firmware) as robot:
         robot.clear()
         act(robot)

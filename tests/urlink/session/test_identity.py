@@ -268,7 +268,7 @@ def test_identify_leaves_no_threads() -> None:
 # -- kinematics ---------------------------------------------------------------------------------------
 
 
-def test_kinematics_of_unknown_arm_raise() -> None:
+def test_kinematics_of_an_unknown_arm_raise_local_error() -> None:
     for model, why in ((None, "does not report its arm model"), ("UR77", "unknown arm model UR77")):
         with pytest.raises(LocalError, match=why):
             _ = Identity(Firmware(1, 6), True, model).kinematics

@@ -450,7 +450,7 @@ def test_stops_appear_in_the_packets(controller: Controller, connect: Connect) -
 
 
 @pytest.mark.real_time
-def test_messages_go_only_to_the_primary_interface(controller: Controller, connect: Connect) -> None:
+def test_messages_are_sent_only_on_the_primary_interface(controller: Controller, connect: Connect) -> None:
     primary, secondary = connect(controller, "primary"), connect(controller, "secondary")
     # A greeting has two messages; the stop causes two more.
     controller.faults.protective_stop()

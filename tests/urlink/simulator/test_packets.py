@@ -121,7 +121,7 @@ def test_form_rejects_a_layout_with_text() -> None:
         Form(VersionMessage.LAYOUTS.of("5.11"))
 
 
-def test_realtime_packet_and_robot_state_agree() -> None:
+def test_realtime_packet_and_robot_state_have_equal_values() -> None:
     controller = Controller("UR10e", "5.11", motion=Demonstration())
     controller.arm.tcp = [0.0, 0.01, 0.1, 0.1, 0.2, 0.3]
     controller.signals.digital_inputs = 0x10102

@@ -418,7 +418,7 @@ def test_dashboard_commands_in_one_segment_run_in_order(controller: Controller, 
     ]
 
 
-def test_faults_disturb_the_dashboard(controller: Controller, connect: Connect) -> None:
+def test_connection_faults_also_affect_the_dashboard(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "dashboard")
     assert link.segment().startswith(b"Connected")
     controller.faults.garbage(b"???", "dashboard")
