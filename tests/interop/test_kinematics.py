@@ -56,7 +56,7 @@ class TestAnalytic:
         np.testing.assert_allclose(to_matrix(Arm(name).forward(q)), expected, rtol=0.0, atol=1e-12)
 
     @EVERY
-    def test_solutions_include_those_of_ur_analytic_ik(self, theirs: Any, name: str) -> None:
+    def test_inverse_solutions_include_those_of_ur_analytic_ik(self, theirs: Any, name: str) -> None:
         arm = Arm(name)
         compared = 0
         for matrix in to_matrix(arm.forward(postures(2))):
