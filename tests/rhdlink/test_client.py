@@ -264,7 +264,7 @@ def test_client_continues_after_a_corrupted_batch() -> None:
 # -- in step -----------------------------------------------------------------------------------
 
 
-def test_unsolicited_batch_during_a_request_is_not_taken_as_reply(
+def test_unsolicited_batch_is_not_taken_as_the_reply(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The server sent the batch before it received the request, so the batch only looks like the reply."""
@@ -832,7 +832,7 @@ def test_values_that_arrived_are_not_counted_as_discarded() -> None:
         assert robot.discarded == 0
 
 
-def test_kept_value_is_counted_as_discarded_if_variable_is_removed(caplog: pytest.LogCaptureFixture) -> None:
+def test_kept_value_counts_as_discarded_if_variable_is_removed(caplog: pytest.LogCaptureFixture) -> None:
     before, after = Robot(), Robot(write=("speedl",))
 
     def last(peer: Peer) -> None:

@@ -91,7 +91,7 @@ def adopt_reversed(replica: Replica) -> None:
         replica.adopt(database)
 
 
-def test_value_belongs_to_its_name_after_variables_were_reordered(host: rhdlink.Host, replica: Replica) -> None:
+def test_value_belongs_to_its_name_after_a_reordering(host: rhdlink.Host, replica: Replica) -> None:
     with rhdlink.connect(host.address) as robot:
         robot._replica = replica
         lock = replica.lock

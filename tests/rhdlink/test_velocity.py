@@ -99,7 +99,7 @@ def test_bridge_rejects_an_argument_that_is_not_a_function() -> None:
         VelocityBridge(3)  # type: ignore[arg-type]
 
 
-def test_slow_function_delays_no_tick_and_gets_the_newest_velocity() -> None:
+def test_slow_function_gets_newest_velocity_and_delays_no_tick() -> None:
     twists: list[Twist] = []
     entered, go_on = threading.Event(), threading.Event()
 

@@ -385,7 +385,7 @@ def test_too_large_package_is_rejected_before_it_arrives() -> None:
         assert ("no end within" in str(found[-1])) == (len(rows) > 1000)
 
 
-def test_decoder_reuses_selection_of_packages_with_same_variables(
+def test_decoder_reuses_selection_if_variables_are_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With eleven kinds of packages, including an empty one, the first is forgotten when the eleventh arrives."""

@@ -43,7 +43,7 @@ def is_home(address: str) -> bool:
     return False
 
 
-def test_realtime_protocol_without_packets_leaves_no_reference_cycle() -> None:
+def test_realtime_protocol_alone_leaves_no_reference_cycle() -> None:
     with collector_off():
         for _ in range(COUNT):
             RealtimeProtocol()

@@ -16,7 +16,7 @@ def test_every_parameter_has_a_generator_of_random_values() -> None:
     assert lacking() == [], _WHERE.format("surface")
 
 
-def test_every_rhdlink_parameter_has_a_generator_of_random_values() -> None:
+def test_every_rhdlink_parameter_has_a_random_generator() -> None:
     assert mobile.lacking() == [], _WHERE.format("mobile")
 
 

@@ -126,7 +126,7 @@ def test_cancelled_goal_and_ended_client_stop_the_arm(robot: urlink.Robot, drive
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_goal_is_cancelled_when_its_client_dies_and_another_lives(
+def test_goal_is_cancelled_when_its_client_but_no_other_dies(
     robot: urlink.Robot, drive: Drive, end: signal.Signals
 ) -> None:
     with serve({"arm": robot}):

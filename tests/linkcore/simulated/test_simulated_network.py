@@ -244,7 +244,7 @@ def test_rebooted_computer_resets_old_connections(sim: Simulation, robot: Comput
             link.recv(1)
 
 
-def test_suspended_computer_accepts_data_until_its_buffers_are_full(sim: Simulation, robot: Computer) -> None:
+def test_suspended_computer_accepts_data_until_buffers_are_full(sim: Simulation, robot: Computer) -> None:
     """The kernel still accepts data until its buffers are full."""
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT), timeout=1.0) as link:

@@ -303,7 +303,7 @@ def slow(seconds: int) -> int:
     return seconds
 
 
-def test_released_lock_is_given_to_a_thread_that_did_not_time_out() -> None:
+def test_lock_is_given_to_a_thread_that_has_not_timed_out() -> None:
     """Another waiter may time out at the moment of the release, before its thread has run again."""
 
     def hold(lock: threading.Lock) -> None:

@@ -53,7 +53,7 @@ def test_check_wait_accepts_the_longest_wait_of_the_system() -> None:
     assert check_wait(threading.TIMEOUT_MAX) == threading.TIMEOUT_MAX
 
 
-def test_check_overridden_accepts_defaults_but_rejects_given_values() -> None:
+def test_check_overridden_rejects_values_that_are_not_defaults() -> None:
     check_overridden("time sets the duration", speed=Default(1.05), delay=None)
     with pytest.raises(BadValue, match=r"speed=1\.05 would be ignored, since time sets the duration; omit speed"):
         check_overridden("time sets the duration", speed=1.05)

@@ -81,7 +81,7 @@ def test_closing_connection_always_reaches_closed(events: list[LifeEvent]) -> No
     assert one.phase is ConnectionPhase.CLOSED
 
 
-def test_failed_first_connection_is_not_retried_while_caller_waits() -> None:
+def test_first_connection_is_not_retried_while_a_caller_waits() -> None:
     one = life()
     one.use(is_patient=False, received=0)
     one.fire(LifeEvent.CONNECT)

@@ -133,7 +133,7 @@ def test_wrong_size_does_not_swallow_following_packets() -> None:
     assert (framer.skipped, framer.resyncs) == (7, 1)
 
 
-def test_packet_with_damaged_end_is_framed_if_next_header_is_valid() -> None:
+def test_packet_with_damaged_end_is_framed_before_valid_header() -> None:
     damaged = ONE[:-1] + b"!"
     frames, framer = fed(damaged)
     assert frames == []

@@ -116,7 +116,7 @@ def test_packet_class_decodes_old_and_new_field_order() -> None:
     assert old.extra is None
 
 
-def test_interleaved_field_group_decodes_with_and_without_new_field() -> None:
+def test_interleaved_fields_decode_with_and_without_new_field() -> None:
     old, new = (
         Twined("1.0", before=1, position=[2, 3], count=[4, 5]),
         Twined("2.0", before=1, position=[2, 3], mode=[1, 9]),

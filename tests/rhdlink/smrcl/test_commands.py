@@ -31,7 +31,7 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
-def test_function_of_each_command_accepts_its_declared_parameters(command: ScriptCommand) -> None:
+def test_function_of_each_command_accepts_its_parameters(command: ScriptCommand) -> None:
     effects, *parameters = inspect.signature(command.execute).parameters.values()
     assert effects.annotation == "MissionEffects"
     declared = [each.annotation for each in parameters]

@@ -275,7 +275,7 @@ def test_statements_after_a_new_variable_run_in_sound_profile() -> None:
         ("wait 1 @v n", "@v -nan is not a speed"),
     ],
 )
-def test_impossible_statement_fails_in_sound_but_not_in_mrc_profile(line: str, reason: str) -> None:
+def test_impossible_statement_fails_only_in_sound_profile(line: str, reason: str) -> None:
     source = f'array "q" 3\nz = 0\nn = 0/0\n{line}\neval 1\n'
     bench = Bench().run(source, cycles=300)
     assert bench.reason.startswith(reason)

@@ -131,7 +131,7 @@ def test_many_states_give_the_same_as_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("of", MODELS.values(), ids=MODELS)
-def test_rotor_inertias_are_added_to_the_diagonal_of_the_mass_matrix(of: Model) -> None:
+def test_rotor_inertias_are_added_to_the_mass_matrix_diagonal(of: Model) -> None:
     q, qd, qdd = np.full(6, 0.3), np.full(6, 0.5), np.arange(6.0)
     bare, whole, own = Dynamics(of), Dynamics(of, rotors=True), Dynamics(of, rotors=[1, 2, 3, 4, 5, 6])
     rotors = np.array(motors_of(of).rotor_inertias)

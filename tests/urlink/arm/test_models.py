@@ -118,7 +118,7 @@ def test_centre_of_mass_is_inside_link(arm: Model) -> None:
 
 
 @EVERY
-def test_position_limits_are_full_turns_and_speed_limits_are_round(arm: Model) -> None:
+def test_joint_limits_are_full_turns_and_round_speeds(arm: Model) -> None:
     assert (arm.position_limits[:, 0] == -arm.position_limits[:, 1]).all()
     assert (arm.position_limits[:5, 1] == 2.0 * math.pi).all()
     assert math.isinf(arm.position_limits[5, 1]) == arm.name.startswith("UR3") & (arm.name != "UR30")

@@ -190,7 +190,7 @@ NEWS: dict[str, tuple[Callable[[CommandChannel], object], RobotState, bool]] = {
 
 
 @pytest.mark.parametrize("name", NEWS)
-def test_call_waits_for_next_state_when_last_state_forbids_motion(
+def test_call_waits_for_next_state_if_last_one_forbids_motion(
     desk: Desk, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The blocking state may be outdated, so the call waits for the next report."""

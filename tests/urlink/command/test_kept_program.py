@@ -352,7 +352,7 @@ def test_kept_program_is_stopped_without_enable() -> None:
 
 
 @pytest.mark.parametrize(("firmware", "stops"), [("5.11", 2), ("1.8", 1)])
-def test_stop_is_repeated_only_on_firmware_that_reports_program_ends(firmware: str, stops: int) -> None:
+def test_stop_is_repeated_only_if_firmware_reports_program_ends(firmware: str, stops: int) -> None:
     """A CB2 does not report ends by name, so a program that runs later may be a different one."""
     desk = Programming(firmware=firmware)
     run = desk.motion(asks=False)
@@ -589,7 +589,7 @@ def test_program_cancelled_before_stop_is_stopped_after_stop(caplog: pytest.LogC
     assert caplog.messages == []
 
 
-def test_unknown_robot_state_does_not_end_a_program_during_a_script(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_robot_state_ends_no_program_during_a_script(monkeypatch: pytest.MonkeyPatch) -> None:
     """The interlock is not asked whether the program may be stopped."""
 
     def unknown(is_stop: bool) -> None:

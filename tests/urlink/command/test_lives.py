@@ -235,7 +235,7 @@ def test_finished_program_ends_by_key_message_or_flag(desk: Programming, is_told
     assert ends == ["here"]
 
 
-def test_program_counts_as_begun_when_only_its_finish_marker_arrives(desk: Programming) -> None:
+def test_program_counts_as_begun_when_its_finish_marker_arrives(desk: Programming) -> None:
     """The start marker might be missed, for example just after a reconnection."""
     before, run = desk.script(), desk.script()
     run.says("finished")

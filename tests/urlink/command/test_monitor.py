@@ -307,7 +307,7 @@ def test_wait_for_wakes_at_every_change() -> None:
         assert desk.monitor.wait_for(look, 3600.0)
 
 
-def test_monitor_waits_two_seconds_for_first_report_then_half_a_second() -> None:
+def test_monitor_waits_longer_for_first_than_for_next_report() -> None:
     """Two seconds for a first report; if something blocks motion, half a second for every source's next report."""
     desk = Desk(may_wait=True)
     asked: list[tuple[Callable[[Interlock], object], float]] = []

@@ -275,7 +275,7 @@ def test_stream_without_points_does_not_delay_others() -> None:
     assert paces.sent == [1.0, 1.0]
 
 
-def test_dry_stream_stops_all_streams_until_they_restart_together() -> None:
+def test_dry_stream_stops_all_streams_until_a_joint_restart() -> None:
     paces = Paces()
     paces.step(40)
     paces.are_led[1] = False

@@ -248,7 +248,7 @@ def test_impossible_trajectories_are_rejected(led: Rehearsal) -> None:
     assert led.motion.current is None
 
 
-def test_follow_checks_start_position_only_when_the_arm_is_at_rest(led: Rehearsal) -> None:
+def test_follow_checks_start_position_when_the_arm_is_at_rest(led: Rehearsal) -> None:
     """The previous motion has ended, but the newest state was sent a little before its end."""
     led.q, led.qd = turned(-0.2), [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     led.show()

@@ -107,7 +107,7 @@ class LateTimer(ProgramTimer):
         return 0.02
 
 
-def test_late_start_is_corrected_like_the_same_number_of_missed_cycles() -> None:
+def test_late_start_is_corrected_like_missed_cycles() -> None:
     """If two arms must move together, this computer might be delayed between the first set-points of both."""
     late = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), timer=LateTimer(0.002)))
     missed = Feeding(follower())
@@ -146,7 +146,7 @@ def test_late_start_is_corrected_like_the_same_number_of_missed_cycles() -> None
         (float("inf"), 0.002, 0.002),
     ],
 )
-def test_controller_clock_is_ignored_if_it_differs_too_much_from_own(stated: float, own: float, passed: float) -> None:
+def test_controller_clock_is_ignored_if_it_is_implausible(stated: float, own: float, passed: float) -> None:
     clock = ControllerTimer(0.002)
     assert clock.passed(100.0, 7.0) == 0.0
     assert clock.passed(100.0 + stated, 7.0 + own) == pytest.approx(passed, abs=1e-12)
@@ -161,7 +161,7 @@ def test_single_wrong_time_does_not_shift_the_clock() -> None:
     assert sum(passed) == pytest.approx(0.008)
 
 
-def test_time_of_delayed_states_is_used_when_they_arrive_together() -> None:
+def test_time_of_delayed_states_is_used_if_they_come_together() -> None:
     """States are half a second late, then catch up half a second within a tenth; no state is early."""
     clock = ControllerTimer(0.002)
     clock.passed(100.0, 7.0)
@@ -182,7 +182,7 @@ def test_timer_accepts_decreasing_delays_of_first_states() -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_follower_sends_the_set_point_of_the_next_cycle_for_each_state(firmware: Firmware) -> None:
+def test_follower_answers_each_state_with_the_next_set_point(firmware: Firmware) -> None:
     feeding = Feeding(follower(firmware), firmware)
     cycles = round(2.5 * firmware.rate)
     for _ in range(cycles):

@@ -221,7 +221,7 @@ def test_program_without_an_end_message_is_stopped(robot: Rehearsal) -> None:
     assert [b"" in other.said, other.closed] == [False, [False]]
 
 
-def test_lost_connection_is_reported_after_a_second_without_reason(talk: Talk) -> None:
+def test_lost_connection_without_reason_fails_after_a_second(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("first")
     talk.look()

@@ -138,7 +138,7 @@ def test_message_number_wraps_to_one() -> None:
 
 
 @pytest.mark.parametrize("after", [1, 60, 100, 101, 102, 110, 400])
-def test_stream_accepts_points_and_cuts_when_message_number_wraps(after: int) -> None:
+def test_points_and_cuts_are_accepted_when_the_number_wraps(after: int) -> None:
     """The numbers start again after some messages: before, during and after a cut, or when the stream is dry."""
     stream = Registered(E_SERIES, lost=0.2)
     stream.link._count = stream.feed._messages = stream.feed._last_answered = 0x7FFF_FFFF - after

@@ -239,7 +239,7 @@ def test_program_follows_requested_points(firmware: Firmware, is_quintic: bool) 
 
 @pytest.mark.parametrize("is_quintic", [False, True])
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_program_uses_position_speed_and_acceleration_of_each_point(firmware: Firmware, is_quintic: bool) -> None:
+def test_program_uses_speed_and_acceleration_of_each_point(firmware: Firmware, is_quintic: bool) -> None:
     """Points in between have speeds and accelerations in every joint, all of them different."""
     rng = np.random.default_rng(7)
     q = np.tile(HOME, (4, 1)) + 0.1 * rng.uniform(-1, 1, (4, 6))

@@ -178,7 +178,7 @@ def test_feed_measures_the_time_without_states(cycles: int) -> None:
     assert stream.feed._unseen == pytest.approx(passed if cycles > 1 else 0.0)
 
 
-def test_forgetting_points_never_appended_does_not_change_the_end() -> None:
+def test_forgetting_unknown_points_does_not_change_the_end() -> None:
     stream = moves(Streamed(E_SERIES))
     stream.feed.replace(0.67, ())
     end = mark(stream)
@@ -410,7 +410,7 @@ def test_replacing_with_same_points_takes_four_cycles() -> None:
     assert stream.feed._queue[0].time == pytest.approx(begin + 4 * stream.period)
 
 
-def test_replacing_points_at_the_current_time_are_skipped_at_rest() -> None:
+def test_points_at_the_current_time_are_skipped_at_rest() -> None:
     stream = Streamed(E_SERIES)
     stream.replace(0.0, [TrajectoryPoint(turned(0.1 * t), t, [0] * 6) for t in (0.0, 0.5, 1.0)])
     assert [aim.time for aim in stream.feed._queue] == [0.5, 1.0]
@@ -777,7 +777,7 @@ class Paces:
 
 
 @pytest.mark.parametrize(("change", "paces"), [(0.0, 0), (0.0004, 2), (0.0015, 3)])
-def test_pace_change_of_0_1_percent_is_sent_before_the_next_point(change: float, paces: int) -> None:
+def test_pace_change_of_0_1_percent_is_sent_before_a_point(change: float, paces: int) -> None:
     """The program receives one message in each cycle."""
     stream, pace = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, pace)
@@ -806,7 +806,7 @@ def test_stream_reports_its_motion_to_the_common_pace() -> None:
     assert [look.is_led for look in paces.looks].index(False) == pytest.approx(0.09 / stream.period, abs=6)
 
 
-def test_stream_time_is_correct_within_two_cycles_while_pace_changes() -> None:
+def test_stream_time_is_correct_while_the_pace_changes() -> None:
     """The error stays within the two cycles that a pace needs to arrive."""
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)

@@ -287,7 +287,7 @@ def test_time_starts_slowly_after_a_long_pause() -> None:
     assert served.server.progress == pytest.approx(before + 0.5 * 0.5 * 0.08 / 2.0, abs=2e-3)
 
 
-def test_progress_is_derived_from_points_that_the_program_requests() -> None:
+def test_progress_is_derived_from_the_requested_points() -> None:
     """The program moves to the last but one of its requested points, regardless of the time on this computer."""
     served = Served(Trajectory.from_arrays([0.0, 0.5, 1.0, 1.5, 2.0], [turned(0.05 * n) for n in range(5)]))
     served.set_out()

@@ -343,7 +343,7 @@ def message(kind: int, payload: bytes) -> bytes:
     return struct.pack(">iBQbB", 15 + len(payload), 20, 0, -2, kind) + payload
 
 
-def test_version_message_is_decoded_with_and_without_build_number() -> None:
+def test_version_message_is_decoded_with_and_without_build() -> None:
     old = struct.pack(">B9sBBi", 9, b"URControl", 3, 2, 19293) + b"Oct 01 2015, 10:00:00"
     (state,) = decode(message(3, old), "primary")
     assert isinstance(state, VersionMessage)

@@ -283,7 +283,7 @@ def test_kinematics_without_dh_use_published_values() -> None:
     assert repr(Identity(Firmware(5, 11), True, "UR10e").kinematics) == "<Arm UR10e, as published>"
 
 
-def test_identity_is_queried_again_if_stream_reconnects_meanwhile() -> None:
+def test_identity_is_queried_again_if_the_stream_reconnects() -> None:
     """The stream reconnected during the query, so a different controller might have answered."""
     asked: list[str] = []
 

@@ -110,7 +110,7 @@ def test_step_is_reported_as_not_tried_after_computer_delay(listened: Evidence, 
     assert ("this computer was busy" in verdict.seen) == (by > 0.0)
 
 
-def test_moving_stage_listens_first_when_stage_0_is_not_requested(tmp_path: Path) -> None:
+def test_moving_stage_listens_first_if_stage_0_is_not_requested(tmp_path: Path) -> None:
     """Positions with the wrong sign are planted in the packets of the controller itself."""
     path = tmp_path / "run.urlog"
     with urlink.simulated_time(seed=3), Controller("UR5", "3.15") as controller, pytest.MonkeyPatch.context() as patch:

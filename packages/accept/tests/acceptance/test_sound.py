@@ -46,7 +46,7 @@ def verdict(name: str, of: Evidence) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("sign", "state"), [(1.0, "held"), (-1.0, "not held")])
-def test_velocities_requirement_accepts_start_and_stop_in_one_cycle(sign: float, state: str) -> None:
+def test_velocity_requirement_accepts_start_within_one_cycle(sign: float, state: str) -> None:
     speeds = np.zeros((400, 6))
     speeds[:, 5] = np.repeat(np.tile([0.1, 0.0], 20), 10)
     of = evidence(speeds, [Note(0.0, "stage", {"number": 0})])

@@ -243,7 +243,7 @@ def test_ended_command_does_not_move_the_arm_back(begin: str) -> None:
     assert generator.is_standing
 
 
-def test_command_that_exceeded_a_limit_ends_when_the_arm_restarts() -> None:
+def test_command_over_a_limit_ends_when_the_arm_restarts() -> None:
     generator = standing()
     move = generator.servoj(moved(1, 0, 0, 0, 0, 0), CYCLE, 0.03, 300.0)
     for _ in range(3):

@@ -97,7 +97,7 @@ def test_servoj_raises_limit_violation_for_a_joint_jump(by: float, passes: bool)
         assert generator.setpoint == before
 
 
-def test_servoj_raises_limit_violation_for_impossible_acceleration() -> None:
+def test_servoj_raises_limit_violation_for_high_acceleration() -> None:
     """The step is within the distance that the largest speed allows, but starts at rest and without any smoothing."""
     generator = standing()
     generator.servoj([HOME[0] + 0.01, *HOME[1:]], CYCLE, 0.0, 0.0)

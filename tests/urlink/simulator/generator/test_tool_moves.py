@@ -141,7 +141,7 @@ def test_line_ends_where_it_enters_an_unreachable_region() -> None:
 
 
 @pytest.mark.parametrize("q", [[0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0], [0.0] * 6])
-def test_line_out_of_a_singularity_moves_or_raises_limit_violation(q: list[float]) -> None:
+def test_line_from_a_singularity_moves_or_violates_a_limit(q: list[float]) -> None:
     generator = standing(q)
     down = Arm(UR5E).forward(q) - np.array([0, 0, 0.05, 0, 0, 0])
     before, setpoints = generator.setpoint, []
