@@ -310,7 +310,7 @@ def test_unknown_arm_has_no_joint_range(rehearsal: Callable[..., Rehearsal]) -> 
             servo.send([float("inf")] * 6)
 
 
-def test_coasting_time_depends_on_rate(robot: Rehearsal) -> None:
+def test_coasting_time_of_servo_depends_on_its_rate(robot: Rehearsal) -> None:
     """The program coasts for a tenth of a second, or for three periods of a slower loop."""
     for options, cycles in (
         ({}, 50),
@@ -440,7 +440,7 @@ def test_cut_link_raises_connection_lost(robot: Rehearsal) -> None:
             servo.send(HOME)
 
 
-def test_cut_link_is_noticed_by_send(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_send_raises_after_the_link_was_cut(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.block_motion._REASON", 0.05)
     with opened(robot) as servo:
         assert robot.link is not None
@@ -535,7 +535,7 @@ def test_firmware_without_registers_is_rejected(rehearsal: Callable[..., Rehears
         assert robot.sent == []
 
 
-def test_done_callback_of_failed_start_may_command_and_wait(led: Rehearsal) -> None:
+def test_done_callback_of_failed_start_can_move_the_arm_and_wait(led: Rehearsal) -> None:
     led.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: led.safety.cause is not None)
     seen: list[BaseException] = []

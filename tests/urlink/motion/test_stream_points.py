@@ -46,7 +46,7 @@ def point(angle: float, time: float, *more: float) -> TrajectoryPoint:
 # -- appended points ---------------------------------------------------------------------------------------
 
 
-def test_each_point_has_a_step_from_the_previous_point() -> None:
+def test_points_are_joined_by_steps_of_the_degree_they_define() -> None:
     """The degree of a step depends on the quantities that the point has."""
     points = [point(0.1, 2.5), point(0.2, 3.0, 0.3), point(0.3, 3.5, 0.1, 0.2), point(0.2, 4.0)]
     aims = reader().after(points, mark(qd=0.01))
@@ -97,7 +97,7 @@ def test_points_of_replacing_curve_need_minimum_interval() -> None:
 
 
 @pytest.mark.parametrize("time", [math.inf, math.nan, -1.0])
-def test_time_of_pose_is_checked(time: float) -> None:
+def test_time_of_a_pose_point_is_checked(time: float) -> None:
     with pytest.raises(BadValue, match="time"):
         PosePoint([0.1, 0.2, 0.3, 0.0, 0.0, 0.0], time)
 

@@ -281,7 +281,7 @@ def test_to_frame_returns_polars() -> None:
 
 @pytest.mark.parametrize("path", [CAPTURES / f"simulator-{version}.urlog" for version in ("1.8", "3.15", "5.25")])
 @pytest.mark.simulated_time
-def test_recorded_simulator_loads_like_replay(path: Path) -> None:
+def test_loaded_recording_equals_its_replay(path: Path) -> None:
     run = urlink.load(path)
     with urlink.connect(f"replay://{path}?rate=max") as robot:
         states = list(robot.realtime)
