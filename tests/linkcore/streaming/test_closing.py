@@ -144,7 +144,7 @@ def test_finish_with_invalid_timeout_keeps_the_subscription(
     assert came.wait(_SOON)
 
 
-def test_connection_calls_subscribers_without_its_lock(
+def test_connection_calls_subscribers_without_holding_its_lock(
     stream: Stream[Count], connection: Connection, transport: ScriptedTransport
 ) -> None:
     """Another thread can use the connection meanwhile."""
@@ -158,7 +158,7 @@ def test_connection_calls_subscribers_without_its_lock(
     assert blocked == [False] * 3
 
 
-def test_queue_has_ended_before_the_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queue_is_marked_ended_before_the_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     queue = PacketQueue(drop_oldest(2))
     seen: list[bool] = []
     monkeypatch.setattr(queue, "end", lambda: seen.append(queue.is_over))
@@ -188,7 +188,7 @@ class Quick:
         self._tokens.get(block, timeout)
 
 
-def test_consumer_is_woken_again_after_sleeping_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_consumer_is_woken_for_each_packet_after_each_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Quick] = []
 
     def make() -> Quick:

@@ -47,7 +47,7 @@ from urlink.session.source import Source
 pytestmark = pytest.mark.simulated_time
 
 
-def test_listening_is_marked_over_before_subscriptions_end() -> None:
+def test_listening_is_marked_ended_before_subscriptions_end() -> None:
     listening = _Listening()
     seen: list[bool] = []
     listening.add(lambda: seen.append(listening.is_over))
@@ -142,7 +142,7 @@ def test_claims_are_marked_closed_before_release() -> None:
     assert len(refused) == 1
 
 
-def test_claims_are_registered_before_they_connect() -> None:
+def test_claims_are_registered_before_connecting() -> None:
     """Closing the robot then also ends the attempt."""
     standing = Standing(lambda: brief.close(1.0))
     brief = BriefClaims(lambda plan: cast(Claims, standing))
@@ -150,7 +150,7 @@ def test_claims_are_registered_before_they_connect() -> None:
     assert standing.closed == 1
 
 
-def test_settings_connect_with_claim_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_use_the_claim_timeout_for_connecting(monkeypatch: pytest.MonkeyPatch) -> None:
     timeouts: dict[str, float] = {}
 
     def noting(name: str, transport: Any, plan: Requests, source: Source) -> Connection:
@@ -193,7 +193,7 @@ def test_interpreter_is_registered_before_first_request(monkeypatch: pytest.Monk
     assert seen[0] == 1
 
 
-def test_torque_message_is_muted_while_sending(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torque_message_is_not_repeated_while_one_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[bool] = []
     made: list[KeptMessage] = []
 
@@ -238,7 +238,7 @@ def test_stream_opened_while_the_robot_closes_is_closed(monkeypatch: pytest.Monk
 # -- between two threads -----------------------------------------------------------------------------------
 
 
-def test_registers_of_a_kind_have_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_output_registers_of_one_type_share_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     with urlink.connect("sim://") as robot:
         made = []
         outputs = type(robot.rtde).outputs
@@ -309,7 +309,7 @@ def test_reason_of_a_timeout_is_read_under_the_lock(monkeypatch: pytest.MonkeyPa
     assert all(seen)
 
 
-def test_closing_link_disconnects_new_program() -> None:
+def test_program_that_connects_while_link_closes_is_disconnected() -> None:
     class Closing(ReverseLink):
         """Link that another thread closes just after `_is_closed` was read as False."""
 
@@ -338,7 +338,7 @@ def test_closing_link_disconnects_new_program() -> None:
             assert program.recv(1) == b""
 
 
-def test_connecting_counts_towards_the_deadline_of_rtde() -> None:
+def test_rtde_deadline_includes_the_time_for_connecting() -> None:
     left: list[float] = []
 
     class Slow:

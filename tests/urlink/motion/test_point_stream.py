@@ -46,7 +46,7 @@ def there(angle: float, t: float) -> TrajectoryPoint:
     ("firmware", "buffer", "capacity"),
     [("5.11", 0.3, 79), ("5.11", 0.5, 129), ("5.11", 10.0, 256), ("3.4", 0.48, 34), ("3.4", 0.05, 7)],
 )
-def test_buffer_determines_number_of_points(
+def test_stream_buffer_time_determines_the_number_of_points(
     rehearsal: Callable[..., Rehearsal], firmware: str, buffer: float, capacity: int
 ) -> None:
     """Points are two cycles apart, and there are at most 256."""
@@ -116,14 +116,16 @@ def grouped(*streams: Any) -> GroupStream:
     return GroupStream(Lifecycle("streams", CALLBACKS), streams, [f"arm {i}" for i in range(len(streams))], CALLBACKS)
 
 
-def test_unsent_points_count_for_end_and_room(stream: Any) -> None:
+def test_end_and_room_include_points_that_are_not_yet_sent(stream: Any) -> None:
     assert stream.append([there(0.1, 0.4), there(0.2, 0.8)], wait=False) == pytest.approx(-0.3)
     assert (stream.end, stream.time, stream.is_dry) == (0.8, 0.0, False)
     assert stream.buffered == 0.8
     assert stream.room == pytest.approx(-0.3)
 
 
-def test_properties_report_the_feed(stream: Any, feeds: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stream_properties_return_values_of_the_feed(
+    stream: Any, feeds: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(StreamFeed, "time", 3.0)
     monkeypatch.setattr(StreamFeed, "is_dry", True)
     feeds[0].mark, feeds[0].starved = SimpleNamespace(time=2.0), 7
@@ -138,7 +140,9 @@ def test_properties_report_the_feed(stream: Any, feeds: list[Any], monkeypatch: 
         (lambda stream: stream.wait_until_dry(0.7), 0.7, "the stream did not run dry within 0.7 s"),
     ],
 )
-def test_each_wait_times_out(stream: Any, call: Callable[[Any], object], seconds: float, why: str) -> None:
+def test_each_wait_of_a_point_stream_times_out(
+    stream: Any, call: Callable[[Any], object], seconds: float, why: str
+) -> None:
     stream.append(there(0.05, 0.2), wait=False)
     begin = time.monotonic()
     with pytest.raises(LinkTimeout, match=re.escape(why)):
@@ -154,7 +158,7 @@ def test_each_wait_times_out(stream: Any, call: Callable[[Any], object], seconds
         (lambda stream: grouped(stream).clear(), "the robot did not answer within 10 s"),
     ],
 )
-def test_change_times_out_after_ten_seconds(
+def test_stream_change_times_out_after_ten_seconds(
     stream: Any, feeds: list[Any], call: Callable[[Any], object], why: str
 ) -> None:
     never: Future[Any] = Future()
@@ -191,7 +195,7 @@ def one_state_in_half_a_minute(robot: Rehearsal) -> Iterator[None]:
         yield
 
 
-def test_clear_replaces_all_and_dry_wait_is_a_minute(robot: Rehearsal, stream: Any, feeds: list[Any]) -> None:
+def test_clear_replaces_all_points_and_wait_dry_waits_a_minute(robot: Rehearsal, stream: Any, feeds: list[Any]) -> None:
     put: list[tuple[float, Sequence[Aim]]] = []
     done: Future[float] = Future()
     done.set_result(0.7)
@@ -218,7 +222,7 @@ def test_append_waits_a_minute_for_room_by_default(robot: Rehearsal, stream: Any
     assert time.monotonic() - begin < 0.01
 
 
-def test_second_producer_is_rejected(stream: Any) -> None:
+def test_points_from_a_second_thread_are_rejected(stream: Any) -> None:
     with ThreadPoolExecutor(1) as other:
         appending = other.submit(stream.append, there(0.1, 0.4))
         until(lambda: stream.end == 0.4)  # the other thread waits for room
@@ -233,7 +237,7 @@ def test_second_producer_is_rejected(stream: Any) -> None:
     stream.append(there(0.1, 0.4), wait=False)
 
 
-def test_points_are_read_again_after_concurrent_clear(
+def test_points_are_planned_again_after_a_concurrent_clear(
     stream: Any, feeds: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     after, read = PointReader.after, list[float]()
@@ -289,7 +293,7 @@ def test_group_checks_a_change_before_it_is_made(stream: Any, feeds: list[Any]) 
 # -- its end -----------------------------------------------------------------------------------------------
 
 
-def test_feed_ends_with_error_of_stream(robot: Rehearsal, stream: Any, feeds: list[Any]) -> None:
+def test_feed_ends_with_the_error_of_its_stream(robot: Rehearsal, stream: Any, feeds: list[Any]) -> None:
     ended: list[Exception] = []
     feeds[0].end = ended.append
     robot.vanish()
