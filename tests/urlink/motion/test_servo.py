@@ -265,7 +265,7 @@ def test_loop_restarts_after_pause(robot: Rehearsal, dialogues: list[Any]) -> No
             assert next_set_point(robot) == pytest.approx(turned(0.001 * n))
             robot.time += 0.002
         dialogues[0].resume(seen(robot.time, q=0.3))
-        with pytest.raises(BadValue, match=r"from where the arm is; at most 0\.0500 rad"):
+        with pytest.raises(BadValue, match=r"from the position of the arm; at most 0\.0500 rad"):
             servo.send(turned(0.005))
         for q, speed in ((0.3, 0.0), (0.301, 0.5)):
             servo.send(turned(q))
