@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import io
 import os
-import pty
 import re
 import signal
 import subprocess
@@ -21,6 +20,7 @@ import linkcore.clock
 import urlink
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.statistics import StreamStatistics
+from tests import platforms
 from tests.harm import HOSTILE, assert_harmless
 from urlink.cli import monitor
 from urlink.cli.monitor_panel import MonitorPanel
@@ -382,6 +382,7 @@ def test_monitor_escapes_hostile_text_of_recording(run: Run, tmp_path: Path) -> 
 
 def on_terminal(*argv: str, interrupt_after: bytes | None = None, code: str = "") -> tuple[int, str]:
     """Run the monitor on a terminal; return its exit status and its whole output."""
+    pty = pytest.importorskip("pty", reason=platforms.TERMINALS)
     master, slave = pty.openpty()
     program = f"import sys; {code or 'pass'}; from urlink.cli import main; sys.exit(main(sys.argv[1:]))"
     environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
