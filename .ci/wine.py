@@ -13,6 +13,7 @@ Wine is not Windows. Sockets, timers, consoles and files are those of Wine and o
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -94,8 +95,8 @@ def install(lab: Path) -> None:
     for wheel in fetched.glob("*.whl"):
         with zipfile.ZipFile(wheel) as archive:
             archive.extractall(lab / "site")
-    _build_math(lab)
     subprocess.run(["wineboot", "--init"], check=True, env=environment(lab), stdout=subprocess.DEVNULL)
+    _build_math(lab)
     (lab / "ready").touch()
 
 
@@ -105,18 +106,20 @@ def _build_math(lab: Path) -> None:
     Wine resolves the name of the original library itself, so numpy's imports are renamed.
     """
     users = [*lab.glob("site/numpy/**/*.pyd"), *lab.glob("site/numpy.libs/*.dll")]
-    needed = set[str]()
-    for path in users:
-        dump = ["x86_64-w64-mingw32-objdump", "-p", str(path)]
-        listing = subprocess.run(dump, check=True, capture_output=True, text=True).stdout
-        table = listing.partition(f"DLL Name: {MATH}.dll")[2].partition("\n\n")[0].splitlines()[2:]
-        needed |= {line.split()[-1] for line in table if line.strip()}
+    # All functions of Wine's own C runtime. The functions that numpy needs cannot be read from its files: objdump stops
+    # in the middle of the import table of numpy 2.5.5.
+    runtime = lab / "prefix/drive_c/windows/system32/ucrtbase.dll"
+    dump = ["x86_64-w64-mingw32-objdump", "-p", str(runtime)]
+    listing = subprocess.run(dump, check=True, capture_output=True, text=True).stdout
+    offered = set(re.findall(r"^\t\[ *\d+\] (\w+)$", listing, re.MULTILINE))
+    if "hypot" not in offered:
+        raise RuntimeError(f"found {len(offered)} functions in {runtime}, but not hypot")
     # long double is double on Windows.
     doubles = {name + ending: name for name in (*COMPLEX, "cpow") for ending in ("", "l")}
     floats = {name + "f": name for name in (*COMPLEX, "cpow")}
     exports = [f"{name} = x_{doubles[name]}" for name in doubles]
     exports += [f"{name} = x_{floats[name]}f" for name in floats]
-    exports += [f"{name} = ucrtbase.{name}" for name in sorted(needed - doubles.keys() - floats.keys())]
+    exports += [f"{name} = ucrtbase.{name}" for name in sorted(offered - doubles.keys() - floats.keys())]
     code = ["#include <complex.h>", "#include <math.h>"]
     for kind, end in (("double", ""), ("float", "f")):
         z = f"Z{end}"
