@@ -170,7 +170,7 @@ class Exits(Plugin):
             sys.exit("enough")
 
 
-def test_plugin_that_calls_exit_has_failed() -> None:
+def test_sys_exit_in_a_plugin_raises_plugin_failed() -> None:
     notes: list[str] = []
     with Host([Noted("a", notes), Exits("periodic")], port=0, period=0.001) as host:
         with pytest.raises(PluginFailed, match="exits failed in periodic: SystemExit: enough"):
@@ -371,7 +371,7 @@ def test_lockstep_makes_a_tick_for_each_queued_request() -> None:
             assert master.value("tick") == tick
 
 
-def test_lockstep_replies_before_it_rejects_later_nonsense() -> None:
+def test_lockstep_replies_before_it_rejects_later_invalid_bytes() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
         reader.greeting()
         reader.send(b"rreexx")
@@ -425,7 +425,7 @@ def test_lockstep_readers_wait_for_ticks_of_the_master() -> None:
         assert 1 < reader.value("tick") <= 21
 
 
-def test_update_takes_effect_in_the_next_round() -> None:
+def test_value_of_the_master_takes_effect_in_the_next_tick() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"order": 5})
@@ -555,7 +555,7 @@ def test_idle_reader_keeps_its_slot_unless_needed_and_old() -> None:
         assert host.stats.evicted_clients == 0
 
 
-def test_slot_of_the_master_is_free_after_it_leaves() -> None:
+def test_slot_of_the_master_is_free_after_its_disconnection() -> None:
     with Host([Echo()], port=0, period=0.002) as host, ExitStack() as stack:
         with RawClient(host.port, b"aw") as master:
             assert master.greeting().granted == "w"

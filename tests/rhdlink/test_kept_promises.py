@@ -91,7 +91,7 @@ def adopt_reversed(replica: Replica) -> None:
         replica.adopt(database)
 
 
-def test_value_matches_its_name_when_the_order_changes(host: rhdlink.Host, replica: Replica) -> None:
+def test_value_belongs_to_its_name_after_a_reordering(host: rhdlink.Host, replica: Replica) -> None:
     with rhdlink.connect(host.address) as robot:
         robot._replica = replica
         lock = replica.lock
@@ -120,7 +120,7 @@ def test_flags_of_a_batch_stay_until_the_next_is_applied(replica: Replica) -> No
     assert not updated[0]
 
 
-def test_subscriber_queue_is_used_by_one_thread_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_subscriber_queue_is_filled_by_one_thread_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     inside, most = [0], [0]
     threads: list[Any] = []
     subscribers = Subscribers("robot")

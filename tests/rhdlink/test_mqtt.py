@@ -191,7 +191,7 @@ def test_robot_without_a_pose_is_commanded_to_stop(broker: int) -> None:
 
 @needs_broker
 @pytest.mark.real_time
-def test_second_master_has_to_wait(broker: int) -> None:
+def test_second_mqtt_master_waits_until_the_first_one_is_silent(broker: int) -> None:
     now = [0.0]
     turtle = MqttTurtle(clock=lambda: now[0])
     for alive, moment, master in (

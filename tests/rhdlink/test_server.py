@@ -358,7 +358,7 @@ def test_client_that_resets_during_its_reply_is_removed(stand: Stand) -> None:
     stand.sync(other)
 
 
-def test_queued_nonsense_is_found_after_the_previous_reply(stand: Stand) -> None:
+def test_queued_invalid_bytes_close_client_after_previous_reply(stand: Stand) -> None:
     client = stand.join()
     stand.deliver(client, b"rreexx")
     assert stand.service.bad_clients == 0

@@ -214,7 +214,7 @@ def test_next_gripper_stops_the_move_of_a_standalone_gripper(controller: Control
     again._disconnect()
 
 
-def test_nothing_is_owed_to_the_simulator_of_a_closed_robot() -> None:
+def test_closed_robot_keeps_no_undo_for_its_simulator() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         place = parse_address(robot.controller.address)
         assert isinstance(place, RobotAddress)

@@ -422,7 +422,7 @@ def test_replace_changes_no_arm_when_one_arm_refuses() -> None:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
         far = [beside(path, 1.0 * number) for number, path in enumerate(both.dense(1.0))]
-        with pytest.raises(BadValue, match="cannot be reached from where the stream is"):
+        with pytest.raises(BadValue, match="cannot be reached from the position of the stream"):
             stream.replace(0.0, far)
         with pytest.raises(BadValue, match=r"end at 2\.4, 1 s; expected the same time for all"):
             stream.replace(0.0, [both.dense()[0], far[1]])

@@ -65,7 +65,7 @@ def modules_met(call: Callable[[], object]) -> set[str]:
 
 
 @pytest.mark.real_time
-def test_move_joints_runs_code_of_the_listed_modules() -> None:
+def test_move_joints_uses_only_the_listed_modules() -> None:
     with Rehearsal() as robot:
         robot.motion.move_joints(turned(0.1))  # connects and identifies, so the next command does not
         met = modules_met(lambda: robot.motion.move_joints(turned(0.2)))
@@ -137,7 +137,7 @@ EVERY_CYCLE = {
 }
 
 
-def test_script_on_the_simulator_runs_code_of_the_listed_modules() -> None:
+def test_script_on_the_simulator_uses_only_the_listed_modules() -> None:
     """The listed modules run between the text and the arm, in addition to the compiler of the language."""
     controller = Controller("UR5e", "5.11")
     text = "def turn():\n  movej([0, -1.57, 1.57, -1.57, -1.57, {}])\nend\n"

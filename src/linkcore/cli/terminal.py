@@ -1,4 +1,4 @@
-"""Use of the terminal by a command: lines on stderr, signals that end the command, and a view that is redrawn."""
+"""Terminal functions for commands: lines on stderr, signals that end the command, and a view that is redrawn."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Interruption:
     def wait(self, seconds: float) -> bool:
         """Sleep for at most `seconds`, or until `is_over` is true; return `is_over`."""
         until = min(clock.now() + seconds, self._until)
-        # A signal that is only recorded does not end a sleep, so this sleeps in short steps.
+        # Sleep in short steps, because a signal that is only recorded does not end a sleep.
         while self.number is None and (left := until - clock.now()) > 0:
             clock.sleep(min(left, 0.05))
         return self.is_over

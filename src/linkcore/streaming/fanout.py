@@ -1,6 +1,6 @@
 """Distribution of the packets of a stream to each queue and each inline callback that subscribed to their class.
 
-The thread that reads the stream calls this, and needs no lock here, because tuples are replaced and never changed.
+The thread that reads the stream publishes the packets. It needs no lock, because tuples are replaced and never changed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Route(NamedTuple):
 
 
 class FanOut:
-    """The subscribers of one stream, and the newest packet of each class.
+    """Subscribers of one stream, and the newest packet of each class.
 
     Args:
         kind: Main class of packets.
@@ -84,7 +84,7 @@ class FanOut:
         # The reader uses these tuples, which are made from the routes: all sinks, the queues, the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
         self.taps: tuple[Sink, ...] = ()
-        self._last: Any = None  # the newest packet if packets have no parts, which is the fast case
+        self._last: Any = None  # the newest packet, only for streams whose packets have no parts
         self._newest: dict[type, tuple[int, Any]] = {}
         self._number = 0
 

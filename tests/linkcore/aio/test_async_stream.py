@@ -191,7 +191,7 @@ async def test_slow_iterator_drops_the_oldest_and_counts_drops() -> None:
 
 
 @awaited
-async def test_block_policy_pauses_reading_while_the_task_is_behind() -> None:
+async def test_block_policy_pauses_reading_while_the_queue_is_full() -> None:
     numbered = range(1000, 16_000)  # 75 kB; one read returns at most 64 KiB
     async with listening() as peer, stream_to(peer, silence=0.3) as stream:
         packets = stream.iterate(Policy(100, drop=None))
@@ -231,7 +231,7 @@ async def test_stream_reconnects_and_delivers_again() -> None:
 
 
 @awaited
-async def test_silence_ends_the_connection_but_a_blocked_loop_does_not() -> None:
+async def test_silence_ends_connection_but_blocked_event_loop_does_not() -> None:
     async with listening() as peer, stream_to(peer, silence=0.3) as stream:
         packets = stream.iterate(block)
         await packets.open()
@@ -315,7 +315,7 @@ async def test_close_ends_iteration_and_pending_connects() -> None:
 
 
 @awaited
-async def test_threads_can_block_but_the_loop_thread_cannot() -> None:
+async def test_blocking_calls_raise_only_in_the_event_loop_thread() -> None:
     async with listening() as peer, stream_to(peer) as stream:
         threaded, connection = stream.stream, stream.stream._connection
         with pytest.raises(LocalError, match=r"thread of the event loop.*await the call instead"):

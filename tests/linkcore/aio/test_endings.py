@@ -91,7 +91,7 @@ async def test_join_returns_when_a_thread_closes_an_unread_stream() -> None:
 
 
 @awaited
-async def test_abort_in_a_thread_waits_for_the_loop_only() -> None:
+async def test_abort_from_a_thread_waits_until_the_loop_has_aborted() -> None:
     handover, loop_connection._HANDOVER = loop_connection._HANDOVER, 2 * _AT_ONCE
     try:
         async with listening() as peer, stream_to(peer) as stream:

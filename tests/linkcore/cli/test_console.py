@@ -36,7 +36,7 @@ def send(writer: TextIO, text: str) -> None:
 
 
 @pytest.mark.real_time
-def test_lines_joins_pieces_and_ends_with_stdin(writer: TextIO) -> None:
+def test_lines_joins_partial_lines_and_ends_when_stdin_ends(writer: TextIO) -> None:
     lines = console.lines(lambda: True, pause=10.0)
     send(writer, "one\r\ntw")
     assert next(lines) == "one"

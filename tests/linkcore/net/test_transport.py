@@ -232,7 +232,7 @@ def test_open_tries_the_second_address_without_ipv6(
 
 
 @pytest.mark.parametrize("kind", [TcpTransport, AwaitedTcp])
-def test_refused_first_address_leaves_no_reference_cycle(
+def test_open_leaves_no_reference_cycle_if_first_address_refuses(
     peer: Peer, monkeypatch: pytest.MonkeyPatch, kind: type[TcpTransport | AwaitedTcp]
 ) -> None:
     """A cycle would keep the error of the first address alive, with the frames and variables of all callers."""
@@ -313,7 +313,7 @@ def test_receive_times_out_after_silence(peer: Peer, silence: float) -> None:
     transport.close()
 
 
-def test_receive_accepts_its_own_timeout(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_timeout_argument_overrides_the_default(transport: TcpTransport, peer: Peer) -> None:
     for timeout in (0.05, 0.05, 0.0, -1.0):
         began = linkcore.clock.now()
         with pytest.raises(LinkTimeout, match=f"nothing received within {max(timeout, 0):g} s"):
@@ -325,7 +325,7 @@ def test_receive_accepts_its_own_timeout(transport: TcpTransport, peer: Peer) ->
     assert transport.receive()[0] == b"later"  # uses the timeout of the transport
 
 
-def test_receive_waiting_does_not_wait(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_waiting_returns_none_without_data(transport: TcpTransport, peer: Peer) -> None:
     assert transport.receive_waiting() is None
     peer.connections[-1].sendall(b"there")
     assert has_come(transport)

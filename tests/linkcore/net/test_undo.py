@@ -107,7 +107,7 @@ def test_newer_command_waits_for_the_undo_or_is_not_sent(undos: PendingUndos) ->
         assert peer.undone == ["play"]
 
 
-def test_attempts_follow_each_other_while_the_peer_hangs(undos: PendingUndos) -> None:
+def test_next_undo_attempt_starts_soon_after_the_last_one(undos: PendingUndos) -> None:
     """Each attempt waits for its answer, and the next one starts shortly after, however long the peer hangs."""
     attempts: list[tuple[float, float]] = []
 
@@ -215,7 +215,7 @@ def test_users_share_undos_and_the_last_close_ends_the_thread() -> None:
     undos.close(first)
 
 
-def test_users_of_a_part_and_of_the_whole_share_undos() -> None:
+def test_robot_and_dashboard_share_pending_undos() -> None:
     peer, whole, part, first, second = Peer(), object(), object(), User(), User()
     undos = PendingUndos.of(whole, "robot", first, part)
     assert PendingUndos.of(part, "dashboard", second) is undos
@@ -231,7 +231,7 @@ def test_users_of_a_part_and_of_the_whole_share_undos() -> None:
 
 
 @pytest.mark.parametrize("is_used", [False, True])
-def test_user_of_the_whole_undoes_commands_of_unused_parts(is_used: bool) -> None:
+def test_robot_undoes_commands_of_closed_parts(is_used: bool) -> None:
     peer, parts, users = Peer(), [object(), object()], [User(), User(), User()]
     owed = [PendingUndos.of(part, "part", user) for part, user in zip(parts, users[:2], strict=True)]
     for undos, name, user in zip(owed, ("play", "gripper"), users[:2], strict=True):

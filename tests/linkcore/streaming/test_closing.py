@@ -142,7 +142,9 @@ def test_finish_with_invalid_timeout_keeps_the_subscription(
     assert came.wait(_SOON)
 
 
-def test_connection_calls_subscribers_without_its_lock(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_connection_calls_subscribers_without_holding_its_lock(
+    stream: Stream[Count], transport: ScriptedTransport
+) -> None:
     held: list[bool] = []
     connection = stream._connection
     changed: Any = connection._changed
@@ -152,7 +154,7 @@ def test_connection_calls_subscribers_without_its_lock(stream: Stream[Count], tr
     assert True not in held
 
 
-def test_queue_has_ended_before_the_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queue_is_marked_ended_before_the_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     queue = PacketQueue(drop_oldest(2))
     seen: list[bool] = []
     monkeypatch.setattr(queue, "end", lambda: seen.append(queue.is_over))
@@ -163,7 +165,7 @@ def test_queue_has_ended_before_the_end_is_reported(monkeypatch: pytest.MonkeyPa
 # -- between two threads ---------------------------------------------------------------------
 
 
-def test_consumer_is_woken_again_after_sleeping_again() -> None:
+def test_consumer_is_woken_for_each_packet_after_each_sleep() -> None:
     queue, woken = PacketQueue(drop_oldest(8)), [0]
 
     class Consumer:

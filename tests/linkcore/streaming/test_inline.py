@@ -47,7 +47,7 @@ def test_inline_callbacks_all_get_a_packet_before_the_next(stream: Stream[Count]
     assert got == [("first", 1), ("second", 1), ("first", 2), ("second", 2)]
 
 
-def test_default_callback_does_not_run_in_the_reader(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_callback_runs_in_its_own_thread_by_default(stream: Stream[Count], transport: ScriptedTransport) -> None:
     """The callback runs in its own thread, however fast it is and however often it has been called."""
     threads: set[threading.Thread] = set()
     stream.subscribe(lambda count: threads.add(threading.current_thread()), policy=block)
@@ -76,7 +76,7 @@ def test_queues_get_a_packet_before_inline_callbacks(stream: Stream[Count], tran
     go.set()
 
 
-def test_slow_inline_call_is_counted_and_shown_by_age(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_slow_inline_callback_is_counted_and_increases_age(stream: Stream[Count], transport: ScriptedTransport) -> None:
     go, called = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
@@ -279,7 +279,7 @@ def test_inline_subscription_can_have_a_deadline(stream: Stream[Count], transpor
     until(lambda: not any(thread.name == "script Count deadline" for thread in threading.enumerate()))
 
 
-def test_inline_deadline_starts_with_the_connection(
+def test_deadline_of_inline_callback_starts_when_connected(
     stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Connecting may take longer than the deadline."""

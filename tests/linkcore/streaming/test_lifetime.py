@@ -86,7 +86,7 @@ def no_more_threads(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     monkeypatch.setattr(threading.Thread, "start", refuse)
 
 
-def test_use_raises_local_error_without_a_reader_thread(
+def test_use_raises_local_error_if_reader_thread_cannot_start(
     stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:

@@ -350,7 +350,7 @@ def test_error_in_on_deadline_is_logged_only(
     assert "on_deadline" in caplog.text
 
 
-def test_failed_connection_raises_even_when_another_try_follows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wait_raises_failed_connection_although_retry_has_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     transport = ScriptedTransport(ConnectFailed("refused"), None)
     stream = scripted(transport)
     connection = stream._connection
@@ -435,7 +435,9 @@ def test_wait_returns_only_later_packets(stream: Stream[Count], transport: Scrip
         stream.wait(0.01)
 
 
-def test_traffic_contains_every_byte_and_event_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_traffic_subscription_gets_every_byte_and_event_in_order(
+    stream: Stream[Count], transport: ScriptedTransport
+) -> None:
     seen: list[Chunk | ConnectionEvent] = []
     stream.subscribe(seen.append, Traffic, policy=block)
     pieces = [counts(1)[:3], counts(1)[3:] + counts(2), b"junk"]

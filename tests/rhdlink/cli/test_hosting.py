@@ -156,7 +156,7 @@ def test_turtle_ends_after_its_duration(run: Run) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [2, 4])
-def test_width_option_sets_the_time_stamps(spawn: Spawn, config: str, width: int) -> None:
+def test_width_option_sets_the_width_of_time_stamps(spawn: Spawn, config: str, width: int) -> None:
     for command in (("turtle", "--port", "0"), ("serve", config)):
         process = spawn(*command, "--width", str(width))
         assert process.stdout is not None

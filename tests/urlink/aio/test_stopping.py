@@ -143,7 +143,7 @@ def test_stop_does_not_queue_behind_waits(controller: Controller) -> None:
     asyncio.run(main())
 
 
-def test_block_is_left_while_calls_wait(controller: Controller) -> None:
+def test_force_mode_block_ends_at_once_while_calls_wait(controller: Controller) -> None:
     async def main() -> None:
         async with connected(controller) as robot:
             async with robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, -30, 0, 0, 0], [0.1] * 6):

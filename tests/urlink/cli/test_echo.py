@@ -74,7 +74,7 @@ def test_echo_prints_robot_states_as_json(run: Run, address: str, interface: str
 
 
 @pytest.mark.parametrize("kind", ["JointData", "VersionMessage", "RobotMessage", "State"])
-def test_type_chooses_packets(run: Run, address: str, kind: str) -> None:
+def test_type_option_selects_the_packets(run: Run, address: str, kind: str) -> None:
     status, out, _ = run("echo", address, "--type", kind, "--count", "1", "--json")
     assert status == 0
     assert strict(out)["type"] == ("JointData" if kind == "JointData" else "VersionMessage")

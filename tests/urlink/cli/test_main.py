@@ -90,7 +90,7 @@ def test_common_options_are_accepted_before_the_command(
         (("info", "sim://", "--jsn"), "unrecognized arguments: --jsn; did you mean '--json'?"),
     ],
 )
-def test_options_before_the_command_are_explained(run: Run, argv: tuple[str, ...], hint: str) -> None:
+def test_option_before_the_command_gives_a_usage_hint(run: Run, argv: tuple[str, ...], hint: str) -> None:
     status, _, err = run(*argv)
     assert status == 2
     assert err.splitlines()[-1].endswith(hint)

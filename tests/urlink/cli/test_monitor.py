@@ -100,7 +100,7 @@ def test_plain_lines_show_rate_pose_and_modes(run: Run, address: str) -> None:
 
 
 @pytest.mark.parametrize("interface", ["realtime", "primary"])
-def test_monitor_omits_missing_fields_of_old_firmware(run: Run, old_address: str, interface: str) -> None:
+def test_monitor_omits_fields_that_old_firmware_does_not_send(run: Run, old_address: str, interface: str) -> None:
     status, out, _ = run("monitor", old_address, "--interface", interface, "--duration", "0.3", "--plain")
     assert status == 0
     assert "robot RUNNING" in out
@@ -283,7 +283,7 @@ def test_status_is_slow_when_states_are_missing(address: str, controller: Contro
         assert view.stats.missed
 
 
-def test_age_text_uses_suitable_unit() -> None:
+def test_age_text_uses_milliseconds_seconds_or_minutes() -> None:
     assert [age_text(age) for age in (0.0021, 3.44, 90, 1200)] == ["2 ms", "3.4 s", "90.0 s", "20 min"]
 
 
@@ -291,7 +291,7 @@ def test_age_text_uses_suitable_unit() -> None:
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_every_firmware_can_be_read_and_painted(release: Any) -> None:
+def test_monitor_reads_and_draws_every_firmware(release: Any) -> None:
     firmware: Firmware = release.since
     controller = Controller(None, firmware)
     controller.step(10)
@@ -312,7 +312,7 @@ def test_every_firmware_can_be_read_and_painted(release: Any) -> None:
     assert read(primary).analog[-1].value == pytest.approx(4.0)
 
 
-def test_state_without_sub_packages_can_be_painted() -> None:
+def test_monitor_draws_a_state_without_sub_packages() -> None:
     view = MonitorView("UR", "made", StreamStatus.CONNECTED, read(urlink.packets.RobotState()), _STATS)
     assert "joint" not in painted(view)
     assert "robot –" in painted(view)

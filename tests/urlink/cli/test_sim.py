@@ -133,7 +133,7 @@ def test_simulated_arm_is_at_rest_unless_motion_is_demo(spawn: Spawn, argv: tupl
 
 
 @pytest.mark.slow
-def test_sim_like_ursim_starts_with_its_state(spawn: Spawn) -> None:
+def test_sim_like_ursim_starts_in_the_state_of_ursim(spawn: Spawn) -> None:
     process = spawn("sim", "--like", "ursim", "--noise", "off")
     assert process.stdout is not None
     with urlink.connect(process.stdout.readline().strip()) as robot:
@@ -145,7 +145,7 @@ def test_sim_like_ursim_starts_with_its_state(spawn: Spawn) -> None:
 
 
 @pytest.mark.slow
-def test_like_ursim_passes_the_vendors_dashboard_suite(spawn: Spawn) -> None:
+def test_sim_like_ursim_passes_the_vendors_dashboard_tests(spawn: Spawn) -> None:
     # The commands, and the replies that the tests of the UR Client Library expect from URSim.
     process = spawn("sim", "--like", "ursim", "--firmware", "5.25", "--noise", "off")
     assert process.stdout is not None
@@ -207,7 +207,7 @@ def test_like_ursim_passes_the_vendors_dashboard_suite(spawn: Spawn) -> None:
 
 
 @pytest.mark.slow
-def test_like_ursim_in_local_control_refuses_commands(spawn: Spawn) -> None:
+def test_sim_like_ursim_in_local_control_refuses_commands(spawn: Spawn) -> None:
     process = spawn("sim", "--like", "ursim", "--local-control")
     assert process.stdout is not None
     with urlink.connect(process.stdout.readline().strip()) as robot:

@@ -266,7 +266,7 @@ def test_program_sent_before_stop_is_not_stopped_when_it_begins() -> None:
     assert not script.done
 
 
-def test_reader_does_not_wait_when_controller_reads_nothing() -> None:
+def test_reader_thread_does_not_wait_if_send_buffer_is_full() -> None:
     desk = Programming()
     stopped(desk)
     desk.primary.room = 0
@@ -331,7 +331,7 @@ def test_other_program_is_not_stopped_after_end_or_replacement(title: str, name:
 
 
 @pytest.mark.parametrize(("title", "is_its_own"), [(STOPPED, False), (STARTED, True)])
-def test_report_about_other_program_keeps_kept_program(title: str, is_its_own: bool) -> None:
+def test_report_about_another_program_does_not_end_kept_program(title: str, is_its_own: bool) -> None:
     desk = Programming()
     run = stopped(desk)
     desk.key(title, run.program if is_its_own else "theirs")
@@ -352,7 +352,7 @@ def test_kept_program_is_stopped_without_enable() -> None:
 
 
 @pytest.mark.parametrize(("firmware", "stops"), [("5.11", 2), ("1.8", 1)])
-def test_stop_is_repeated_only_when_ends_are_reported(firmware: str, stops: int) -> None:
+def test_stop_is_repeated_only_if_firmware_reports_program_ends(firmware: str, stops: int) -> None:
     """A CB2 does not report ends by name, so a program that runs later may be a different one."""
     desk = Programming(firmware=firmware)
     run = desk.motion(asks=False)
@@ -554,7 +554,7 @@ def test_cancelled_secondary_program_stops_nothing() -> None:
     assert desk.stops == 0
 
 
-def test_end_of_secondary_program_does_not_advance_stop() -> None:
+def test_end_of_secondary_program_does_not_trigger_pending_stop() -> None:
     """Like a state, it may arrive before the report of the running program."""
     desk = Programming()
     beside = desk.script(BESIDE)
@@ -589,7 +589,7 @@ def test_program_cancelled_before_stop_is_stopped_after_stop(caplog: pytest.LogC
     assert caplog.messages == []
 
 
-def test_stop_is_left_to_later_script_in_unknown_robot_state(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_robot_state_ends_no_program_during_a_script(monkeypatch: pytest.MonkeyPatch) -> None:
     """The interlock is not asked whether the program may be stopped."""
 
     def unknown(is_stop: bool) -> None:

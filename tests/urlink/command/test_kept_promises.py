@@ -34,7 +34,7 @@ from urlink.rtde.client import Rtde
 pytestmark = pytest.mark.simulated_time
 
 
-def test_listening_is_marked_over_before_subscriptions_end() -> None:
+def test_listening_is_marked_ended_before_subscriptions_end() -> None:
     listening = _Listening()
     seen: list[bool] = []
     listening.add(lambda: seen.append(listening.is_over))
@@ -71,7 +71,7 @@ def test_claim_without_wait_returns_while_lock_is_held() -> None:
         thread.join()
 
 
-def test_new_connection_ends_no_program() -> None:
+def test_connection_events_do_not_end_a_running_program() -> None:
     with urlink.connect("sim://") as robot:
         motion = robot.motion.speed_joints([0.1] * 6, duration=0.4)
         programs = robot.motion._context.programs
@@ -89,7 +89,7 @@ def test_claims_are_marked_closed_before_release(monkeypatch: pytest.MonkeyPatch
     assert seen[0] is True
 
 
-def test_claims_are_registered_before_they_connect(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_claims_are_registered_before_connecting(monkeypatch: pytest.MonkeyPatch) -> None:
     with urlink.connect("sim://") as robot:
         brief, seen = robot.rtde._brief, []
         subscribe = Connection.subscribe_inline
@@ -104,7 +104,7 @@ def test_claims_are_registered_before_they_connect(monkeypatch: pytest.MonkeyPat
     assert seen == [True]
 
 
-def test_settings_connect_with_claim_timeout() -> None:
+def test_settings_use_the_claim_timeout_for_connecting() -> None:
     with urlink.connect("sim://") as robot:
         claims = robot.rtde._connect_briefly(Requests(("timestamp",), None))
         assert claims._connection._timeout == CLAIM_TIMEOUT
@@ -144,7 +144,7 @@ def test_interpreter_is_registered_before_first_request(monkeypatch: pytest.Monk
     assert seen[0] == 1
 
 
-def test_torque_message_is_muted_while_sending(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torque_message_is_not_repeated_while_one_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[bool] = []
     with urlink.connect("sim://?firmware=10.12") as robot:
         torque = robot.motion.torque()
@@ -174,7 +174,7 @@ def test_stream_opened_after_rtde_close_is_closed() -> None:
 # -- between two threads -----------------------------------------------------------------------------------
 
 
-def test_registers_of_a_kind_have_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_output_registers_of_one_type_share_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     with urlink.connect("sim://") as robot:
         made = []
         outputs = type(robot.rtde).outputs
@@ -256,7 +256,7 @@ def test_reason_of_a_timeout_is_read_under_the_lock(monkeypatch: pytest.MonkeyPa
     assert all(seen)
 
 
-def test_closing_link_disconnects_new_program() -> None:
+def test_program_that_connects_while_link_closes_is_disconnected() -> None:
     class Closing(ReverseLink):
         """Link that another thread closes just after `_is_closed` was read as False."""
 
@@ -285,7 +285,7 @@ def test_closing_link_disconnects_new_program() -> None:
             assert program.recv(1) == b""
 
 
-def test_connecting_counts_towards_the_deadline_of_rtde() -> None:
+def test_rtde_deadline_includes_the_time_for_connecting() -> None:
     left: list[float] = []
 
     class Slow:

@@ -52,7 +52,7 @@ def test_start_timeout_is_converted_to_controller_cycles(firmware: str, seconds:
     assert "urlink_cycles" not in desk.sent[-1]
 
 
-def test_start_fails_under_stop_and_after_end_of_life(desk: Programming) -> None:
+def test_start_raises_during_a_stop_and_after_the_program_ended(desk: Programming) -> None:
     desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     life = desk.programs.life("refused")
     with pytest.raises(SafetyStop):
@@ -72,7 +72,7 @@ def test_start_fails_under_stop_and_after_end_of_life(desk: Programming) -> None
     assert desk.programs._runs == {}
 
 
-def test_interrupt_while_sending_ends_life(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_ends_when_sending_is_interrupted(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
@@ -235,7 +235,7 @@ def test_finished_program_ends_by_key_message_or_flag(desk: Programming, is_told
     assert ends == ["here"]
 
 
-def test_finish_marker_also_marks_beginning(desk: Programming) -> None:
+def test_program_counts_as_begun_when_its_finish_marker_arrives(desk: Programming) -> None:
     """The start marker might be missed, for example just after a reconnection."""
     before, run = desk.script(), desk.script()
     run.says("finished")
@@ -261,7 +261,7 @@ def test_paused_program_keeps_its_phase(desk: Programming, is_paused: bool) -> N
 
 
 @pytest.mark.parametrize("has_keys", [True, False])
-def test_program_ends_when_flag_stays_clear(desk: Programming, has_keys: bool) -> None:
+def test_program_ends_when_its_running_flag_stays_clear(desk: Programming, has_keys: bool) -> None:
     """The limit is half a second. With key messages it is five seconds, because they might have been lost."""
     run = desk.script()
     if has_keys:
@@ -400,7 +400,7 @@ def test_motion_ends_when_interlock_closes(desk: Programming, has_begun: bool) -
 # -- current programs and stops --------------------------------------------------------------------------
 
 
-def test_current_and_permitted_programs(desk: Programming) -> None:
+def test_programs_lists_current_and_permitted_programs(desk: Programming) -> None:
     current = [desk.programs.current]
     motion = desk.motion()
     current.append(desk.programs.current)
@@ -415,7 +415,7 @@ def test_current_and_permitted_programs(desk: Programming) -> None:
     assert current == [None, motion._life, free._life, None]
 
 
-def test_linked_program_is_permitted_after_it_began(desk: Programming) -> None:
+def test_linked_program_gets_permission_only_after_it_has_begun(desk: Programming) -> None:
     """Otherwise a speed that is sent after it would move the arm even if the program never connects."""
     linked = desk.motion(asks=False, is_linked=True)
     assert desk.programs.permitted == []
@@ -454,7 +454,7 @@ def test_refused_stop_raises_safety_stop(desk: Programming) -> None:
         desk.programs.stop(script._life)
 
 
-def test_ended_is_time_of_last_end(desk: Programming) -> None:
+def test_ended_returns_the_time_at_which_the_last_program_ended(desk: Programming) -> None:
     """A state received before that time might still show the movement."""
     run = desk.motion()
     run.begins()
@@ -489,7 +489,7 @@ def test_replacing_program_drops_pending_undos(
     undos.close()
 
 
-def test_motion_sent_while_stop_waits_is_not_stopped(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_that_had_to_wait_does_not_stop_a_newer_motion(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
     one, others = desk.motion(), list[Any]()
     prepare = desk.channel._prepare
 

@@ -187,7 +187,7 @@ def test_monitor_subscribes_again_after_connection_gave_up(desk: Monitored, stat
     assert desk.monitor.refusal_to_begin() is None  # an event of the previous subscription is ignored
 
 
-def test_partial_reports_of_primary_interface(desk: Monitored) -> None:
+def test_state_without_robot_mode_does_not_clear_a_violation(desk: Monitored) -> None:
     desk.clear()
     desk.primary.deliver(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
     assert "violation" in str(desk.monitor.refusal_to_begin())
@@ -250,7 +250,9 @@ def test_close_drops_references_to_hooks(desk: Monitored) -> None:
         lambda monitor: monitor._interlock.enable(monitor.clock()),
     ],
 )
-def test_refusal_is_freed_after_being_caught(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
+def test_refusal_leaves_no_reference_cycle_after_being_caught(
+    desk: Monitored, ask: Callable[[SafetyMonitor], None]
+) -> None:
     """The traceback contains the frame that raised the error, so that frame must not refer to the error."""
     caught: list[weakref.ref[LinkError]] = []
     gc.disable()
@@ -305,7 +307,7 @@ def test_wait_for_wakes_at_every_change() -> None:
         assert desk.monitor.wait_for(look, 3600.0)
 
 
-def test_timeouts_of_first_and_next_report() -> None:
+def test_monitor_waits_longer_for_first_than_for_next_report() -> None:
     """Two seconds for a first report; if something blocks motion, half a second for every source's next report."""
     desk = Desk(may_wait=True)
     asked: list[tuple[Callable[[Interlock], object], float]] = []

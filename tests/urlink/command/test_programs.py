@@ -133,7 +133,7 @@ def test_program_is_sent_runs_and_finishes(robot: ScriptedController) -> None:
     assert len(uploaded(robot)) == 1
 
 
-def test_finish_marker_is_not_the_end(robot: ScriptedController) -> None:
+def test_finish_marker_alone_does_not_end_a_program(robot: ScriptedController) -> None:
     """The next program must not race the previous one."""
     program = run(robot)
     robot.begins(program)
@@ -372,7 +372,7 @@ def test_program_sent_before_stop_does_not_begin_after_stop(robot: ScriptedContr
     assert len(robot.sent) == 1  # the program asks, but gets no permission
 
 
-def test_cancel_under_stop_sends_nothing(robot: ScriptedController) -> None:
+def test_cancel_during_protective_stop_sends_nothing(robot: ScriptedController) -> None:
     program = run(robot)
     robot.begins(program)
     until(lambda: len(robot.sent) == 2)  # the program has got its permission
@@ -474,7 +474,7 @@ def test_texts_before_the_beginning_are_ignored(robot: ScriptedController) -> No
     assert heard == ["1"]
 
 
-def test_secondary_program_has_no_texts(robot: ScriptedController) -> None:
+def test_texts_of_a_secondary_program_stay_empty(robot: ScriptedController) -> None:
     heard: list[str] = []
     robot.clear()
     program = robot.script.run("sec blink():\n  textmsg(1)\nend", on_text=heard.append)

@@ -222,7 +222,7 @@ def test_callback_that_exits_does_not_end_the_thread(
     assert caplog.text.count("SystemExit: on purpose") == 2
 
 
-def test_stop_callback_can_command_and_wait(robot: ScriptedController) -> None:
+def test_stop_callback_can_send_commands_and_wait(robot: ScriptedController) -> None:
     robot.clear()
     done = threading.Event()
 
@@ -440,7 +440,7 @@ def test_cb2_modes_permit_or_refuse_motion() -> None:
     assert robot.sent == ["movej(q)\n"]
 
 
-def test_stop_is_reported_after_current_send(robot: ScriptedController) -> None:
+def test_stop_is_reported_after_the_set_point_being_sent(robot: ScriptedController) -> None:
     """Check and send are one step: a permitted set-point has been sent before the stop is reported."""
     robot.clear()
     order: list[str] = []
@@ -540,7 +540,7 @@ def test_state_without_safety_part_keeps_stop(robot: ScriptedController) -> None
 # -- inline callbacks ------------------------------------------------------------------------------------
 
 
-def test_inline_callback_cannot_wait(robot: ScriptedController) -> None:
+def test_wait_in_an_inline_callback_raises(robot: ScriptedController) -> None:
     robot.clear()
     raised: list[LinkError] = []
 
@@ -558,7 +558,7 @@ def test_inline_callback_cannot_wait(robot: ScriptedController) -> None:
     assert "inline=True" in str(raised[0])
 
 
-def test_inline_callback_can_command(robot: ScriptedController) -> None:
+def test_inline_callback_can_send_a_command(robot: ScriptedController) -> None:
     robot.clear()
 
     def command(state: object) -> None:
@@ -633,7 +633,9 @@ def test_rest_of_text_is_not_sent_after_stop(robot: ScriptedController) -> None:
     until(lambda: robot.slow.opened == 2)  # the controller cannot take later texts for the rest
 
 
-def test_unread_text_times_out(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_that_the_controller_does_not_read_times_out(
+    robot: ScriptedController, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("urlink.command.channel.SEND_TIMEOUT", 0.05)
     robot.clear()
     for room, opened in ((0, 1), (3, 2)):
@@ -644,7 +646,7 @@ def test_unread_text_times_out(robot: ScriptedController, monkeypatch: pytest.Mo
         robot.clear()
 
 
-def test_text_does_not_continue_on_next_connection(robot: ScriptedController) -> None:
+def test_partly_sent_text_is_not_continued_on_next_connection(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     sender, raised = send(robot, "movej(q)")
@@ -666,13 +668,13 @@ def in_the_section(robot: ScriptedController, handler: Callable[[], object]) -> 
     robot.channel.setpoint(handler)
 
 
-def test_signal_handler_can_command_inside_section(robot: ScriptedController) -> None:
+def test_signal_handler_can_send_a_stop_while_the_lock_is_held(robot: ScriptedController) -> None:
     robot.clear()
     in_the_section(robot, lambda: robot.channel.motion("stopj(2)", is_stop=True))
     assert robot.sent == ["stopj(2)\n"]
 
 
-def test_signal_handler_can_wait_inside_section(robot: ScriptedController) -> None:
+def test_signal_handler_can_wait_while_the_lock_is_held(robot: ScriptedController) -> None:
     """The awaited stop is received by a thread that needs the section."""
     robot.clear()
 

@@ -114,7 +114,7 @@ def test_setting_without_confirm_claims_nothing(robot: ScriptedController, input
     assert len(robot.sent) == 1
 
 
-def test_package_does_not_overtake_text(
+def test_rtde_package_does_not_overtake_a_script(
     robot: ScriptedController, inputs: Inputs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(settings, "_SETTLED", 60.0)
@@ -124,7 +124,9 @@ def test_package_does_not_overtake_text(
 
 
 @pytest.mark.parametrize("error", [ConnectFailed("refused"), urlink.LinkTimeout("no answer")], ids=str)
-def test_missing_rtde_is_tried_once_per_connection(robot: ScriptedController, inputs: Inputs, error: LinkError) -> None:
+def test_rtde_is_tried_once_per_connection_if_it_is_missing(
+    robot: ScriptedController, inputs: Inputs, error: LinkError
+) -> None:
     inputs.error = error
     acts: list[Callable[[], object]] = [
         lambda: robot.io.set_digital_out(0, True, confirm=0.01),
@@ -144,7 +146,7 @@ def test_missing_rtde_is_tried_once_per_connection(robot: ScriptedController, in
     assert (len(inputs.written), len(robot.sent)) == (1, 3)
 
 
-def test_input_in_use_is_refused_separately(robot: ScriptedController, inputs: Inputs) -> None:
+def test_input_in_use_does_not_block_other_inputs(robot: ScriptedController, inputs: Inputs) -> None:
     inputs.held = {"speed_slider_mask"}
     with pytest.raises(NotConfirmed):
         robot.settings.speed_slider(0.5, 0.01)
@@ -191,7 +193,7 @@ class Desk:
         self.settings.send("text", lambda: values)
 
 
-def test_rtde_is_used_half_a_second_after_text() -> None:
+def test_setting_uses_rtde_again_half_a_second_after_a_script() -> None:
     desk = Desk()
     desk.inputs.held = {"a"}
     desk.send({"a": 1})
@@ -202,7 +204,7 @@ def test_rtde_is_used_half_a_second_after_text() -> None:
     assert len(desk.sent) == 3
 
 
-def test_setting_without_inputs_is_sent_as_text() -> None:
+def test_setting_without_rtde_inputs_is_sent_as_script() -> None:
     """For example, whether an analogue output is a voltage or a current is unknown before the robot reports it."""
     desk = Desk()
     desk.send(None)
@@ -212,7 +214,7 @@ def test_setting_without_inputs_is_sent_as_text() -> None:
     assert (desk.inputs.written, desk.sent) == ([{"a": 1}], ["text"])
 
 
-def test_refusal_lasts_until_reconnection(caplog: pytest.LogCaptureFixture) -> None:
+def test_refused_input_is_not_requested_again_until_reconnection(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     desk = Desk()
     desk.inputs.held = {"a"}

@@ -117,7 +117,7 @@ def test_freedrive_sends_a_message_per_state(led: Rehearsal) -> None:
 
 
 @pytest.mark.parametrize("is_compensated", [True, False])
-def test_torque_sends_only_the_set_points_of_the_loop(
+def test_torque_sends_only_set_points_given_by_the_loop(
     rehearsal: Callable[..., Rehearsal], is_compensated: bool
 ) -> None:
     robot = rehearsal("5.25", "UR5e")
@@ -234,7 +234,7 @@ def test_send_waits_for_reason_of_lost_connection(robot: Rehearsal, monkeypatch:
         assert waited == [1.5]
 
 
-def test_block_thread_is_urgent_inside_block(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_block_thread_enters_urgent_mode_inside_the_block(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
 
     @contextmanager

@@ -104,7 +104,7 @@ def test_unknown_link_is_rejected(robot: Rehearsal) -> None:
     assert robot.sent == []
 
 
-def test_state_from_the_past_counts_as_one_cycle(robot: Rehearsal) -> None:
+def test_state_with_earlier_time_counts_as_one_cycle(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH)
     robot.connect()
     way: list[float] = []
@@ -249,7 +249,7 @@ def test_impossible_trajectories_are_rejected(led: Rehearsal) -> None:
     assert led.motion.current is None
 
 
-def test_position_of_moving_arm_is_not_checked_yet(led: Rehearsal) -> None:
+def test_follow_checks_start_position_when_the_arm_is_at_rest(led: Rehearsal) -> None:
     """The previous motion has ended, but the newest state was sent a little before its end."""
     led.q, led.qd = turned(-0.2), [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     led.show()
@@ -389,7 +389,7 @@ def test_leaving_path_raises_tolerance_exceeded(led: Rehearsal) -> None:
     assert last[1] == STOP
 
 
-def test_missing_goal_raises_tolerance_exceeded(led: Rehearsal) -> None:
+def test_arm_that_misses_the_goal_raises_tolerance_exceeded(led: Rehearsal) -> None:
     motion = begun(led, goal_time=0.1)
     while not motion.done:
         led.tick(away=0.02)
@@ -529,7 +529,7 @@ def test_low_bandwidth_starts_at_position_of_arm(robot: Rehearsal) -> None:
     assert "stopj" in robot.sent[-1]
 
 
-def test_invalid_request_raises_program_stopped(robot: Rehearsal) -> None:
+def test_follow_raises_program_stopped_after_an_invalid_request(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH, low_bandwidth=True)
     robot.connect()
     assert robot.link is not None

@@ -186,7 +186,7 @@ def test_failing_stream_does_not_keep_others_from_braking(streams: Streams) -> N
     assert streams.called("exit") == [("right",), ("left",)]
 
 
-def test_points_start_at_last_arm_and_go_to_all_arms(streams: Streams) -> None:
+def test_group_points_start_at_the_latest_arm_and_reach_all_arms(streams: Streams) -> None:
     streams.left.room = 0.1
     assert streams.append([1.0, 2.0], [1.5, 2.0], wait=20.0) == 0.1
     assert streams.called("checked") == [("left", 0.5), ("right", 0.5)]
@@ -198,7 +198,7 @@ def test_points_start_at_last_arm_and_go_to_all_arms(streams: Streams) -> None:
     assert streams.called("producing") == [("left",), ("right",)]
 
 
-def test_points_are_checked_again_after_concurrent_clear(streams: Streams) -> None:
+def test_group_points_are_checked_again_after_concurrent_clear(streams: Streams) -> None:
     streams.left.is_cleared_meanwhile = streams.right.is_cleared_meanwhile = True
     streams.append([1.0], [1.0])
     assert len(streams.called("checked")) == 4

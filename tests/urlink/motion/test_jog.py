@@ -219,7 +219,9 @@ class TestHeldSpeeds:
         ids=["acceleration", "tool", "short"],
     )
     @pytest.mark.real_time
-    def test_some_changes_need_another_program(self, robot: Rehearsal, other: Callable[[Any], Motion]) -> None:
+    def test_speed_call_that_cannot_change_the_motion_preempts_it(
+        self, robot: Rehearsal, other: Callable[[Any], Motion]
+    ) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
         next(answers(robot))

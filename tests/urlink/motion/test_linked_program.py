@@ -171,7 +171,7 @@ def test_missing_connection_raises_connect_failed(talk: Talk) -> None:
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_program_has_a_second_to_end_after_farewell(talk: Talk, is_told: bool) -> None:
+def test_program_has_one_second_to_end_after_the_end_message(talk: Talk, is_told: bool) -> None:
     talk.begin().look(3.0)
     assert not talk.program.is_finishing
     talk.is_over = True
@@ -189,7 +189,7 @@ def test_program_has_a_second_to_end_after_farewell(talk: Talk, is_told: bool) -
     assert talk.closed == [True]
 
 
-def test_farewell_is_the_last_message(talk: Talk) -> None:
+def test_no_message_is_sent_after_the_end_message(talk: Talk) -> None:
     """One thread might have composed a message while another thread ends the program."""
     talk.begin()
     talk.program.finish()
@@ -199,7 +199,7 @@ def test_farewell_is_the_last_message(talk: Talk) -> None:
     talk.motion.wait(TIMEOUT)
 
 
-def test_messages_of_program_after_farewell_are_ignored(talk: Talk) -> None:
+def test_messages_of_program_after_the_end_message_are_ignored(talk: Talk) -> None:
     talk.begin()
     talk.program.finish()
     talk.robot.text("urlink: nothing to go to")
@@ -208,7 +208,7 @@ def test_messages_of_program_after_farewell_are_ignored(talk: Talk) -> None:
     talk.motion.wait(TIMEOUT)
 
 
-def test_program_without_farewell_is_stopped(robot: Rehearsal) -> None:
+def test_program_without_an_end_message_is_stopped(robot: Rehearsal) -> None:
     talk = Talk(robot, farewell=b"").begin()
     talk.program.finish()
     assert b"" not in talk.said
@@ -221,7 +221,7 @@ def test_program_without_farewell_is_stopped(robot: Rehearsal) -> None:
     assert [b"" in other.said, other.closed] == [False, [False]]
 
 
-def test_loss_is_reported_after_a_second_without_reason(talk: Talk) -> None:
+def test_lost_connection_without_reason_fails_after_a_second(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("first")
     talk.look()
@@ -238,7 +238,7 @@ def test_loss_is_reported_after_a_second_without_reason(talk: Talk) -> None:
     assert not any("stopj" in text for text in talk.robot.sent)
 
 
-def test_safety_stop_is_reported_instead_of_loss(talk: Talk) -> None:
+def test_safety_stop_is_reported_instead_of_a_lost_connection(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("reset")
     talk.look()
@@ -260,7 +260,7 @@ def test_early_program_end_raises_program_stopped(talk: Talk) -> None:
     talk.fails(ProgramStopped, "the program of talk ended unexpectedly")
 
 
-def test_dialogue_can_outlive_program(robot: Rehearsal) -> None:
+def test_linked_dialogue_can_continue_after_its_program_ended(robot: Rehearsal) -> None:
     talk = Talk(robot, survives_its_program=True).begin()
     talk.heard = b"never mind"
     robot.finish()
@@ -322,7 +322,7 @@ def taken() -> Talk:
 @pytest.mark.parametrize(
     ("open_link", "raised", "error"), [(taken, BadAddress, BadAddress), (interrupted, KeyboardInterrupt, LocalError)]
 )
-def test_unavailable_link_fails_motion(
+def test_motion_fails_when_its_link_is_unavailable(
     talk: Talk, open_link: Callable[[], Talk], raised: type[BaseException], error: type[Exception]
 ) -> None:
     talk.program._open_link = open_link
@@ -431,7 +431,7 @@ def test_loop_messages_are_dropped_during_pause(talk: Talk) -> None:
 
 
 @pytest.mark.parametrize("state", [ProgramState.PAUSING, ProgramState.PAUSED, ProgramState.PLAYING])
-def test_pause_is_detected_in_unprocessed_state(talk: Talk, state: ProgramState) -> None:
+def test_pause_is_detected_in_a_state_not_processed_yet(talk: Talk, state: ProgramState) -> None:
     """The user's loop might receive a state before the thread that replies to states does."""
     context, found = talk.program._context, []
     for latest, holds in ((None, False), (SimpleNamespace(program_state=state), False), (None, True)):
@@ -452,7 +452,7 @@ def test_dialogue_resumes_once_after_pause(talk: Talk, monkeypatch: pytest.Monke
     assert not talk.program._pause.is_over
 
 
-def test_link_callback_is_released_at_end(talk: Talk) -> None:
+def test_link_callback_is_removed_when_the_program_ends(talk: Talk) -> None:
     """The callback refers to the handle, and the handle refers to the program."""
     talk.begin().motion.cancel()
     linked = talk.linked

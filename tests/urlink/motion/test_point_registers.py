@@ -55,7 +55,7 @@ class Registered(Streamed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_set_points_equal_stream_over_connection(firmware: Firmware) -> None:
+def test_set_points_over_registers_equal_those_over_a_connection(firmware: Firmware) -> None:
     """The set-points of each cycle are the same as over a connection, apart from their start."""
     paths = []
     for stream in (Streamed(firmware), Registered(firmware)):
@@ -88,7 +88,7 @@ def test_lost_messages_are_repeated() -> None:
 
 
 @pytest.mark.slow
-def test_tail_is_replaced_and_cleared() -> None:
+def test_last_points_can_be_replaced_and_cleared_over_registers() -> None:
     stream = Registered(E_SERIES)
     stream.append(waves(0.05, 3.0))
     stream.until(lambda: stream.feed.time > 0.5)
@@ -100,7 +100,7 @@ def test_tail_is_replaced_and_cleared() -> None:
     assert stream.feed.starved == 0
 
 
-def test_registers_of_point_streams() -> None:
+def test_point_streams_use_only_their_documented_registers() -> None:
     """Integer inputs 24 to 29 are left to users, and so are outputs below 30 and above 36."""
     assert [name for name in POINT_INPUTS if "int" in name] == [f"input_int_register_{i}" for i in range(30, 44)]
     assert [name for name in POINT_INPUTS if "double" in name] == [f"input_double_register_{i}" for i in range(24, 36)]
@@ -109,7 +109,7 @@ def test_registers_of_point_streams() -> None:
     assert (endpoint.first_float, endpoint.first_integer, endpoint.first_output) == (24, 30, 30)
 
 
-def test_outputs_are_requested_once() -> None:
+def test_point_stream_requests_its_outputs_only_once() -> None:
     """Each link starts them, because the connection might have been closed meanwhile."""
     asked: list[tuple[str, ...]] = []
     started: list[None] = []
@@ -138,7 +138,7 @@ def test_message_number_wraps_to_one() -> None:
 
 
 @pytest.mark.parametrize("after", [1, 60, 100, 101, 102, 110, 400])
-def test_points_and_cuts_work_when_message_number_wraps(after: int) -> None:
+def test_points_and_cuts_are_accepted_when_the_number_wraps(after: int) -> None:
     """The numbers start again after some messages: before, during and after a cut, or when the stream is dry."""
     stream = Registered(E_SERIES, lost=0.2)
     stream.link._count = stream.feed._messages = stream.feed._last_answered = 0x7FFF_FFFF - after
@@ -153,7 +153,7 @@ def test_points_and_cuts_work_when_message_number_wraps(after: int) -> None:
     assert stream.bench.texts == ["tried started"]
 
 
-def test_outputs_may_be_missing_for_a_second() -> None:
+def test_stream_continues_without_outputs_for_a_second() -> None:
     there: list[Any] = [None]
     now = [8.0]
     link = PointRegisterLink(Inputs(lambda package: None), lambda: there[0], lambda: now[0])

@@ -35,7 +35,7 @@ def there(angle: float, t: float) -> TrajectoryPoint:
     ("firmware", "buffer", "capacity"),
     [("5.11", 0.3, 79), ("5.11", 0.5, 129), ("5.11", 10.0, 256), ("3.4", 0.48, 34), ("3.4", 0.05, 7)],
 )
-def test_buffer_determines_number_of_points(
+def test_stream_buffer_time_determines_the_number_of_points(
     rehearsal: Callable[..., Rehearsal], firmware: str, buffer: float, capacity: int
 ) -> None:
     """Points are two cycles apart, and there are at most 256."""
@@ -87,14 +87,14 @@ def stream(robot: Rehearsal) -> Any:
         yield stream
 
 
-def test_unsent_points_count_for_end_and_room(stream: Any) -> None:
+def test_end_and_room_include_points_that_are_not_yet_sent(stream: Any) -> None:
     assert stream.append([there(0.1, 0.4), there(0.2, 0.8)], wait=False) == pytest.approx(-0.3)
     assert (stream.end, stream.time, stream.is_dry) == (0.8, 0.0, False)
     assert stream.buffered == 0.8
     assert stream.room == pytest.approx(-0.3)
 
 
-def test_properties_report_the_feed(stream: Any) -> None:
+def test_stream_properties_return_values_of_the_feed(stream: Any) -> None:
     stream._feed = SimpleNamespace(time=3.0, mark=SimpleNamespace(time=2.0), starved=7, is_dry=True)
     assert (stream.time, stream.end, stream.buffered, stream.room, stream.starved) == (3.0, 2.0, 0.0, 0.5, 7)
     assert stream.is_dry
@@ -107,7 +107,9 @@ def test_properties_report_the_feed(stream: Any) -> None:
         (lambda stream: stream.wait_until_dry(0.7), 0.7, "the stream did not run dry within 0.7 s"),
     ],
 )
-def test_each_wait_times_out(stream: Any, call: Callable[[Any], object], seconds: float, why: str) -> None:
+def test_each_wait_of_a_point_stream_times_out(
+    stream: Any, call: Callable[[Any], object], seconds: float, why: str
+) -> None:
     stream.append(there(0.05, 0.2), wait=False)
     begin = time.monotonic()
     with pytest.raises(LinkTimeout, match=re.escape(why)):
@@ -123,7 +125,7 @@ def test_each_wait_times_out(stream: Any, call: Callable[[Any], object], seconds
         (lambda stream: stream._await_answer(), "the robot did not answer within 10 s"),
     ],
 )
-def test_change_times_out_after_ten_seconds(stream: Any, call: Callable[[Any], object], why: str) -> None:
+def test_stream_change_times_out_after_ten_seconds(stream: Any, call: Callable[[Any], object], why: str) -> None:
     never: Future[Any] = Future()
     stream._feed.replace = lambda since, curve: never
     stream._feed.answered = lambda: never
@@ -143,7 +145,7 @@ def test_calls_time_out_if_arm_does_not_come_to_rest(robot: Rehearsal, call: Cal
         assert time.monotonic() - begin == pytest.approx(10.0, abs=0.05)
 
 
-def test_clear_replaces_all_and_dry_wait_is_a_minute(stream: Any) -> None:
+def test_clear_replaces_all_points_and_wait_dry_waits_a_minute(stream: Any) -> None:
     put: list[tuple[float, Sequence[Aim]]] = []
     waited: list[float] = []
     stream._put = lambda since, curve: put.append((since, curve))
@@ -166,7 +168,7 @@ def test_append_waits_a_minute_for_room_by_default(stream: Any) -> None:
     assert waited == [60.0]
 
 
-def test_second_producer_is_rejected(stream: Any) -> None:
+def test_points_from_a_second_thread_are_rejected(stream: Any) -> None:
     with stream._producing():
         with pytest.raises(LocalError, match="only one may do so at once"):
             stream.append(there(0.1, 0.4))
@@ -178,7 +180,7 @@ def test_second_producer_is_rejected(stream: Any) -> None:
     stream.append(there(0.1, 0.4), wait=False)
 
 
-def test_points_are_read_again_after_concurrent_clear(stream: Any) -> None:
+def test_points_are_planned_again_after_a_concurrent_clear(stream: Any) -> None:
     after, read = stream._reader.after, list[float]()
 
     def clears(points: Any, mark: Any, begins: float) -> Sequence[Aim]:
@@ -210,7 +212,7 @@ def test_pose_is_reached_with_current_tool(stream: Any) -> None:
     assert stream._curve(PosePoint(Arm("UR5e").forward(HOME), 1.0), 0.0)[0].moment.q == pytest.approx(HOME, abs=1e-6)
 
 
-def test_calls_are_passed_to_the_feed(stream: Any) -> None:
+def test_stream_calls_are_passed_to_the_feed(stream: Any) -> None:
     asked: list[tuple[Any, ...]] = []
     stream._feed = SimpleNamespace(
         check=lambda *what: asked.append(("check", *what)),
@@ -226,7 +228,7 @@ def test_calls_are_passed_to_the_feed(stream: Any) -> None:
 # -- its end -----------------------------------------------------------------------------------------------
 
 
-def test_feed_ends_with_error_of_stream(robot: Rehearsal) -> None:
+def test_feed_ends_with_the_error_of_its_stream(robot: Rehearsal) -> None:
     ended: list[Exception] = []
     for error in (None, ConnectionLost("stream lost")):
         stream = robot.motion.stream()

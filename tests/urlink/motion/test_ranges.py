@@ -185,7 +185,7 @@ TRY: dict[str, Callable[[Any], object]] = {
         ("impedance of the tool", "5.9", "5.10"),
     ],
 )
-def test_first_firmware_with_feature(
+def test_call_is_rejected_before_first_firmware_with_its_feature(
     rehearsal: Callable[..., Rehearsal], what: str, last_without: str, first_with: str
 ) -> None:
     before, since = (
@@ -198,7 +198,7 @@ def test_first_firmware_with_feature(
     TRY[what](since.motion)
 
 
-def test_default_force_of_contact(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_contact_has_a_default_force_for_each_arm(rehearsal: Callable[..., Rehearsal]) -> None:
     """The controller detects contacts since 5.4; on older firmware, a contact is a force of 20 N."""
     for firmware, expected in (("5.3", "if against >= 20.0:"), ("5.4", "tool_contact(direction=[0.0, 0.6, -0.8, ")):
         robot = rehearsal(firmware)

@@ -211,7 +211,7 @@ def test_program_brakes_without_new_messages(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_missing_message_causes_no_dent(firmware: Firmware) -> None:
+def test_missing_message_does_not_disturb_the_path(firmware: Firmware) -> None:
     smooth, gappy = Led(firmware).connect(), Led(firmware).connect()
     for bench in (smooth, gappy):
         for i in range(100):

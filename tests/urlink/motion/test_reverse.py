@@ -118,7 +118,7 @@ def test_unread_messages_raise_connection_lost(link: ReverseLink) -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"farewell": False}, {"farewell": True}])
-def test_close_discards_pending_data_except_farewell(link: ReverseLink, options: dict[str, bool]) -> None:
+def test_close_discards_pending_data_except_the_end_message(link: ReverseLink, options: dict[str, bool]) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(lambda: is_up(link))
@@ -228,7 +228,7 @@ def is_left_alone(stranger: socket.socket) -> bool:
         return True
 
 
-def test_free_ports_can_wait_at_the_same_time() -> None:
+def test_two_links_can_wait_at_free_ports_at_the_same_time() -> None:
     where = ReversePort("127.0.0.1")
     first, second = where.open(), where.open()
     for link in (first, second):
@@ -342,7 +342,7 @@ def test_fixed_port_accepts_only_the_newest_program(own_port: int) -> None:
     second.close()
 
 
-def test_absence_error_suggests_remedies(link: ReverseLink) -> None:
+def test_missing_connection_error_suggests_remedies(link: ReverseLink) -> None:
     error = link.absence("refused")
     assert isinstance(error, ConnectFailed)
     for part in (

@@ -73,7 +73,7 @@ def delay_of(firmware: Firmware) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", _FIRMWARES[1:], ids=str)
-def test_waypoints_are_reached_in_time_with_known_delay(firmware: Firmware) -> None:
+def test_schedule_reaches_waypoints_in_time_with_measured_delay(firmware: Firmware) -> None:
     delay = delay_of(firmware)
     cycle = 1.0 / firmware.rate
     # The arm lags by half the look-ahead time plus two over the gain, after the time that a set-point takes to arrive.
@@ -189,7 +189,7 @@ def test_waypoint_far_too_early_is_rejected() -> None:
         added(4.2)
 
 
-def test_waypoint_is_over_when_set_point_was_sent() -> None:
+def test_waypoint_is_rejected_after_its_set_point_was_sent() -> None:
     """The set-point that answers a state is for `delay` later; the next set-point follows at least a cycle later."""
     for delay in (0.0, 0.125):
         made = schedule(delay)

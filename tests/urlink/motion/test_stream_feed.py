@@ -44,7 +44,7 @@ def mark(stream: Streamed) -> Mark:
     return stream.feed.mark
 
 
-def test_feed_before_start_and_at_rest() -> None:
+def test_feed_has_no_points_before_start_and_at_rest() -> None:
     stream = Streamed(E_SERIES)
     feed = stream.feed
     assert (feed.time, feed.reach(1.0), feed.ahead, feed.is_dry, feed.is_answered) == (0.0, 0.0, 0.0, True, True)
@@ -107,7 +107,7 @@ def test_points_may_come_before_first_report() -> None:
     assert stream.path[-1] == pytest.approx(wave(0.5).q, abs=2e-2)
 
 
-def test_farewell_contains_only_a_stop() -> None:
+def test_end_message_of_a_stream_contains_only_a_stop() -> None:
     """The program does not end on its own."""
     assert struct.unpack(f">{MESSAGE}i", StreamFeed.farewell) == (STOP, *[0] * (MESSAGE - 1))
     assert not StreamFeed.survives_its_program
@@ -169,7 +169,7 @@ def test_cut_is_repeated_if_messages_may_be_lost(is_lossy: bool) -> None:
 
 
 @pytest.mark.parametrize("cycles", [0, 2, 10])
-def test_time_without_states_is_counted(cycles: int) -> None:
+def test_feed_measures_the_time_without_states(cycles: int) -> None:
     """After three or more cycles, a report may be older than the state that comes with it."""
     stream = moves(Streamed(E_SERIES))
     stream.run(cycles, is_frozen=True)
@@ -178,7 +178,7 @@ def test_time_without_states_is_counted(cycles: int) -> None:
     assert stream.feed._unseen == pytest.approx(passed if cycles > 1 else 0.0)
 
 
-def test_forgetting_unappended_points_keeps_end() -> None:
+def test_forgetting_unknown_points_does_not_change_the_end() -> None:
     stream = moves(Streamed(E_SERIES))
     stream.feed.replace(0.67, ())
     end = mark(stream)
@@ -186,7 +186,7 @@ def test_forgetting_unappended_points_keeps_end() -> None:
     assert mark(stream) is end
 
 
-def test_feed_is_answered_when_no_cut_is_pending() -> None:
+def test_feed_is_answered_when_all_replacements_are_answered() -> None:
     stream = moves(Streamed(E_SERIES, way=5))
     feed = stream.feed
     curve = stream.reader.curve(waves(0.4, 2.5), 0.4, mark(stream))
@@ -213,14 +213,14 @@ def test_check_rejects_impossible_replacement_in_advance() -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_cut_is_planned_six_cycles_and_10_ms_ahead(firmware: Firmware) -> None:
+def test_cut_takes_effect_six_cycles_and_10_ms_later(firmware: Firmware) -> None:
     stream = moves(Streamed(firmware))
     for later in (0.0, 0.1):
         ahead = stream.feed.reach(later) - stream.feed.time
         assert ahead == pytest.approx(6 * stream.period + 0.01 + later, abs=1e-9)
 
 
-def test_cut_is_planned_at_most_a_second_ahead() -> None:
+def test_cut_takes_effect_at_most_a_second_later() -> None:
     stream = moves(Streamed(E_SERIES, buffer=3.0, way=400))
     stream.feed.margin = 0.6  # messages take 0.8 s
     assert stream.replace(0.0, waves(0.05, 6.0)) > 1.0
@@ -256,7 +256,7 @@ def test_append_future_is_done_when_last_point_was_sent() -> None:
 
 
 @pytest.mark.parametrize("cycles", [0, 1, 2, 3, 30])
-def test_time_is_right_after_computer_was_frozen(cycles: int) -> None:
+def test_stream_time_is_correct_after_the_computer_was_frozen(cycles: int) -> None:
     """The first reports after that are older than the state."""
     stream = moves(Streamed(E_SERIES, way=3), 0.3)
     for _ in range(20):
@@ -385,7 +385,7 @@ def test_points_are_replaced_right_after_resuming_from_braking(cycles: int) -> N
     assert np.abs(qddd).max() < JERK * 1.05
 
 
-def test_first_points_are_all_kept() -> None:
+def test_first_points_of_a_stream_are_all_queued() -> None:
     stream = Streamed(E_SERIES)
     stream.append([TrajectoryPoint(turned(angle), t) for angle, t in ((0.05, 0.05), (0.0, 2.0))])
     stream.run(1)
@@ -401,7 +401,7 @@ def test_replacement_may_start_at_end_of_sent_points() -> None:
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
 
 
-def test_same_points_are_reached_again_after_four_cycles() -> None:
+def test_replacing_with_same_points_takes_four_cycles() -> None:
     """A step takes at least two cycles, and the first step takes twice that."""
     stream = moves(Streamed(E_SERIES))
     curve = stream.reader.curve(waves(0.05, 2.5), 0.0, mark(stream))
@@ -410,7 +410,7 @@ def test_same_points_are_reached_again_after_four_cycles() -> None:
     assert stream.feed._queue[0].time == pytest.approx(begin + 4 * stream.period)
 
 
-def test_point_at_current_time_is_past_at_rest() -> None:
+def test_points_at_the_current_time_are_skipped_at_rest() -> None:
     stream = Streamed(E_SERIES)
     stream.replace(0.0, [TrajectoryPoint(turned(0.1 * t), t, [0] * 6) for t in (0.0, 0.5, 1.0)])
     assert [aim.time for aim in stream.feed._queue] == [0.5, 1.0]
@@ -447,7 +447,7 @@ def test_replacement_at_rest_skips_unreachable_points() -> None:
 
 
 @pytest.mark.parametrize(("buffer", "cycles", "starved"), [(0.1, 20, 0), (0.1, 100, 1), (0.3, 100, 0), (0.3, 200, 1)])
-def test_late_points_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
+def test_points_that_arrived_too_late_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
     """The network is blocked in both directions, partly for longer than the program holds points."""
     stream = moves(Streamed(E_SERIES, buffer=buffer), 0.5)
     begin = len(stream.path)
@@ -481,7 +481,7 @@ def test_cut_is_answered_by_first_report_after_message() -> None:
     assert done.result(0.0) == pytest.approx(0.65)
 
 
-def test_margin_is_doubled_after_late_cut() -> None:
+def test_time_margin_is_doubled_after_a_late_cut() -> None:
     stream = moves(Streamed(E_SERIES, way=30))
     margin, before = stream.feed.margin, mark(stream)
     done, number = cutting(stream)
@@ -507,7 +507,7 @@ def test_points_in_late_messages_are_sent_again(count: int) -> None:
     assert feed._head == feed._steps[-1].number == sent[0].number - 1
 
 
-def test_report_corrects_time() -> None:
+def test_report_of_the_robot_corrects_the_stream_time() -> None:
     stream = moves(Streamed(E_SERIES))
     before, begin = stream.feed.time, stream.bench.cycle
     stream.feed._passed += 0.01
@@ -566,7 +566,7 @@ def test_cleared_stream_starves_only_after_new_points() -> None:
 
 
 @pytest.mark.parametrize("way", [5, 9, 10, 11, 20])
-def test_stream_rests_at_most_once_for_any_delay(way: int) -> None:
+def test_stream_stops_at_most_once_after_braking_for_any_delay(way: int) -> None:
     """This holds even if the cut comes in time, but the first point, a cycle later, does not."""
     stream = Streamed(E_SERIES, way=way)
     stream.append(waves(0.05, 0.6))
@@ -688,7 +688,7 @@ def test_unreachable_points_after_pause_end_stream() -> None:
 # -- abandoned points --------------------------------------------------------------------------------------
 
 
-def test_abandoned_unsent_points_are_removed() -> None:
+def test_unsent_points_of_an_abandoned_call_are_removed() -> None:
     """The next points begin where the previous ones end; if no points are left, they begin at rest."""
     stream = Streamed(E_SERIES)
     feed = stream.feed
@@ -707,7 +707,7 @@ def test_abandoned_unsent_points_are_removed() -> None:
     assert not np.ptp(stream.path or [list(HOME)], axis=0).any()
 
 
-def test_abandoned_sent_points_are_still_reached() -> None:
+def test_sent_points_of_an_abandoned_call_are_still_reached() -> None:
     stream = Streamed(E_SERIES, buffer=0.3)
     handed = stream.append(waves(0.05, 1.0))
     stream.until(lambda: stream.feed.time > 0.2)
@@ -745,7 +745,7 @@ def test_points_abandoned_after_clear_keep_end() -> None:
     assert end.moment.qd == pytest.approx(wave(end.time).qd, abs=1e-4)
 
 
-def test_stream_is_dry_when_points_are_dropped_after_the_cut() -> None:
+def test_stream_is_dry_after_points_behind_a_cut_were_dropped() -> None:
     """The program has opened an epoch for points that will not be sent."""
     stream = Streamed(E_SERIES)
     handed = stream.append(waves(0.05, 0.5))
@@ -777,7 +777,7 @@ class Paces:
 
 
 @pytest.mark.parametrize(("change", "paces"), [(0.0, 0), (0.0004, 2), (0.0015, 3)])
-def test_pace_changed_by_a_thousandth_is_sent_before_point(change: float, paces: int) -> None:
+def test_pace_change_of_0_1_percent_is_sent_before_a_point(change: float, paces: int) -> None:
     """The program receives one message in each cycle."""
     stream, pace = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, pace)
@@ -792,7 +792,7 @@ def test_pace_changed_by_a_thousandth_is_sent_before_point(change: float, paces:
     assert (kinds.count(WAIT), kinds.count(POINT)) == (paces, 6 - paces)
 
 
-def test_arm_reports_motion_to_common_pace() -> None:
+def test_stream_reports_its_motion_to_the_common_pace() -> None:
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
     stream.run(5)
@@ -806,7 +806,7 @@ def test_arm_reports_motion_to_common_pace() -> None:
     assert [look.is_led for look in paces.looks].index(False) == pytest.approx(0.09 / stream.period, abs=6)
 
 
-def test_time_is_right_while_pace_changes() -> None:
+def test_stream_time_is_correct_while_the_pace_changes() -> None:
     """The error stays within the two cycles that a pace needs to arrive."""
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)

@@ -638,7 +638,7 @@ def test_close_wakes_waiting_thread(opened: Opened) -> None:
 # -- threads -----------------------------------------------------------------------------------------------
 
 
-def test_threads_take_turns(opened: Opened) -> None:
+def test_dashboard_commands_of_threads_are_serialised(opened: Opened) -> None:
     desk, dashboard = opened(lambda line: f"{line}\n".encode())
     wrong: list[str] = []
 

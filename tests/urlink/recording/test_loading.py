@@ -88,7 +88,7 @@ def test_table_has_columns_times_and_units() -> None:
         urlink.BadValue, match=r"no field 'q_actuel'; did you mean q_actual.*its fields are: time, q_target"
     ):
         table["q_actuel"]
-    with pytest.raises(urlink.BadRecording, match="holds no primary; it holds realtime"):
+    with pytest.raises(urlink.BadRecording, match="has no channel 'primary'; its channels are: realtime"):
         run.primary  # noqa: B018  # reading it raises
     assert "50 rows" in repr(table)
     assert "tcp_force" in table._repr_html_()
@@ -282,7 +282,7 @@ def test_to_frame_returns_polars() -> None:
 
 @pytest.mark.parametrize("path", [CAPTURES / f"simulator-{version}.urlog" for version in ("1.8", "3.15", "5.25")])
 @pytest.mark.simulated_time
-def test_recorded_simulator_loads_like_replay(path: Path) -> None:
+def test_loaded_recording_equals_its_replay(path: Path) -> None:
     run = urlink.load(path)
     with urlink.connect(f"replay://{path}?rate=max") as robot:
         states = list(robot.realtime)

@@ -90,7 +90,7 @@ def test_clock_detects_restart_of_controller() -> None:
 
 
 @pytest.mark.simulated_time
-def test_clock_waits_for_first_state() -> None:
+def test_robot_clock_converts_after_the_first_state() -> None:
     with urlink.connect("sim://ur5e") as robot:
         clock = robot.clock
         assert repr(clock) == "<RobotClock: no state has arrived>"

@@ -205,7 +205,7 @@ def test_unknown_sub_package_comes_last() -> None:
     assert grown.endswith(b"new")
 
 
-def test_garbage_inside_does_not_change_the_stated_size() -> None:
+def test_garbage_inside_a_packet_keeps_its_stated_size() -> None:
     assert with_garbage_inside(b"\0\0\0\x08abcd", b"??") == b"\0\0\0\x08??abcd"
 
 
@@ -248,7 +248,7 @@ def test_garbage_comes_once_and_before_a_packet(controller: Controller, connect:
 
 
 @pytest.mark.real_time
-def test_garbage_inside_shifts_the_next_packet(controller: Controller, connect: Connect) -> None:
+def test_garbage_inside_a_packet_shifts_the_next_packet(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "realtime")
     link.packet()
     controller.faults.garbage(b"garbage!", "realtime", inside=True)
@@ -452,7 +452,7 @@ def test_stops_appear_in_the_packets(controller: Controller, connect: Connect) -
 
 
 @pytest.mark.real_time
-def test_messages_go_only_to_the_primary_interface(controller: Controller, connect: Connect) -> None:
+def test_messages_are_sent_only_on_the_primary_interface(controller: Controller, connect: Connect) -> None:
     primary, secondary = connect(controller, "primary"), connect(controller, "secondary")
     # A greeting has two messages; the stop causes two more.
     controller.faults.protective_stop()

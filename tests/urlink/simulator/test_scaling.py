@@ -121,7 +121,7 @@ def test_stream_follows_the_same_path_in_scaled_time() -> None:
         assert np.abs(drift).max() < 1e-4, name
 
 
-def test_stretching_of_the_lag_is_a_parameter() -> None:
+def test_servoj_lag_is_stretched_by_the_slider_if_configured() -> None:
     profile = [1.0] * 400 + [0.0] * 1000
     stretched, _ = streamed(profile)
     straight, _ = streamed(profile, ScalingParameters(servoj_lag_stretches=False))

@@ -87,7 +87,7 @@ def test_client_that_disconnects_before_accept_does_no_harm(port: str, connect: 
 
 
 @pytest.mark.parametrize("port", ["primary", "primary_readonly", "secondary", "secondary_readonly"])
-def test_packages_come_after_a_greeting_at_ten_hertz(port: str, connect: Connect) -> None:
+def test_packages_are_sent_at_ten_hertz_after_the_greeting(port: str, connect: Connect) -> None:
     with Controller("UR5", "3.10") as controller:
         link = connect(controller, port)
         head = [(len(package), package[4]) for package in (link.packet() for _ in range(4))]
