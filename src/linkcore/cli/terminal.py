@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -21,6 +22,15 @@ if TYPE_CHECKING:
 def tell(program: str, text: str) -> None:
     """Print one line on stderr, which begins with the name of the program."""
     print(f"{program}: {printable(text)}", file=sys.stderr)
+
+
+def quoted(argument: str) -> str:
+    """Return `argument` as a user types it in a shell: quoted if it has characters that the shell interprets.
+
+    The command prompt of Windows knows double quotes only.
+    """
+    text = shlex.quote(argument)
+    return f'"{argument}"' if sys.platform == "win32" and text != argument else text
 
 
 class Interrupted(KeyboardInterrupt):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import shlex
 import threading
 import time
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command
 from linkcore.cli.progress import ProgressBar
-from linkcore.cli.terminal import Interruption, drawing
+from linkcore.cli.terminal import Interruption, drawing, quoted
 from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
@@ -91,13 +90,13 @@ def summary(view: MonitorView, seconds: float) -> str:
 
 def next_step(view: MonitorView, address: str) -> str:
     """Return a suggestion for the next command, with a description of this command."""
-    place, quoted = parse_address(address), shlex.quote(address)
+    place, given = parse_address(address), quoted(address)
     if isinstance(place, RecordingAddress):
-        return f"next: urlink replay {shlex.quote(str(place.path))} to summarise the recording"
+        return f"next: urlink replay {quoted(str(place.path))} to summarise the recording"
     is_regular = view.status is StreamStatus.CONNECTED and not view.stats.missed and not view.stats.reconnects
     if not is_regular:
-        return f"next: urlink doctor {quoted} to find the cause of missing states"
-    return f"next: urlink record {quoted} run.urlog to record what the robot sends"
+        return f"next: urlink doctor {given} to find the cause of missing states"
+    return f"next: urlink record {given} run.urlog to record what the robot sends"
 
 
 def with_motion(address: str) -> str:

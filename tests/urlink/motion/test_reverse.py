@@ -11,6 +11,7 @@ import pytest
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener
 from linkcore.net.transport import TcpTransport
+from tests import platforms
 from tests.waiting import until
 from urlink.motion.links.reverse import ReverseLink, ReversePort
 
@@ -326,6 +327,7 @@ def test_translated_address_listens_on_all_interfaces() -> None:
 
 
 @pytest.mark.real_time
+@platforms.needs_reusable_ports
 def test_fixed_port_accepts_only_the_newest_program(own_port: int) -> None:
     where = ReversePort("127.0.0.1", port=own_port)
     first = where.open()

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 import urlink
 from linkcore.recording.file import Kind, RecordingWriter, pack
+from tests import platforms
 from urlink.packets import RealtimeState, Stamp
 from urlink.protocol.primary.robot_message import TextMessage, VersionMessage
 from urlink.protocol.primary.robot_state import JointData, RobotModeData, RobotState
@@ -58,7 +59,7 @@ def write(path: Path, chunks: Sequence[bytes | str], name: str = "realtime", **i
 
 
 def load(chunks: Sequence[bytes | str], **info: Any) -> urlink.Recording:
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=platforms.IS_WINDOWS) as folder:
         run = urlink.load(write(Path(folder) / "run.urlog", chunks, **info))
         for table in run.tables.values():
             table.arrays()
@@ -323,7 +324,7 @@ payloads = st.one_of(
 @example([(Kind.EVENT, b'{"state":"connected"}')])
 @given(st.lists(st.tuples(st.sampled_from([Kind.CHANNEL, Kind.EVENT]), payloads), min_size=1, max_size=3))
 def test_any_record_is_read_or_raises_link_error(records: list[tuple[Kind, bytes]]) -> None:
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=platforms.IS_WINDOWS) as folder:
         path = Path(folder) / "run.urlog"
         writer = RecordingWriter(path)
         channel = writer.add_channel({"name": "realtime", "firmware": "5.11", "model": "UR5e"})

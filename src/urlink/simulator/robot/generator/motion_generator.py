@@ -36,6 +36,8 @@ from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 _TAKES_OVER = 0.1
 # Minimum length, in rad or m, that is used to compute speed and acceleration from a duration.
 _SHORTEST = 1e-9
+#: Length below which a path is considered to lead nowhere, in m or rad.
+_NOTHING = 1e-12
 
 
 class MotionGenerator:
@@ -387,19 +389,21 @@ class MotionGenerator:
     ) -> Command:
         """Begin a path move. If `is_bounded`, lower `a` and `v` to the joint limits, even for a tool path."""
         radius = _not_negative(r, "a blend radius")
+        # A path to the current pose may have a length of some 1e-17 m, which depends on the C library.
+        length = path.length if path.length > _NOTHING else 0.0
         if _not_negative(t, "a time") > 0.0:
             speed, acceleration = timed(max(path.length, _SHORTEST), t, *path.fastest())
         else:
             speed, acceleration = positive(v, "a speed"), positive(a, "an acceleration")
-            if is_bounded or isinstance(path, JointPath):
+            if (is_bounded and length) or isinstance(path, JointPath):
                 fastest, hardest = path.fastest()
                 speed, acceleration = min(speed, fastest), min(acceleration, hardest)
-        profile = Trapezoid(path.length, speed, acceleration)
+        profile = Trapezoid(length, speed, acceleration)
         if blend is not None and profile.duration > 0.0:
             # Do not accelerate faster than the old speed decreases, so that the sum of both speeds never exceeds the
             # larger one.
             rise = min(acceleration, profile.peak / (blend.duration * max(self.scaling, 0.01)))
-            profile = Trapezoid(path.length, profile.peak, acceleration, rise)
+            profile = Trapezoid(length, profile.peak, acceleration, rise)
         if self._command is not None and blend is None and self.scaling == self.speed_fraction:
             self.scaling, self._rise = 0.0, self._parameters.move_rate
         return self._begin(PathMove(path, profile, start, blend, radius))
