@@ -49,8 +49,11 @@ class InputClaim:
     def __init__(self) -> None:
         self.written: SimpleQueue[dict[str, float]] = SimpleQueue()
         self.is_cut = False
+        #: function that is called before each package is written
+        self.before_write: Callable[[], object] = lambda: None
 
     def _write(self, values: Mapping[str, float]) -> None:
+        self.before_write()
         if self.is_cut:
             raise ConnectionLost("cut")
         self.written.put(dict(values))

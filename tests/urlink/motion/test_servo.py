@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, cast
@@ -517,12 +517,12 @@ def test_lost_registers_raise_connection_lost(
 def test_reported_reason_replaces_connection_loss(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(link="rtde")
 
-    def stop(values: Mapping[str, float]) -> None:
+    def stop() -> None:
         robot.state(safety=SafetyMode.PROTECTIVE_STOP)
         raise ConnectionLost("cut")
 
     with opened(robot) as servo:
-        robot.inputs._write = stop  # type: ignore[method-assign]
+        robot.inputs.before_write = stop
         with pytest.raises(SafetyStop, match="protective stop"):
             servo.send(HOME)
 
