@@ -48,7 +48,8 @@ def windows(session: nox.Session) -> None:
     lab = str(Path(session.create_tmp()).resolve() / "wine")
     session.run("python", ".ci/wine.py", "install", lab)
     chosen = session.posargs or ["-m", "not slow", "tests"]
-    session.run("python", ".ci/wine.py", "run", lab, "-u", "-m", "pytest", "-q", "-p", "no:cacheprovider", *chosen)
+    plugins = ("-p", "no:cacheprovider", "-p", "pytest_urlink")
+    session.run("python", ".ci/wine.py", "run", lab, "-u", "-m", "pytest", "-q", *plugins, *chosen)
 
 
 #: Packages to build control_msgs, which is not on PyPI. ament_package needs an empy before 4.
