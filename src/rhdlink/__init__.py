@@ -1,4 +1,4 @@
-"""Mobile robots that run the Robot Hardware Daemon (RHD) or use MQTT: their variables as typed Python.
+"""Client and host for mobile robots with the Robot Hardware Daemon (RHD), and client for mobile robots with MQTT.
 
     import rhdlink
     from rhdlink import Int32, Read, Variables, Write
