@@ -15,20 +15,20 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import itertools
 import threading
 import weakref
 from collections.abc import Callable, Iterator
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 from .errors import Cancelled, LinkTimeout
+from .numbering import Numbering
 
 P = ParamSpec("P")
 S = TypeVar("S")
 T = TypeVar("T")
 
 _here = threading.local()
-_orders = itertools.count(1)
+_orders = Numbering()
 
 
 def next_order() -> int:
@@ -36,7 +36,7 @@ def next_order() -> int:
 
     It is larger than all earlier numbers of all threads.
     """
-    return next(_orders)
+    return _orders.next()
 
 
 class Started(Protocol):

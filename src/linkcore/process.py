@@ -99,13 +99,14 @@ class Abandonable(Protocol):
         """
 
 
-_open: weakref.WeakSet[Abandonable] = weakref.WeakSet()
+#: Id -> its object. Unlike a `WeakSet`, it can be copied in one step, while other threads add and remove objects.
+_open: weakref.WeakValueDictionary[int, Abandonable] = weakref.WeakValueDictionary()
 _watched: set[str] = set()
 
 
 def abandon_at_end(part: Abandonable) -> None:
     """Call `part.abandon` when this process ends, unless `forget` was called or `part` was collected before."""
-    _open.add(part)
+    _open[id(part)] = part
     if "exit" not in _watched:
         _watched.add("exit")
         atexit.register(_abandon_all, "the interpreter exits", True)
@@ -122,12 +123,14 @@ def abandon_at_end(part: Abandonable) -> None:
 
 def forget(part: Abandonable) -> None:
     """Do nothing for `part` when this process ends: it was closed."""
-    _open.discard(part)
+    _open.pop(id(part), None)
 
 
 def _abandon_all(why: str, is_end: bool) -> None:
-    for part in tuple(_open):
-        part.abandon(why, is_end)
+    for reference in _open.valuerefs():
+        part = reference()
+        if part is not None:
+            part.abandon(why, is_end)
 
 
 def _watch_sigterm() -> None:

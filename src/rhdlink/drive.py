@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import os
 import threading
@@ -16,6 +15,7 @@ from linkcore.arguments import check_choice, check_number
 from linkcore.errors import BadValue, Closed, LinkTimeout
 from linkcore.handle import Lifecycle, Motion
 from linkcore.names import StrictAttributes
+from linkcore.numbering import Numbering
 from linkcore.threads import CallbackThread, Closing, ReentrantEvent, started
 
 from .host.world import Pose
@@ -71,7 +71,7 @@ class _Motions:
         self._control = control
         # No lock is used, because a signal handler might stop the robot while its own thread requests a motion.
         self._requested: deque[_Command] = deque()
-        self._numbers = itertools.count(1)
+        self._numbers = Numbering()
         self._newest = 0  # number of the newest motion that has begun, or was preempted
         self._current: _Command | None = None
         self._error: Exception | None = None
@@ -83,7 +83,7 @@ class _Motions:
 
     def number(self) -> int:
         """Number of a request. Take it at the start of the call."""
-        return next(self._numbers)
+        return self._numbers.next()
 
     def put(self, command: _Command) -> None:
         """Begin a motion in the next cycle.
@@ -91,7 +91,7 @@ class _Motions:
         It preempts all motions that were requested earlier, but no later one.
         """
         self._requested.append(command)
-        for each in list(self._requested):
+        for each in self._requested.copy():
             if each.number < command.number:
                 each.life.cancel("preempted by another motion")
         if self._error is not None:

@@ -6,7 +6,6 @@ to be uploaded, and nothing on the robot has to be protected from an installatio
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from enum import IntFlag
 from pathlib import Path as FilePath
@@ -14,6 +13,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
 from linkcore import clock
+from linkcore.numbering import Numbering
 from urlink import BadValue, LinkTimeout
 from urlink.arm.poses import compose
 from urlink.packets import RobotModeData, TextMessage
@@ -30,7 +30,7 @@ _CLEAR_TIMEOUT = 5.0
 #: Maximum time in s to wait for an answer.
 _ANSWER_TIMEOUT = 5.0
 
-_numbers = itertools.count(1)
+_numbers = Numbering()
 
 
 def _not_offered(name: str, instead: str) -> Callable[..., NoReturn]:
@@ -160,7 +160,7 @@ class RTDEControlInterface(ControlBlocks):
             CompileError: If a function does not exist on this controller.
             LinkTimeout: If no answer arrives within 5 s.
         """
-        mark = f"urlink answer {next(_numbers)} "
+        mark = f"urlink answer {_numbers.next()} "
         answers: SimpleQueue[str] = SimpleQueue()
 
         def on_message(message: TextMessage) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import queue
 import uuid
@@ -15,6 +14,7 @@ import zenoh.ext
 
 import urlink
 from linkcore import clock
+from linkcore.numbering import Numbering
 from urlink import (
     BadValue,
     Cancelled,
@@ -143,7 +143,7 @@ class RemoteRobot:
         self._token = session.liveliness().declare_token(f"{self._key}/client/{self.client}")
         self._is_closed = False
         #: The last `stop` or `cancel` has a number too, from the same counter as the calls of this object.
-        self._numbers = itertools.count(1)
+        self._numbers = Numbering()
         self._last_stop = 0
 
     def close(self) -> None:
@@ -215,7 +215,7 @@ class RemoteRobot:
         """
         seconds = 60.0 if wait is True else float(wait)
         asked = uuid.uuid4().hex
-        number = next(self._numbers)
+        number = self._numbers.next()
         if command in _ALWAYS:
             self._last_stop = number
         selector = f"{self._key}/command/{command}?client={self.client};command={asked}"

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from linkcore import clock
+from linkcore.numbering import Numbering
 from urlink import BadValue, ConnectionEvent, LinkError, LocalError, Motion, PendingCall, Robot, Subscription
 from urlink.packets import RealtimeState, State
 
@@ -119,7 +120,7 @@ class _Served:
         self.key = key
         self._watchdog = watchdog
         self._robot = robot
-        self._numbers = itertools.count(1)
+        self._numbers = Numbering()
         self._rate: float | None = None  # rate of the real-time packets that are published
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as undo:
@@ -285,7 +286,7 @@ class _Served:
             self._last = (asked, motion)
             if self._expiry.is_given_up(asked):  # the client abandoned it while it was being sent
                 motion.cancel()
-        number = next(self._numbers)
+        number = self._numbers.next()
         said = {"id": number, **_of_motion(client, motion)}
         self._motion.put(json_of(said))
         motion.add_done_callback(lambda motion: self._motion.put(json_of({"id": number, **_of_motion(client, motion)})))
