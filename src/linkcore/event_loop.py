@@ -207,7 +207,7 @@ class _Threads:
     def join(self, timeout: float) -> None:
         """Wait until the threads have ended, after `close`."""
         until = clock.now() + timeout
-        for thread in tuple(self._threads):
+        for thread in list(self._threads):
             clock.join(thread, clock.left(until))
 
     def _start(self) -> None:

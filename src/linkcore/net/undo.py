@@ -120,7 +120,7 @@ class PendingUndos:
     @property
     def pending(self) -> tuple[str, ...]:
         """Names of the commands that might still be executed, and have not been undone."""
-        return tuple(self._pending)
+        return (*self._pending,)
 
     @contextlib.contextmanager
     def command(self, name: str, timeout: float, undo: Undo[Any] | None = None) -> Iterator[Callable[[], None]]:
@@ -240,7 +240,7 @@ class PendingUndos:
                     self._thread = None
                     return
             began = clock.now()
-            for name, undo in tuple(self._pending.items()):
+            for name, undo in list(self._pending.items()):
                 self._try(name, undo)
             if self._pending:
                 if clock.now() - began > _PAUSE:

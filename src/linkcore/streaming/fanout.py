@@ -229,9 +229,9 @@ class FanOut:
     # -- callbacks -------------------------------------------------------------------------------
 
     @property
-    def deliveries(self) -> tuple[Delivery, ...]:
+    def deliveries(self) -> list[Delivery]:
         """Deliveries of all callbacks."""
-        return tuple(self._deliveries)
+        return list(self._deliveries)
 
     def add_delivery(self, delivery: Delivery) -> None:
         """Register a callback, so that closing the stream can wait for it."""
