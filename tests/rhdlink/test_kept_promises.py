@@ -42,7 +42,7 @@ def test_closed_subscription_gets_nothing_more(host: rhdlink.Host) -> None:
         subscription.close()
         count = len(updates)
         robot.sync()
-        assert robot._subscribers._subscribers == ()
+        assert not robot._subscribers._subscribers
     assert len(updates) == count
 
 
