@@ -220,9 +220,7 @@ def _check_system() -> None:
         LocalError: See `IsolatedTransport`.
     """
     if sys.platform == "win32":
-        raise LocalError(
-            "isolate=True needs to share a file descriptor, which Windows does not support; omit isolate"
-        )
+        raise LocalError("isolate=True needs to share a file descriptor, which Windows does not support; omit isolate")
     elif not sys.executable:
         raise LocalError(
             "isolate=True starts a Python interpreter, but sys.executable is not set; set it, or omit isolate"

@@ -163,7 +163,8 @@ class PendingUndos:
     def drop(self) -> None:
         """Forget all pending undos, because a newer command has replaced the abandoned ones."""
         self._answered.clear()
-        self._remove(*self._pending)
+        with self._lock:
+            self._remove(*self.pending)
 
     def close(self, user: object = None) -> None:
         """Stop undoing, and abort a running attempt. Idempotent.

@@ -208,8 +208,11 @@ class FanOut:
             self._update()
 
     def _now(self) -> list[_Route]:
+        # Copied in one step, because the reader calls this while other threads subscribe.
+        routes = list(self._routes)
         # Inline callbacks come last, so that a slow one does not delay the queues.
-        return sorted(self._routes, key=lambda route: route.sink.is_inline)
+        routes.sort(key=lambda route: route.sink.is_inline)
+        return routes
 
     def _update(self) -> None:
         """Make the tuples of the reader from the routes.

@@ -47,7 +47,11 @@ class _Listening:
     def end(self) -> None:
         self.is_over = True
         while self._ends:
-            self._ends.pop()()
+            try:
+                end = self._ends.pop()
+            except IndexError:  # another thread has taken the last one
+                break
+            end()
 
 
 class SafetyMonitor:

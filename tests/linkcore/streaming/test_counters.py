@@ -152,7 +152,7 @@ def test_rate_is_measured_over_the_last_second(stream: Stream[Count], transport:
     stream.start()
     counters = stream._connection.counters
     assert stream.stats.rate == 0
-    began = counters._window_began
+    began, _ = counters._window
     counters.received = 500
     assert counters.window_ends == pytest.approx(began + 1.0)
     counters.received = 600
@@ -167,7 +167,8 @@ def test_rate_of_a_stopped_stream_decreases(stream: Stream[Count], transport: Sc
     stream.start()
     counters = stream._connection.counters
     counters._rate, counters.received = 500.0, 500
-    counters._window_began -= 10.0
+    began, received = counters._window
+    counters._window = began - 10.0, received
     assert stream.stats.rate == pytest.approx(50, rel=0.1)
 
 

@@ -154,7 +154,11 @@ class ReverseLink:
         """Stop accepting connections."""
         self._listener.close()
         while self._candidates:
-            self._candidates.pop()[0].abort()
+            try:
+                connection, _ = self._candidates.pop()
+            except IndexError:  # another thread has taken the last one
+                break
+            connection.abort()
 
     def send(self, data: bytes) -> None:
         """Send to the program, at once and completely.

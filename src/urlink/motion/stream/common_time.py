@@ -40,7 +40,7 @@ class CommonTime:
     def __init__(self) -> None:
         self.began: float | None = None
         self.rate = 1.0
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant for signal handlers
         #: in the order of joining; a dictionary, so that a member can leave in one step, even in a signal handler
         self._members: dict[MemberTimer, None] = {}
         #: time reached so far: monotonic time of this computer, and common time, in s
@@ -140,7 +140,7 @@ class CommonPace:
     """Common pace of the streams of a group. Its methods may be called from any thread."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # re-entrant for signal handlers
         #: in the order of joining; a dictionary, so that a member can leave in one step, even in a signal handler
         self._members: dict[MemberPace, None] = {}
         #: seconds of the streams per second of this computer, its monotonic time in s, and the target of this rate

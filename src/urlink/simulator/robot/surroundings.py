@@ -19,6 +19,7 @@ the sensor measures the forces on the tool rather than the forces that the tool 
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -151,6 +152,7 @@ class Surroundings(StrictAttributes):
         # Tuples are replaced as a whole, so that the thread that owns the controller sees either the old or the new
         # one.
         self._contacts: tuple[ContactModel, ...] = ()
+        self._changing = threading.RLock()  # held while contacts are added or removed
         self._wrench: tuple[float, ...] = (0.0,) * 6
         self._torques: tuple[float, ...] = (0.0,) * 6
         self._load: tuple[float, tuple[float, ...]] | None = None
@@ -165,7 +167,8 @@ class Surroundings(StrictAttributes):
         """
         if not callable(getattr(contact, "force", None)):
             raise BadValue(f"contact is {contact!r}; expected an object with a method force(position, velocity)")
-        self._contacts = (*self._contacts, contact)
+        with self._changing:
+            self._contacts = (*self._contacts, contact)
         return contact
 
     def remove(self, contact: ContactModel) -> None:
@@ -174,10 +177,11 @@ class Surroundings(StrictAttributes):
         Raises:
             BadValue: If the contact was not placed.
         """
-        left = tuple(each for each in self._contacts if each is not contact)
-        if len(left) == len(self._contacts):
-            raise BadValue(f"contact {contact!r} is not in the surroundings; expected one of `contacts`")
-        self._contacts = left
+        with self._changing:
+            left = tuple(each for each in self._contacts if each is not contact)
+            if len(left) == len(self._contacts):
+                raise BadValue(f"contact {contact!r} is not in the surroundings; expected one of `contacts`")
+            self._contacts = left
 
     def clear(self) -> None:
         """Remove all objects and forces: scene, contacts, pushes and the load."""
