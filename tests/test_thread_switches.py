@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import random
-import socket
 import sys
 import threading
 import time
@@ -20,19 +19,15 @@ import pytest
 
 import rhdlink
 import urlink
-from linkcore.errors import Closed, LinkError, LocalError
+from linkcore.errors import Closed, LinkError
 from linkcore.handle import Lifecycle
-from linkcore.net.transport import TcpTransport
-from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
-from linkcore.streaming.fanout import FanOut
-from linkcore.streaming.packet_queue import PacketQueue, Policy, block, drop_oldest, latest
+from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
 from linkcore.streaming.statistics import SubscriptionStatistics
-from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
 from linkcore.threads import CallbackThread
 from rhdlink.host.plugins.turtle import Turtle
-from tests.fakes.link import BAD, Count, CountProtocol, ScriptedTransport, counts, scripted
+from tests.fakes.link import BAD, Count, ScriptedTransport, counts, scripted
 from tests.waiting import until
 from urlink.simulator import Controller, Plane
 
@@ -185,7 +180,7 @@ def use_stream(rounds: int) -> None:
                     assert stream.latest.number >= newest
                     newest = stream.latest.number
 
-    together(*(lambda number=number: subscribe(number) for number in range(3)), iterate, look)  # type: ignore[misc]
+    together(*(lambda number=number: subscribe(number) for number in range(3)), iterate, look)
     source.stop()
     until(lambda: stream.stats.received == source.last - BAD, LONG)
     assert first.finish(LONG)
@@ -231,9 +226,9 @@ def use_sending(rounds: int) -> None:
                 time.sleep(1e-4)
             transport.make_room(None)
 
-        together(*(lambda mine=mine: send(mine) for mine in messages), make_room)  # type: ignore[misc]
+        together(*(lambda mine=mine: send(mine) for mine in messages), make_room)
         arrived = b"".join(transport.sent).splitlines(keepends=True)
-        assert sorted(arrived) == sorted(sum(messages, []))
+        assert sorted(arrived) == sorted(message for mine in messages for message in mine)
         for sender, mine in enumerate(messages):
             assert [each for each in arrived if each.startswith(b"%d:" % sender)] == mine
 
@@ -291,50 +286,47 @@ def test_life_ends_once_when_lines_interleave(seed: int) -> None:
         end_lives(10)
 
 
-def use_first(rounds: int) -> None:
+def use_first() -> None:
     """Let several threads be the first to use something; all of them get the same object, or only one succeeds."""
-    for _ in range(rounds):
-        host = rhdlink.Host([Turtle()], port=0)
-        outcomes: list[str] = []
+    host = rhdlink.Host([Turtle()], port=0)
+    outcomes: list[str] = []
 
-        def start(host: rhdlink.Host = host, outcomes: list[str] = outcomes) -> None:
-            try:
-                host.start()
-                outcomes.append("started")
-            except Closed:
-                outcomes.append("refused")
+    def start() -> None:
+        try:
+            host.start()
+            outcomes.append("started")
+        except Closed:
+            outcomes.append("refused")
 
-        together(start, start, start)
-        assert sorted(outcomes) == ["refused", "refused", "started"]
-        together(host.close, host.close)
-        controller = Controller("UR5e", "5.25").start()
+    together(start, start, start)
+    assert sorted(outcomes) == ["refused", "refused", "started"]
+    together(host.close, host.close)
+
+    with Controller("UR5e", "5.25") as controller:
         robot = urlink.connect(controller.address)
         found: list[tuple[object, ...]] = []
         together(*[lambda: found.append((robot.realtime, robot.rtde, robot.registers, robot.motion))] * 3)
         assert len({tuple(map(id, each[:3])) for each in found}) == 1
+
+        world = controller.world
         planes = [Plane((0.0, 0.0, -float(number)), (0.0, 0.0, 1.0)) for number in range(1, 5)]
-        surroundings = controller.surroundings
-        together(*(lambda plane=plane: surroundings.add(plane) for plane in planes))  # type: ignore[misc]
-        assert sorted(map(id, surroundings.contacts)) == sorted(map(id, planes))
-        together(*(lambda plane=plane: surroundings.remove(plane) for plane in planes))  # type: ignore[misc]
-        assert surroundings.contacts == ()
+        together(*(lambda plane=plane: world.add(plane) for plane in planes))
+        assert sorted(map(id, world.contacts)) == sorted(map(id, planes))
+        together(*(lambda plane=plane: world.remove(plane) for plane in planes))
+        assert world.contacts == ()
+
         silence = robot.realtime._connection.silence
         wait = silence.wait
-
-        def watch() -> None:
-            for _ in range(3):
-                silence.watch(0.5, lambda seconds: None)()
-
-        together(watch, watch, watch)
+        together(*[times(3, lambda: silence.watch(0.5, lambda seconds: None)())] * 3)
         assert silence._watches == ()
         assert silence.limit == wait
-        together(*[robot.close] * 3, controller.close)
+        together(*[robot.close] * 3)
 
 
 @pytest.mark.real_time
 @pytest.mark.slow
 def test_first_use_happens_once_when_threads_switch(switching: None) -> None:
-    use_first(5)
+    times(5, use_first)()
 
 
 @pytest.mark.slow
@@ -342,7 +334,7 @@ def test_first_use_happens_once_when_threads_switch(switching: None) -> None:
 def test_first_use_happens_once_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
         sim.preempt(*LIBRARY)
-        use_first(2)
+        use_first()
 
 
 # -- robots --------------------------------------------------------------------------------------
@@ -436,7 +428,7 @@ def use_mobile_robot(rounds: int) -> None:
         events: list[ConnectionEvent] = []
         ticks: list[int] = []
         changes = robot.subscribe_connection(events.append)
-        whole = robot.subscribe(lambda update: ticks.append(update["tick"].value), "tick", policy=block)  # type: ignore[arg-type]
+        whole = robot.subscribe(lambda update: ticks.append(update["tick"]), "tick", policy=block)
         syncs: list[int] = []
         others: list[tuple[list[Any], Subscription]] = []
 
