@@ -19,12 +19,15 @@ import pytest
 
 import rhdlink
 import urlink
+from linkcore.clock import Stamp
 from linkcore.errors import Closed, LinkError
 from linkcore.handle import Lifecycle
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
+from linkcore.streaming.history import History
 from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
-from linkcore.streaming.statistics import SubscriptionStatistics
-from linkcore.streaming.subscription import Subscription
+from linkcore.streaming.silence import SilenceMonitor
+from linkcore.streaming.statistics import StreamCounters, SubscriptionStatistics
+from linkcore.streaming.subscription import InlineDelivery, Subscription
 from linkcore.threads import CallbackThread
 from rhdlink.host.plugins.turtle import Turtle
 from tests.fakes.link import BAD, Count, ScriptedTransport, counts, scripted
@@ -335,6 +338,53 @@ def test_first_use_happens_once_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
         sim.preempt(*LIBRARY)
         use_first()
+
+
+def change_shared(rounds: int) -> None:
+    """Change a list of contacts and of watches in several threads, and copy a history while it grows."""
+    world = Controller("UR5e", "5.25").world
+    silence = SilenceMonitor("stream", 2.0)
+    history = History(
+        Count, 0.01, lambda keep: Subscription(InlineDelivery(keep, StreamCounters(), bool, name="history"), bool, None)
+    )
+
+    def change(number: int) -> None:
+        plane = Plane((0.0, 0.0, -float(number)), (0.0, 0.0, 1.0))
+        for _ in range(rounds):
+            world.add(plane)
+            remove = silence.watch(0.5, lambda seconds: None)
+            assert silence.wait == 0.5
+            remove()
+            world.remove(plane)  # raises an error if it was lost
+
+    def keep() -> None:
+        for number in range(rounds * 4):
+            count = Count(number=number)
+            count._stamp = Stamp(number * 1e-4, 0.0)
+            history._keep(count)
+
+    def copy() -> None:
+        for _ in range(rounds):
+            numbers = history.array("number")["number"].tolist()
+            assert not numbers or numbers == list(range(numbers[0], numbers[-1] + 1))
+            assert len(numbers) <= 101
+
+    together(*(lambda number=number: change(number) for number in range(1, 4)), keep, copy)
+    assert (world.contacts, silence._watches) == ((), ())
+    assert history.array("number")["number"].tolist()[-1] == rounds * 4 - 1
+
+
+@pytest.mark.real_time
+@pytest.mark.slow
+def test_shared_lists_lose_nothing_when_threads_switch(switching: None) -> None:
+    change_shared(1000)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_shared_lists_lose_nothing_when_lines_interleave(seed: int) -> None:
+    with urlink.simulated_time(seed) as sim:
+        sim.preempt(*LIBRARY)
+        change_shared(20)
 
 
 # -- robots --------------------------------------------------------------------------------------
