@@ -27,10 +27,11 @@ TERMINALS = "this system has no pseudo-terminals"
 UNACKNOWLEDGED = "this system does not report unacknowledged bytes, so close does not wait for them"
 CLOCKS = "this system has no clock_gettime"
 OWNERS = "on a free-threaded build, the collector also finds objects that wait for the thread that made them"
+PORTS = "Wine cannot listen again on a port whose connections have just ended"
 MACHINE = "this computer does not have what the test needs"
 
 #: The only allowed reasons that depend on the operating system.
-REASONS = (FORK, SIGNALS, NETWORKS, DESCRIPTORS, LINUX, TERMINALS, UNACKNOWLEDGED, CLOCKS, OWNERS, MACHINE)
+REASONS = (FORK, SIGNALS, NETWORKS, DESCRIPTORS, LINUX, TERMINALS, UNACKNOWLEDGED, CLOCKS, OWNERS, PORTS, MACHINE)
 
 #: Reasons that do not depend on the operating system: something is not installed, or a case is not defined.
 _INSTALLED = re.compile(
@@ -51,6 +52,7 @@ needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason=FORK)
 needs_signals = pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason=SIGNALS)
 needs_shared_descriptors = pytest.mark.skipif(IS_WINDOWS, reason=DESCRIPTORS)
 needs_posix_clocks = pytest.mark.skipif(not hasattr(time, "clock_gettime"), reason=CLOCKS)
+needs_reusable_ports = pytest.mark.skipif(IS_WINE, reason=PORTS)
 needs_linux = pytest.mark.skipif(not IS_LINUX, reason=LINUX)
 #: For tests that count what only the collector finds. There, an object that one thread made and another one released is
 #: deleted later, by its own thread.
