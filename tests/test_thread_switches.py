@@ -205,6 +205,7 @@ def test_stream_loses_nothing_when_threads_switch(switching: None) -> None:
     use_stream(200)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_stream_loses_nothing_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -241,6 +242,7 @@ def test_sends_stay_whole_when_threads_switch(switching: None) -> None:
     use_sending(50)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_sends_stay_whole_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -282,6 +284,7 @@ def test_life_ends_once_when_threads_switch(switching: None) -> None:
     end_lives(50)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_life_ends_once_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -380,6 +383,7 @@ def test_shared_lists_lose_nothing_when_threads_switch(switching: None) -> None:
     change_shared(1000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_shared_lists_lose_nothing_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -556,6 +560,7 @@ def test_drive_loses_nothing_when_threads_switch(switching: None) -> None:
     use_drive(50)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_drive_loses_nothing_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:

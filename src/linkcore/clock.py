@@ -299,7 +299,7 @@ class Expiry(StrictAttributes):
     def __init__(self, settling: float, now: Callable[[], float] = now) -> None:
         self._settling = settling
         self._now = now
-        self._lock = threading.RLock()  # re-entrant for signal handlers
+        self._lock = threading.Lock()
         self._ticked: float | None = None
         self._held_up = 0.0  # duration of the last interruption, in s
         self._until = -math.inf  # commands are rejected until this time

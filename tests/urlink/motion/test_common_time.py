@@ -346,7 +346,7 @@ def test_state_without_time_uses_arrival_time_for_pace() -> None:
 
 
 def test_trajectories_do_not_wait_for_an_arm_that_left_the_group() -> None:
-    with contended_lock() as lock:
+    with contended_lock("Lock") as lock:
         clocks = Clocks()
     clocks.begin(1.0, 1.0)
     one, other = clocks.members
@@ -358,7 +358,7 @@ def test_trajectories_do_not_wait_for_an_arm_that_left_the_group() -> None:
 
 
 def test_streams_do_not_wait_for_an_arm_that_left_the_group() -> None:
-    with contended_lock() as lock:
+    with contended_lock("Lock") as lock:
         paces = Paces()
     paces.step(40)
     one, other = paces.members

@@ -41,7 +41,7 @@ class CommonTime:
     def __init__(self) -> None:
         self.began: float | None = None
         self.rate = 1.0
-        self._lock = threading.RLock()  # re-entrant for signal handlers
+        self._lock = threading.Lock()
         #: in the order of joining; a dictionary, so that a member can leave in one step, even in a signal handler
         self._members: dict[MemberTimer, None] = {}
         #: newest known moment: monotonic time of this computer, and common time, in s
@@ -145,7 +145,7 @@ class CommonPace:
     """Common pace of the streams of a group. The methods may be called from any thread."""
 
     def __init__(self) -> None:
-        self._lock = threading.RLock()  # re-entrant for signal handlers
+        self._lock = threading.Lock()
         #: in the order of joining; a dictionary, so that a member can leave in one step, even in a signal handler
         self._members: dict[MemberPace, None] = {}
         #: common rate in seconds of the streams per second of this computer, monotonic time of this computer for which
