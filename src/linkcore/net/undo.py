@@ -168,8 +168,7 @@ class PendingUndos:
     def drop(self) -> None:
         """Forget all pending undos, because a newer command has replaced the abandoned ones."""
         self._answered.clear()
-        with self._lock:
-            self._remove(*self.pending)
+        self._remove(*self.pending)  # a copy: another thread might add a command
 
     def close(self, user: object = None) -> None:
         """Stop undoing, and abort a running attempt. Idempotent.

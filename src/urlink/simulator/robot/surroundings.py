@@ -187,7 +187,8 @@ class Surroundings(StrictAttributes):
     def clear(self) -> None:
         """Remove all objects and forces: the scene, planes and springs, pushes, and the load."""
         self.scene = None
-        self._contacts = ()
+        with self._changing:
+            self._contacts = ()
         self._wrench = self._torques = (0.0,) * 6
         self._load = None
 
