@@ -58,7 +58,8 @@ def windows(session: nox.Session) -> None:
     lab = str(Path(session.create_tmp()).resolve() / "wine")
     session.run("python", ".ci/wine.py", "install", lab)
     chosen = session.posargs or ["-m", "not slow", "tests"]
-    session.run("python", ".ci/wine.py", "run", lab, "-u", "-m", "pytest", "-q", "-p", "no:cacheprovider", *chosen)
+    plugins = ("-p", "no:cacheprovider", "-p", "pytest_urlink")
+    session.run("python", ".ci/wine.py", "run", lab, "-u", "-m", "pytest", "-q", *plugins, *chosen)
 
 
 @nox.session

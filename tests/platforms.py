@@ -36,6 +36,7 @@ REASONS = (FORK, SIGNALS, NETWORKS, DESCRIPTORS, LINUX, TERMINALS, UNACKNOWLEDGE
 #: Reasons that do not depend on the operating system: something is not installed, or a case is not defined.
 _INSTALLED = re.compile(
     r"not installed|could not import|needs viser|captures.*does not exist|Python 3\.\d+|not the whole suite"
+    r"|need an arm that is powered on|the weight of a .* is not known"
 )
 
 #: Whether this build has no global interpreter lock, even if the lock is switched on.

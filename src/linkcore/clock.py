@@ -25,7 +25,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple, TypeVar, cast
 
 from .errors import LinkTimeout
@@ -37,6 +37,8 @@ T = TypeVar("T")
 # -- the clock -------------------------------------------------------------------------------------
 
 if sys.platform == "win32":
+    import ctypes
+
     # Before CPython 3.13, `time.monotonic` has steps of 15.6 ms on Windows. Both clocks include the time of a suspend.
     read: Callable[[], float] = time.perf_counter
 
@@ -82,9 +84,7 @@ def fine_timer() -> Iterator[None]:
     Without this function, only sleeps are exact (since CPython 3.11). On other systems, the function does nothing.
     """
     if sys.platform == "win32":
-        import ctypes
-
-        multimedia = ctypes.WinDLL("winmm")
+        multimedia = _multimedia()
         multimedia.timeBeginPeriod(1)
         try:
             yield
@@ -92,6 +92,14 @@ def fine_timer() -> Iterator[None]:
             multimedia.timeEndPeriod(1)
     else:
         yield
+
+
+if sys.platform == "win32":
+
+    @cache
+    def _multimedia() -> ctypes.WinDLL:
+        """Load the library of the timer. It is loaded once, because a `WinDLL` is part of a reference cycle."""
+        return ctypes.WinDLL("winmm")
 
 
 def left(until: float) -> float:
