@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .commands import DIALECTS as DIALECTS
     from .commands import Command as Command
     from .commands import Dialect as Dialect
-    from .plugin import MqttRobot as MqttRobot
+    from .mqtt_robot import MqttRobot as MqttRobot
     from .simulated import SimulatedRobobot as SimulatedRobobot
     from .topics import TOPICS as TOPICS
     from .topics import Message as Message
@@ -30,7 +30,7 @@ else:
         __name__,
         {
             ".commands": "DIALECTS Command Dialect",
-            ".plugin": "MqttRobot",
+            ".mqtt_robot": "MqttRobot",
             ".simulated": "SimulatedRobobot",
             ".topics": "TOPICS Message Topic decode",
             ".variables": "RobobotVariables",
