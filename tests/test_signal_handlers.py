@@ -23,11 +23,12 @@ from linkcore.net.undo import PendingUndos
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.scheduling import urgent
+from linkcore.streaming.stream import Stream
 from linkcore.threads import CallbackThread, ReentrantEvent
 from rhdlink import Int32, Read, Variables
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.host.world import World
-from tests.fakes.link import ScriptedTransport, counts, scripted
+from tests.fakes.link import Count, ScriptedTransport, connection_over, counts
 from tests.fakes.rhd import Robot, ScriptedServer, endless
 from tests.fakes.server import OneAfterAnother
 from tests.handlers import Interruption, at_every_line
@@ -171,7 +172,8 @@ def test_subscribing_can_be_interrupted_by_a_signal(handler: str, inline: bool) 
 
     def scenario(interruption: Interruption) -> None:
         transport = ScriptedTransport()
-        stream = scripted(transport)
+        connection = connection_over(transport)
+        stream = Stream(connection, Count)
         got: dict[str, list[Any]] = {"other": [], "interrupted": [], "handler": []}
         other = stream.subscribe(got["other"].append)
 
@@ -198,7 +200,7 @@ def test_subscribing_can_be_interrupted_by_a_signal(handler: str, inline: bool) 
             if interruption.where is None or handler == "subscribe":
                 expected |= {"other"}
             until(lambda: {name for name, packets in got.items() if packets} == expected, 5.0)
-            assert len(stream._connection.fan_out.deliveries) == len(expected)
+            assert len(connection.fan_out.deliveries) == len(expected)
 
     assert at_every_line(scenario) > 50
 

@@ -43,6 +43,7 @@ from rhdlink.address import Address, parse_address
 from rhdlink.connection import Connection
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.replica import Replica
+from rhdlink.sync_thread import Subscribers
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import SymbolRow
@@ -343,19 +344,19 @@ def test_fresh_flags_stay_set_until_the_next_batch_arrives() -> None:
         assert not robot.fresh("encl")
 
 
-def test_value_set_in_the_loss_callback_is_sent() -> None:
+def test_value_set_in_the_loss_callback_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     with (
         ScriptedServer(lambda peer: Robot().greet(peer, "w")) as server,
         rhdlink.connect(server.address, Smr, access="w") as robot,
     ):
-        tell = robot._subscribers.tell
+        tell = Subscribers.tell
 
-        def stop(event: ConnectionEvent) -> None:
+        def stop(subscribers: Subscribers, event: ConnectionEvent) -> None:
             if event.state is ConnectionState.LOST:
                 robot.speedl = 0
-            tell(event)
+            tell(subscribers, event)
 
-        robot._subscribers.tell = stop  # type: ignore[method-assign,assignment]
+        monkeypatch.setattr(Subscribers, "tell", stop)
         robot.speedl = 1
         with pytest.raises(ConnectionLost):
             robot.sync()

@@ -25,6 +25,7 @@ from rhdlink.host.config import BadConfiguration, Element, parse_config
 from rhdlink.host.host import Host, HostFailed, HostStatistics, PluginFailed
 from rhdlink.host.plugin import Plugin
 from rhdlink.host.server import TickSchedule
+from rhdlink.host.service import Service
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
@@ -136,15 +137,17 @@ class Boom(BaseException):
 
 
 @pytest.mark.parametrize("error", [ValueError("boom"), SystemExit(3), Boom()])
-def test_unexpected_exception_is_raised_by_wait(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
+def test_unexpected_exception_is_raised_by_wait(
+    error: BaseException, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     notes: list[str] = []
     with Host([Noted("a", notes)], port=0, pacing="lockstep") as host, RawClient(host.port) as client:
         client.greeting()
 
-        def boom() -> list[Any]:
+        def boom(service: Service) -> list[Any]:
             raise error
 
-        host._service.sync = boom  # type: ignore[method-assign]
+        monkeypatch.setattr(Service, "sync", boom)
         client.send(b"rree")
         with pytest.raises(HostFailed, match=f"the host ended because of {type(error).__name__}") as caught:
             host.wait(10.0)
@@ -216,7 +219,7 @@ def test_ctrl_c_in_a_plugin_ends_a_foreground_host_in_order() -> None:
         host.wait(0.0)
 
 
-def test_close_reports_a_plugin_that_does_not_return() -> None:
+def test_close_reports_a_plugin_that_does_not_return(monkeypatch: pytest.MonkeyPatch) -> None:
     class Hangs(Plugin):
         released = threading.Event()
 
@@ -224,11 +227,11 @@ def test_close_reports_a_plugin_that_does_not_return() -> None:
             self.released.wait(60.0)
 
     host = Host([Hangs()], port=0).start()
-    assert host._thread is not None
     waited: list[float | None] = []
-    host._thread.join = waited.append  # type: ignore[assignment]
-    with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not respond"):
-        host.close()
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "join", lambda thread, timeout=None: waited.append(timeout))
+        with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not respond"):
+            host.close()
     assert waited == [10.0]
     Hangs.released.set()
     assert host.wait(10.0)

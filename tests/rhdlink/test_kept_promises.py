@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import weakref
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -42,7 +44,10 @@ def test_closed_subscription_gets_nothing_more(host: rhdlink.Host) -> None:
         subscription.close()
         count = len(updates)
         robot.sync()
-        assert robot._subscribers._subscribers == ()
+        closed = weakref.ref(subscription)
+        del subscription
+        gc.collect()
+        assert closed() is None
     assert len(updates) == count
 
 

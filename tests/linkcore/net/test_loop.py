@@ -35,13 +35,13 @@ class Recorder(Handler):
         self.data = b""
         self.drains = 0
         self.losses: list[tuple[str, bool]] = []
-        self._on_data = on_data
+        self.on_data = on_data
 
     def data_received(self, data: bytes) -> None:
         assert not self.losses
         self.data += data
-        if self._on_data is not None:
-            self._on_data(self.connection, data)
+        if self.on_data is not None:
+            self.on_data(self.connection, data)
 
     def drained(self) -> None:
         assert self.connection.pending == 0
@@ -226,7 +226,7 @@ def test_closed_connection_gets_no_data_of_the_same_poll(bench: Bench) -> None:
                 closed.append(handler.connection)
 
     for link, handler in links:
-        handler._on_data = close_the_others
+        handler.on_data = close_the_others
         link.sendall(b"x")
     bench.serve(lambda: sum(len(handler.data) for _, handler in links))
     assert len(closed) == 3
@@ -738,7 +738,7 @@ def test_serve_once_returns_at_deadline_despite_slow_clients(bench: Bench) -> No
         bench.clock.now += 0.1
 
     for link, handler in links:
-        handler._on_data = take_long
+        handler.on_data = take_long
         link.sendall(b"x")
     until(lambda: all(readable(handler.connection) for _, handler in links))
     bench.loop.serve_once(bench.clock.now + 0.25)

@@ -10,6 +10,7 @@ import pytest
 
 from linkcore.errors import BadValue, ConnectionLost, LocalError
 from linkcore.net.transport import Finished
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Chunk, ConnectionEvent, ConnectionState, Traffic
 from linkcore.streaming.packet_queue import block, latest
 from linkcore.streaming.stream import Stream
@@ -176,7 +177,9 @@ def test_inline_callback_can_close_its_subscription(stream: Stream[Count], trans
     assert got == [1]
 
 
-def test_inline_callback_can_close_the_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_callback_can_close_the_stream(
+    stream: Stream[Count], connection: Connection, transport: ScriptedTransport
+) -> None:
     closed = threading.Event()
 
     def close(count: Count) -> None:
@@ -186,11 +189,13 @@ def test_inline_callback_can_close_the_stream(stream: Stream[Count], transport: 
     stream.subscribe(close, inline=True)
     transport.put(counts(1, 2))
     assert closed.wait(10)
-    until(lambda: not stream._connection.is_running)
+    until(lambda: not connection.is_running)
     assert stream.connection is ConnectionState.CLOSED
 
 
-def test_close_times_out_when_an_inline_callback_hangs(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_close_times_out_when_an_inline_callback_hangs(
+    stream: Stream[Count], connection: Connection, transport: ScriptedTransport
+) -> None:
     go, called = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
@@ -204,7 +209,7 @@ def test_close_times_out_when_an_inline_callback_hangs(stream: Stream[Count], tr
     stream.close(timeout=0.2)
     assert time.monotonic() - began < 5
     go.set()
-    until(lambda: not stream._connection.is_running)
+    until(lambda: not connection.is_running)
 
 
 def test_inline_callback_cannot_wait_for_its_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:

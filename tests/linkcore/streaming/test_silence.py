@@ -9,8 +9,9 @@ import pytest
 from linkcore.errors import BadValue, LinkTimeout
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.silence import SilenceMonitor
+from linkcore.streaming.stream import Stream
 from tests import platforms
-from tests.fakes.link import ScriptedTransport, counts, output_of, scripted
+from tests.fakes.link import Count, ScriptedTransport, connection_over, counts, output_of, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
@@ -159,11 +160,11 @@ def test_watch_rejects_limits_beyond_the_silence(seconds: float) -> None:
 
 def test_silence_is_reported_before_the_connection_is_lost() -> None:
     transport = ScriptedTransport()
-    stream = scripted(transport, silence=0.1, backoff=Backoff(first=60, most=60))
+    here = connection_over(transport, silence=0.1, backoff=Backoff(first=60, most=60))
+    stream = Stream(here, Count)
     reported: list[tuple[float, bool]] = []
     events: list[ConnectionEvent] = []
     stream.subscribe(events.append, ConnectionEvent, inline=True)
-    here = stream._connection
     here.silence.watch(0.03, lambda seconds: reported.append((seconds, here.reads_here())))
     transport.put(counts(1))
     until(lambda: any(event.state is ConnectionState.LOST for event in events))

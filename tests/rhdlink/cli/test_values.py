@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import signal
-
 import pytest
 
 import rhdlink
 from rhdlink import Bool, Float64, Host, Plugin, Read
 from tests.fakes.rhd import Peer, Robot, ScriptedServer, serving
 from tests.harm import HOSTILE, assert_harmless, strict
+from tests.spawning import interrupt
 from tests.waiting import until
 
 from .conftest import Run, Spawn
@@ -144,7 +143,7 @@ def test_set_with_hold_ends_when_interrupted(spawn: Spawn, host: Host, address: 
 
         until(drives)
     assert host.writers == 1
-    process.send_signal(signal.SIGINT)
+    interrupt(process)
     assert process.wait(20) == 130
     until(lambda: host.writers == 0)
 

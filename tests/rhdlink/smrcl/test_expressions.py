@@ -33,10 +33,11 @@ from rhdlink.smrcl.syntax import (
     NumberLiteral,
     VariableName,
 )
+from tests import platforms
 from tests.rhdlink.smrcl.written import write_expression
 
 LIBRARY = ctypes.util.find_library("m")
-pytestmark = pytest.mark.skipif(LIBRARY is None, reason="there is no C library to compare with")
+pytestmark = pytest.mark.skipif(LIBRARY is None, reason=platforms.MACHINE)
 
 PARSER = Parser(COMMANDS)
 #: Variables of the script and their values.

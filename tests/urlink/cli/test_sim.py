@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import signal
 import socket
 import subprocess
 from collections.abc import Callable
@@ -9,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import urlink
+from tests.spawning import ENDINGS, Ending
 from tests.waiting import until
 from urlink.packets import SafetyMode
 from urlink.session.address import RobotAddress, parse_address
@@ -29,15 +29,15 @@ def test_sim_ends_after_duration(run: Run) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_sim_serves_until_a_signal(spawn: Spawn, number: int, status: int) -> None:
+@pytest.mark.parametrize(("end", "status"), ENDINGS)
+def test_sim_serves_until_a_signal(spawn: Spawn, end: Ending, status: int) -> None:
     process = spawn("sim", "--model", "UR10", "--firmware", "3.4", "--host", "127.0.0.1")
     assert process.stdout is not None
     address = process.stdout.readline().strip()
     with urlink.connect(address) as robot:
         assert (robot.model, str(robot.firmware)) == ("UR10", "3.4")
         robot.realtime.wait()
-    process.send_signal(number)
+    end(process)
     _, err = process.communicate(timeout=20)
     assert process.returncode == status
     assert "Traceback" not in err

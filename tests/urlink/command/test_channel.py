@@ -9,7 +9,6 @@ from collections.abc import Callable
 import pytest
 
 from linkcore.errors import Cancelled, ConnectionLost, LinkTimeout
-from linkcore.net.undo import PendingUndos
 from linkcore.pending_call import PendingCall, check_wanted
 from tests.fakes.line import Desk, give_up, slow
 from urlink.command.channel import CommandChannel
@@ -301,9 +300,9 @@ def test_motion_undoes_abandoned_command_first(
     options: dict[str, bool], may_wait: bool, order: list[str], pending: tuple[str, ...]
 ) -> None:
     """Pending undos wait for a call that can wait and is not a stop. A replacing program drops them."""
-    desk, undos, seen = Desk(may_wait=may_wait), PendingUndos("controller"), list[str]()
+    desk, seen = Desk(may_wait=may_wait), list[str]()
     desk.clear()
-    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, undos)
+    undos = desk.undos
 
     def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         time.sleep(0.3)
@@ -311,22 +310,22 @@ def test_motion_undoes_abandoned_command_first(
             seen.append("undone")
 
     give_up(undos, "play", undo)
-    channel.motion(TEXT, claim=lambda: seen.append("sent"), **options)
+    desk.channel.motion(TEXT, claim=lambda: seen.append("sent"), **options)
     assert (seen, undos.pending) == (order, pending)
     undos.close()
 
 
 def test_motion_waits_one_second_for_failing_undo() -> None:
-    desk, undos = Desk(may_wait=True), PendingUndos("controller")
+    desk = Desk(may_wait=True)
     desk.clear()
-    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, undos)
+    undos = desk.undos
 
     def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         raise ConnectionLost("it is away")
 
     give_up(undos, "play", undo)
     begin = time.monotonic()
-    channel.motion(TEXT)
+    desk.channel.motion(TEXT)
     assert time.monotonic() - begin == pytest.approx(1.0, abs=0.05)
     assert (desk.sent, undos.pending) == ([TEXT + "\n"], ("play",))
     undos.close()

@@ -19,7 +19,7 @@ from linkcore.errors import BadValue, Cancelled, Closed, ConnectFailed, LinkTime
 from linkcore.handle import Lifecycle, Phase
 from linkcore.net.dialogue import Dialogue
 from tests.fakes.line import Desk
-from tests.waiting import until
+from tests.waiting import threads_named, until
 from urlink.command.interpreter import CLEAR_AFTER, _undo_statements
 from urlink.protocol.interpreter import LONGEST_REPLY, WORDS, InterpreterProtocol, parse_reply, statement_line
 from urlink.simulator import Controller, Still
@@ -167,7 +167,7 @@ def test_abandoned_statement_is_undone(
         controller.faults.stall(1.0, "interpreter")
         with pytest.raises(LinkTimeout, match="it might still be executed"):
             interpreter.execute(movej(AWAY, 0.2))
-        assert robot._commanded()._undos.settle(TIMEOUT)
+        until(lambda: not threads_named("undo"), TIMEOUT)
         until(lambda: max(map(abs, controller.arm.setpoint.qd)) == 0.0)
         assert turned(robot) < 1.0
         # Later statements are executed.

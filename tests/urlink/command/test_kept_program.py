@@ -297,17 +297,21 @@ def test_kept_program_replaced_before_its_stop_is_not_stopped() -> None:
     assert not sent[0].done
 
 
+#: A script that preempts no other one.
+BESIDE = "sec blink():\n  set_flag(1, True)\nend"
+
+
 def test_concurrent_listen_subscribes_once() -> None:
     desk = Programming()
     subscribe, before = desk.primary.subscribe_inline, len(desk.primary.subscribers)
 
     def meanwhile(kind: type, callback: Callable[[Any], object]) -> Subscriber:
         desk.primary.subscribe_inline = subscribe  # type: ignore[method-assign]
-        desk.programs._listen()
+        desk.script(BESIDE)
         return subscribe(kind, callback)
 
     desk.primary.subscribe_inline = meanwhile  # type: ignore[method-assign]
-    desk.programs._listen()
+    desk.script(BESIDE)
     assert len(desk.primary.subscribers) == before + 2
 
 
@@ -533,7 +537,7 @@ def test_program_has_ended_when_later_script_begins() -> None:
     run, script = moving(desk), desk.script()
     script.begins()
     assert run.end.startswith("Cancelled")
-    desk.programs.stop(run._life)
+    desk.programs.stop(run.life)
     ends_by_itself(desk, script)
 
 
@@ -627,6 +631,5 @@ def test_close_before_first_state_does_not_warn(caplog: pytest.LogCaptureFixture
     desk = Programming()
     desk.motion().begins()
     desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.programs._mode = None
     desk.programs.close(0.0)
     assert "closed during a stop" not in caplog.text

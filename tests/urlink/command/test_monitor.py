@@ -19,8 +19,6 @@ from linkcore.wire.packet import State
 from tests.fakes.line import FIRMWARE, Desk, Subscriber, fast, slow
 from tests.fakes.packets import packet
 from urlink.command.interlock import Interlock
-from urlink.command.safety_monitor import SafetyMonitor
-from urlink.command.section import Section
 from urlink.errors import NotRunning, SafetyStop
 from urlink.protocol.enums import RobotMode, SafetyMode
 from urlink.protocol.primary.robot_message import SafetyModeMessage
@@ -245,20 +243,20 @@ def test_close_drops_references_to_hooks(desk: Monitored) -> None:
 @pytest.mark.parametrize(
     "ask",
     [
-        SafetyMonitor.require,
-        SafetyMonitor.require_running,
-        lambda monitor: monitor._interlock.enable(monitor.clock()),
+        lambda desk: desk.monitor.require(),
+        lambda desk: desk.monitor.require_running(),
+        lambda desk: desk.interlock.enable(desk.clock()),
     ],
 )
 def test_refusal_leaves_no_reference_cycle_after_being_caught(
-    desk: Monitored, ask: Callable[[SafetyMonitor], None]
+    desk: Monitored, ask: Callable[[Monitored], None]
 ) -> None:
     """The traceback contains the frame that raised the error, so that frame must not refer to the error."""
     caught: list[weakref.ref[LinkError]] = []
     gc.disable()
     try:
         try:
-            ask(desk.monitor)
+            ask(desk)
         except NotRunning as error:
             caught.append(weakref.ref(error))
         assert [each() for each in caught] == [None]
@@ -341,8 +339,11 @@ def test_monitor_waits_longer_for_first_than_for_next_report() -> None:
         assert is_settled(desk.interlock)
         desk.primary.deliver(slow())
     asked.clear()
-    desk.monitor._section = Section(lambda: True)
-    desk.monitor.await_news(moves=True)
+    reading = Desk()
+    reading.clear()
+    reading.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
+    reading.monitor.wait_for = wait_for  # type: ignore[method-assign]
+    reading.monitor.await_news(moves=True)
     assert asked == []  # the reader thread does not wait, because it would have to receive the report
 
 

@@ -15,7 +15,7 @@ from linkcore.streaming.connection_life import Backoff, ConnectionState
 from tests.fakes.controller import ScriptedController
 from tests.fakes.link import ScriptedTransport
 from tests.fakes.packets import packet
-from tests.waiting import until
+from tests.waiting import threads_named, until
 from urlink.command import safety_monitor as monitor
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
 from urlink.protocol.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
@@ -70,10 +70,9 @@ def test_two_threads_can_wait_for_first_report(robot: ScriptedController) -> Non
             failures.append(error)
 
     threads = [threading.Thread(target=command) for _ in range(2)]
-    threads[0].start()
-    until(lambda: len(robot.monitor._waiting) == 1)
-    threads[1].start()
-    until(lambda: len(robot.monitor._waiting) == 2 or failures)
+    for thread in threads:
+        thread.start()
+        time.sleep(0.1)  # simulated time passes only when all threads wait
     robot.state(fast=False)
     for thread in threads:
         thread.join(10)
@@ -84,10 +83,9 @@ def test_two_threads_can_wait_for_first_report(robot: ScriptedController) -> Non
 def test_second_query_also_waits_for_first_report(robot: ScriptedController) -> None:
     modes: list[SafetyMode | None] = []
     threads = [threading.Thread(target=lambda: modes.append(robot.safety.mode)) for _ in range(2)]
-    threads[0].start()
-    until(lambda: len(robot.monitor._waiting) == 1)
-    threads[1].start()
-    until(lambda: len(robot.monitor._waiting) == 2 or modes)
+    for thread in threads:
+        thread.start()
+        time.sleep(0.1)  # simulated time passes only when all threads wait
     robot.state(fast=False)
     for thread in threads:
         thread.join(10)
@@ -332,16 +330,15 @@ def test_command_without_any_report_raises_not_running(
     assert robot.safety.robot_mode is None
 
 
-def test_unreachable_realtime_interface_refuses_only_motions(robot: ScriptedController) -> None:
-    robot.fast = ScriptedTransport(ConnectFailed("refused"))
-    robot.realtime._connection._transport = robot.fast
-    robot.state()
-    with pytest.raises(ConnectFailed, match="refused"):
-        robot.channel.motion("movej(q)")
-    robot.state()
-    robot.channel.command("set_tool_voltage(0)")  # the primary interface is sufficient for this command
-    robot.state()
-    robot.channel.motion("movej(q)")  # the interface is reachable now
+def test_unreachable_realtime_interface_refuses_only_motions() -> None:
+    with ScriptedController(fast=ScriptedTransport(ConnectFailed("refused"))) as robot:
+        robot.state()
+        with pytest.raises(ConnectFailed, match="refused"):
+            robot.channel.motion("movej(q)")
+        robot.state()
+        robot.channel.command("set_tool_voltage(0)")  # the primary interface is sufficient for this command
+        robot.state()
+        robot.channel.motion("movej(q)")  # the interface is reachable now
 
 
 def test_policy_always_requires_enable_after_each_stop() -> None:
@@ -490,7 +487,7 @@ def test_script_runs_after_stream_gave_up() -> None:
         robot.slow.put(ConnectionLost("pulled"))
         with pytest.raises(ConnectionLost):
             program.wait(5)
-        until(lambda: "primary" not in robot.monitor._listening and robot.programs._subscriptions.made is None)
+        until(lambda: threads_named(f"{robot.primary.name} reader") == [])
         robot.clear()
         again = robot.script.run("movej(q)")
         robot.begins(again)

@@ -81,10 +81,15 @@ def test_each_setting_writes_its_mask_and_value(robot: ScriptedController, input
         lambda: robot.io.set_analog_out(1, 0.5, confirm=0.01),
         lambda: robot.settings.speed_slider(0.25, 0.01),
     ]
-    for act in acts:
+    for number, act in enumerate(acts, 1):
         with pytest.raises(NotConfirmed):
             act()
-        robot.settings._channel._refused.clear()  # after an unconfirmed setting, later ones would be sent as text
+        # After an unconfirmed setting, later ones on the same connection would be sent as text.
+        robot.slow.put(ConnectionLost("cut"))
+        until(lambda number=number: robot.slow.opened == number + 1)  # type: ignore[misc]
+        robot.clear()
+        robot.state(board={"analog_output_domain_1": 1})
+        time.sleep(0.1)  # simulated time passes only when the states were read
     assert inputs.written == [
         {"standard_digital_output_mask": 8, "standard_digital_output": 8},
         {"configurable_digital_output_mask": 128, "configurable_digital_output": 0},
@@ -273,6 +278,13 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("patient")
 def test_settings_use_rtde_and_release_claims(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     controller.received.clear()
+    connections: list[Connection] = []
+
+    def noting(connection: Connection, *arguments: Any) -> claims.Claims:
+        connections.append(connection)
+        return claims.Claims(connection, *arguments)
+
+    monkeypatch.setattr(client, "Claims", noting)
     with connect(controller) as robot, connect(controller) as other:
         for on in (True, False):
             set_all(robot, on)
@@ -285,8 +297,8 @@ def test_settings_use_rtde_and_release_claims(controller: Controller, monkeypatc
             inputs.send(standard_digital_output={3: False})
             until(lambda: not robot.io.digital_out(3))
         robot.io.set_digital_out(3, True)
-        robot.rtde._brief._standing._connection.abort()  # type: ignore[union-attr]
-        until(lambda: robot.rtde._brief._standing._connection.failure is not None)  # type: ignore[union-attr]
+        connections[-1].abort()
+        until(lambda: connections[-1].failure is not None)
         robot.io.set_digital_out(3, False)
     assert texts(controller) == []
 

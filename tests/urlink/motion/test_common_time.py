@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import threading
 
 import pytest
 
-from tests.contended import Contended
+from tests.contended import contended_lock
 from tests.urlink.motion.test_program_time import state
 from urlink.motion.stream.common_time import CommonPace, CommonTime, MemberPace, MemberTimer
 
@@ -347,23 +346,25 @@ def test_state_without_time_uses_arrival_time_for_pace() -> None:
 
 
 def test_trajectories_do_not_wait_for_an_arm_that_left_the_group() -> None:
-    clocks = Clocks()
+    with contended_lock("Lock") as lock:
+        clocks = Clocks()
     clocks.begin(1.0, 1.0)
     one, other = clocks.members
     other.is_paused = lambda: True
-    clocks.common._lock = Contended(threading.Lock(), before=lambda: clocks.common.leave(other))  # type: ignore[assignment]
+    lock.before = lambda: clocks.common.leave(other)
     clocks.step(1.0, None)
     assert clocks.common.rate == 1.0
     one.leave()
 
 
 def test_streams_do_not_wait_for_an_arm_that_left_the_group() -> None:
-    paces = Paces()
+    with contended_lock("Lock") as lock:
+        paces = Paces()
     paces.step(40)
     one, other = paces.members
     other.is_paused = lambda: True
     paces.has_left[1] = True
-    paces.common._lock = Contended(threading.Lock(), before=lambda: paces.common.leave(other))  # type: ignore[assignment]
+    lock.before = lambda: paces.common.leave(other)
     paces.step()
-    assert paces.common._wanted == 1.0
+    assert paces.common.at(paces.now + 100.0) == 1.0
     paces.common.leave(one)

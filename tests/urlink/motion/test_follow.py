@@ -19,6 +19,7 @@ from linkcore.errors import BadAddress, BadValue, Cancelled, ConnectFailed, Conn
 from linkcore.handle import Motion, Phase
 from linkcore.pending_call import PendingCall
 from linkcore.streaming.subscription import Subscription
+from tests import platforms
 from tests.fakes.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
@@ -431,6 +432,7 @@ def test_occupied_port_raises_bad_address(rehearsal: Callable[..., Rehearsal], r
     assert other.motion.current is None
 
 
+@platforms.needs_reusable_ports
 def test_fixed_port_serves_consecutive_motions(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
     fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
@@ -445,6 +447,7 @@ def test_fixed_port_serves_consecutive_motions(rehearsal: Callable[..., Rehearsa
     after.cancel()
 
 
+@platforms.needs_reusable_ports
 def test_refused_motion_keeps_port_of_current_motion(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
     fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)

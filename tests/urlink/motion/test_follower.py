@@ -22,7 +22,7 @@ from urlink.motion.links.messages import MESSAGE_SIZE, setpoint
 from urlink.motion.moves.speed_limit import EARLY, largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.follower import Follower
-from urlink.motion.servo.following import Tolerances, stands
+from urlink.motion.servo.following import AHEAD, Tolerances, stands
 from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
@@ -754,10 +754,12 @@ def test_resume_searches_a_limited_part_of_the_trajectory() -> None:
 def test_progress_accounts_for_measured_lag() -> None:
     """The measured lag counts, without the cycles in it that a set-point takes to arrive."""
     led = Follower(WAVE, LOOSE, servoing(NEWEST), 0.1)
-    feeding = Feeding(led)
+    feeding, plain = Feeding(led), Feeding(Follower(WAVE, LOOSE, servoing(NEWEST)))
     for _ in range(100):
         feeding.state()
-        assert led.progress * 2.0 == pytest.approx(led._s - 0.1)
+        plain.state()
+        sent = plain.follower.progress * 2.0 + AHEAD * plain.cycle
+        assert led.progress * 2.0 == pytest.approx(sent - 0.1)
     passed, t = led.times(50.2) or (0.0, 0.0)
     assert passed == pytest.approx(t)
-    assert t == pytest.approx(led._s - 0.1)
+    assert t == pytest.approx(sent - 0.1)

@@ -91,9 +91,9 @@ REFUSED: list[tuple[list[Waypoint], str]] = [
     ([Linear(compose([0, 0, 0, 0, 0, math.pi], moved()))], "out of reach: .* from the axis of the base"),
     (
         [Linear(moved(z=0.1), blend=0.06), Linear(moved(y=0.1, z=0.1), blend=0.05), Joint(READY)],
-        r"waypoint 1: blends of 0.06 m at its beginning and 0.05 m at its end do not fit on a path of 0.1 m",
+        r"waypoint 1: blends of 0.06 m at the beginning and 0.05 m at the end do not fit on a segment of 0.1 m",
     ),
-    ([Joint(READY, blend=0.01), Linear(moved(z=0.1))], "do not fit on a path of 0 m"),
+    ([Joint(READY, blend=0.01), Linear(moved(z=0.1))], "do not fit on a segment of 0 m"),
     ([Circular(moved(z=0.05), moved(z=0.1))], "waypoint 0: .* are on a straight line"),
 ]
 

@@ -110,7 +110,7 @@ def test_first_point_must_be_near_arm(away: float, is_near: bool) -> None:
     with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match=why):
         reader().after(point(away, 2.0), mark())
     there = Trajectory.from_arrays([0, 1], [at(away), at(0.1)])
-    with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match="from where the arm is"):
+    with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match="from the position of the arm"):
         reader().after(there, mark())
 
 
@@ -132,7 +132,7 @@ def test_first_point_must_be_near_arm(away: float, is_near: bool) -> None:
 def test_interval_between_points_is_limited(number: int, time: float, is_refused: bool) -> None:
     """The minimum is two cycles of the controller, for an arm that moves."""
     points = [point(0.0, 2.5)] * number + [point(0.0, time)]
-    why = rf"point {number} \(t = .*: its time is .* s after the previous point, .* expected 0\.004 s .* to 1000 s"
+    why = rf"point {number} \(t = .*: its time is .* s after the previous point .* expected 0\.004 s .* to 1000 s"
     with pytest.raises(BadValue, match=why) if is_refused else contextlib.nullcontext():
         reader().after(points, mark(qd=1e-5))
 

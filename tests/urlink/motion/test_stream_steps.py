@@ -352,7 +352,7 @@ def test_path_joins_curve_at_last_point_if_necessary() -> None:
     (last,) = onto(bounds(), curve, here, 1.0, SHORTEST)
     assert last.time == 1.6
     # However, it does not join at a point that it cannot reach in time.
-    with pytest.raises(BadValue, match=r"the points up to 1\.2 s cannot be reached from where the stream is at 1 s"):
+    with pytest.raises(BadValue, match=r"up to 1\.2 s cannot be reached from the position of the stream at 1 s"):
         onto(bounds(), ramp(0.0, 1.2), here, 1.0, SHORTEST)
 
 

@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LinkError, LinkTimeout, LocalError, PacketError, WrongPeer
 from tests.fakes.clock import Clock
-from tests.waiting import until
+from tests.waiting import threads_named, until
 from urlink.protocol.gripper.client import Gripper, GripperFault, ObjectStatus
 from urlink.protocol.gripper.protocol import READABLE, WRITABLE, GripperProtocol, get_line, set_line, value_of
 from urlink.simulator import Controller
@@ -277,7 +277,7 @@ def test_abandoned_command_is_undone_by_stopping_fingers(
     with pytest.raises(LinkTimeout, match="the abandoned command 'gripper' might still"):
         gripper.set(SPE=9)
     replies.update({"SET GTO 0": b"ack\n", "SET SPE 9": b"ack\n"})
-    assert gripper._undos.settle(10.0)
+    until(lambda: not threads_named("undo"))
     gripper.set(SPE=9)
 
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
+from tests import platforms
 from urlink.protocol.enums import RobotMode, SafetyMode
 from urlink.protocol.firmware import NEWEST, Firmware
 from urlink.protocol.primary.robot_message import SafetyModeMessage, VersionMessage
@@ -361,7 +362,8 @@ def test_client_can_reconnect_after_a_cut(controller: Controller, connect: Conne
     link.packet()
     other.packet()
     controller.faults.cut("realtime")
-    with pytest.raises(ConnectionResetError):
+    # Under Wine, `recv` reports a reset as an orderly end.
+    with pytest.raises(AssertionError if platforms.IS_WINE else ConnectionResetError):
         link.until(lambda packet: False)
     assert len(connect(controller, "realtime").packet()) == 1220
     other.packet()

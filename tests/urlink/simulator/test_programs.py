@@ -302,7 +302,7 @@ def test_secondary_program_runs_while_the_program_is_paused(watched: Watched) ->
     watched.controller.pendant.pause()
     watched.take("sec s():\n  set_digital_out(3, True)\nend\n").step(0.01)
     assert watched.controller.signals.digital_outputs == 8
-    assert watched.controller._state.is_paused
+    assert watched.controller.modes.program_state is ProgramState.PAUSED
 
 
 def test_is_steady_returns_false_while_a_program_runs(watched: Watched) -> None:
@@ -434,7 +434,6 @@ def test_emergency_stop_and_power_off_end_a_paused_program(watched: Watched, hol
     getattr(watched.controller.faults, end)()
     watched.step(1)
     assert [line for line in watched.story if line[:1] != "C"] == ["started spin", "stopped spin"]
-    assert not watched.controller._state.is_paused
     assert watched.controller.modes.program_state is ProgramState.STOPPED
 
 

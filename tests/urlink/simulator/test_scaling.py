@@ -208,7 +208,7 @@ def durations(lines: str, scaling: ScalingParameters = _USUAL, firmware: str = "
     while controller.program_name is not None:
         moving.append(any(targets(controller, 1)[0].qd))
     edges = np.flatnonzero(np.diff([0, *moving, 0]))
-    return [controller._state.period * float(count + 1) for count in np.diff(edges)[::2]]
+    return [1.0 / controller.firmware.rate * float(count + 1) for count in np.diff(edges)[::2]]
 
 
 @pytest.mark.parametrize("rest", ["", "  sleep(0.3)\n"])

@@ -61,7 +61,7 @@ def test_requirements_file_of_user_changes_limits_and_site(tmp_path: Path) -> No
     ("text", "said"),
     [
         ("[clock-drive]\nlimit = 1", "'clock-drive'"),
-        ("[clock-drift]\nstage = 1", "can change limit, why, source"),
+        ("[clock-drift]\nstage = 1", "sets stage; your own file can set only limit, why, source"),
         ("[clock-drift]\nlimit = -1", "limit = -1"),
         ("[clock-drift]\nlimit = true", "limit = True"),
         ("[clock-drift]\nlimit = NaN", "limit = nan"),
