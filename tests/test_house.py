@@ -53,6 +53,7 @@ THREADS = {
     "linkcore.recording.index",  # several, while a long recording is checked
     "linkcore.simulated.primitives",  # threads that a program starts while time is simulated
     "linkcore.event_loop",  # makes blocking calls for one robot of a program that uses asyncio
+    "rhdlink.mqtt.session",  # sends alive to a robot with MQTT
     "rhdlink.drive",  # drives a robot between requested motions
     "rhdlink.smrcl.mission",  # runs a mission that was started with `start`
     "linkcore.cli.console",  # on Windows, reads the lines of stdin

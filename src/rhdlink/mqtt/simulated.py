@@ -18,10 +18,10 @@ from linkcore.threads import ReentrantEvent, Runnable
 from ..address import MQTT_PORT, MqttAddress
 from ..host.world import World
 from .broker import BrokerConnection
-from .commands import CMD, Command, find_dialect
+from .dialects import CMD, Command, find_dialect
 from .motors import STEP, Wheel
-from .odometry import WHEEL_BASE
 from .topics import DRIVE
+from .wheel_odometry import WHEEL_BASE
 
 _log = logging.getLogger(__name__)
 

@@ -23,8 +23,8 @@ from ..variables.database import Database
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from ..wire.messages import encode_access
-from .commands import find_dialect
-from .plugin import MqttRobot
+from .dialects import find_dialect
+from .robobot import MqttRobot
 
 #: Duration of a tick, in s.
 PERIOD = 0.01

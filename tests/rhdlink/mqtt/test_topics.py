@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
-from rhdlink.mqtt.odometry import Odometry
 from rhdlink.mqtt.topics import DRIVE, LONGEST, TOPICS, decode
 from rhdlink.mqtt.variables import RobobotVariables
+from rhdlink.mqtt.wheel_odometry import Odometry
 from rhdlink.variables.value_types import Int32, Text
 
 DECLARED = RobobotVariables.declared()

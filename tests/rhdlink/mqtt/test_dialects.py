@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from linkcore.errors import BadAddress, BadValue
 from rhdlink.address import MqttAddress, is_mqtt, parse_address, parse_mqtt_address
-from rhdlink.mqtt.commands import (
+from rhdlink.mqtt.dialects import (
     DIALECTS,
     FASTEST,
     STANDSTILL,

@@ -15,11 +15,11 @@ from ..host.config import Element
 from ..host.plugin import Plugin
 from ..variables.database import TimeStamp
 from ..variables.value_types import wrapped
-from .commands import STANDSTILL, Command, find_dialect, interface_log, teensy, velocity
-from .odometry import Odometry
+from .dialects import STANDSTILL, Command, find_dialect, interface_log, teensy, velocity
 from .session import RobotSession
 from .topics import Message
 from .variables import ANGULAR_SCALE, LINEAR_SCALE, RobobotVariables
+from .wheel_odometry import Odometry
 
 _log = logging.getLogger(__name__)
 
