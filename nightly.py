@@ -47,9 +47,8 @@ def windows(session: nox.Session) -> None:
     """Run the tests on Windows' CPython under Wine. Run it after changing sockets, waits or clocks. It needs root."""
     lab = str(Path(session.create_tmp()).resolve() / "wine")
     session.run("python", ".ci/wine.py", "install", lab)
-    # Nothing is installed there, so the plugin of this project is named.
-    plugins = ("-p", "no:cacheprovider", "-p", "pytest_urlink")
     chosen = session.posargs or ["-m", "not slow", "tests"]
+    plugins = ("-p", "no:cacheprovider", "-p", "pytest_urlink")
     session.run("python", ".ci/wine.py", "run", lab, "-u", "-m", "pytest", "-q", *plugins, *chosen)
 
 

@@ -25,14 +25,16 @@ LINUX = "the test uses calls or options that only the Linux kernel has"
 TERMINALS = "this system has no pseudo-terminals"
 UNACKNOWLEDGED = "this system does not report unacknowledged bytes, so close does not wait for them"
 CLOCKS = "this system has no clock_gettime"
+PORTS = "Wine cannot listen again on a port whose connections have just ended"
 MACHINE = "this computer does not have what the test needs"
 
 #: The only allowed reasons that depend on the operating system.
-REASONS = (FORK, SIGNALS, NETWORKS, DESCRIPTORS, LINUX, TERMINALS, UNACKNOWLEDGED, CLOCKS, MACHINE)
+REASONS = (FORK, SIGNALS, NETWORKS, DESCRIPTORS, LINUX, TERMINALS, UNACKNOWLEDGED, CLOCKS, PORTS, MACHINE)
 
 #: Reasons that do not depend on the operating system: something is not installed, or a case is not defined.
 _INSTALLED = re.compile(
     r"not installed|could not import|needs viser|captures.*does not exist|Python 3\.\d+|not the whole suite"
+    r"|need an arm that is powered on|the weight of a .* is not known"
 )
 
 IS_LINUX = sys.platform == "linux"
@@ -46,6 +48,7 @@ needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason=FORK)
 needs_signals = pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason=SIGNALS)
 needs_shared_descriptors = pytest.mark.skipif(IS_WINDOWS, reason=DESCRIPTORS)
 needs_posix_clocks = pytest.mark.skipif(not hasattr(time, "clock_gettime"), reason=CLOCKS)
+needs_reusable_ports = pytest.mark.skipif(IS_WINE, reason=PORTS)
 needs_linux = pytest.mark.skipif(not IS_LINUX, reason=LINUX)
 needs_acknowledgements = pytest.mark.skipif(IS_WINDOWS, reason=UNACKNOWLEDGED)
 

@@ -1,4 +1,4 @@
-"""Helpers for programs with an asyncio event loop: waiting in the loop, and threads for calls that block."""
+"""Functions and threads for programs with an asyncio event loop: waiting in the loop, and calls that block."""
 
 from __future__ import annotations
 
@@ -99,9 +99,9 @@ async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
 
 
 async def finished(ending: asyncio.Future[T]) -> T:
-    """Wait until a future is done, even if the current task is cancelled.
+    """Wait until a future is done, and return its result, even if the current task is cancelled in the meantime.
 
-    The task then ends after the future is done.
+    If the task is cancelled, it ends when the future is done.
     """
     try:
         await asyncio.wait({ending})
@@ -137,11 +137,11 @@ def ended(future: Future[Any], loop: asyncio.AbstractEventLoop) -> asyncio.Futur
 
 
 class _Threads:
-    """Threads that make calls in the order of their submission.
+    """Threads that execute calls in the order in which they were submitted.
 
     Args:
         name: Name of the threads.
-        most: Maximum number of threads; math.inf for no limit.
+        most: Maximum number of threads; `math.inf` for no limit.
         kept: Number of threads that keep running when there is nothing to do.
     """
 

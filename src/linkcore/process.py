@@ -29,7 +29,7 @@ from .errors import LocalError
 
 
 class HomeProcess:
-    """The process in which an object was created.
+    """Process in which an object was created.
 
     Args:
         name: Name of the object, used in the error message.
@@ -86,7 +86,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
 
 
 class Abandonable(Protocol):
-    """An object that has started programs on a robot."""
+    """Object that has started programs on a robot."""
 
     def abandon(self, why: str, is_end: bool) -> object:
         """Stop the started programs, and if the process ends, start nothing more.
@@ -99,7 +99,7 @@ class Abandonable(Protocol):
         """
 
 
-#: Parts by their `id`. A WeakSet cannot be copied while another thread changes it.
+#: `id` -> object to abandon. A dictionary is used because a WeakSet cannot be copied while another thread changes it.
 _open: weakref.WeakValueDictionary[int, Abandonable] = weakref.WeakValueDictionary()
 _watched: set[str] = set()
 

@@ -16,7 +16,7 @@ _MQTT = "mqtt://"
 
 
 class Address(NamedTuple):
-    """A host and a port."""
+    """Address of a robot: host and port."""
 
     host: str
     port: int

@@ -1,4 +1,4 @@
-"""Motions of a mobile robot without a script: lines, turns, arcs, poses and walls."""
+"""Motions of a mobile robot without a script: straight lines, turns, arcs, poses, and following lines and walls."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _CLOSE_TIMEOUT = 5.0
 
 
 class _Command(NamedTuple):
-    """Request of a motion.
+    """Request for a motion.
 
     Attributes:
         number: Number of the request, in the order in which motions were requested.
@@ -62,9 +62,9 @@ class _Command(NamedTuple):
 
 
 class _Motions:
-    """The program of a `Drive`: it executes the motion that was requested last."""
+    """Program of a `Drive`, which executes the motion that was requested last."""
 
-    #: A drive has no script.
+    #: A drive has no script, so there is no run.
     run: Run | None = None
 
     def __init__(self, control: MotionControl) -> None:
@@ -82,13 +82,13 @@ class _Motions:
         return not self._requested and self._current is None
 
     def number(self) -> int:
-        """Number of a request. Take it at the start of the call."""
+        """Return the number for a new request. Call this at the start of the call that requests the motion."""
         return next(self._numbers)
 
     def put(self, command: _Command) -> None:
         """Begin a motion in the next cycle.
 
-        It preempts all motions that were requested earlier, but no later one.
+        The motion preempts all motions that were requested earlier, but none that was requested later.
         """
         self._requested.append(command)
         for each in list(self._requested):
@@ -119,7 +119,7 @@ class _Motions:
         return new
 
     def step(self) -> bool:
-        """Perform one cycle. Return False, because another motion can always follow."""
+        """Perform one cycle. Return False (not ended), because another motion can always follow."""
         new, current = self._next(), self._current
         if new is not None:
             self._current = None
@@ -154,7 +154,7 @@ class _Motions:
 
 
 class Drive(StrictAttributes, Closing):
-    """Drives a robot with motions. A context manager that closes itself::
+    """Driver that moves a robot with single motions. Use it as a context manager::
 
         with rhdlink.Drive(robot) as drive:
             drive.forward(0.5).wait()

@@ -121,7 +121,7 @@ if sys.platform == "win32":
             raise LocalError(f"cannot wait for stdin: {error}") from None
 
         def read() -> None:
-            # Not `sys.stdin.buffer`: its lock would be held by this thread when the interpreter exits.
+            # Do not use `sys.stdin.buffer`, because this thread would hold its lock when the interpreter exits.
             while chunk := _read(number):
                 chunks.put(chunk)
             chunks.put(b"")

@@ -1,12 +1,12 @@
-"""Sources of bytes: a TCP connection with deadlines.
+"""Transports, which are sources of bytes, and `TcpTransport`, a TCP connection with deadlines.
 
-A transport is opened, read until it raises, closed, and opened again. It raises only errors of this library. Errors of
-the operating system are converted here and nowhere else.
+A transport is opened, read until it raises an error, closed, and opened again. It raises only errors of this library.
+Errors of the operating system are converted in this module and nowhere else.
 
-Data of a failed call must not arrive later. But normally TCP retransmits data that `send` has passed to the kernel for
-minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15 minutes). The data
-arrives when the network is available again. A robot would then execute a motion whose call failed long ago. Three
-settings prevent this:
+Data of a failed call must not arrive later. Normally, after `send` has passed data to the kernel, TCP retransmits this
+data for several minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15
+minutes). The data then arrives when the network is available again. A robot would execute a motion although the call
+for this motion failed long ago. Three measures prevent this:
 
 - `SO_LINGER` of 0 s is set from the beginning. When the connection ends, by `abort`, a crash of the process or the
   garbage collector, the kernel discards its data and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).
@@ -59,18 +59,18 @@ _new_stamp = tuple.__new__
 
 
 class Finished(Exception):
-    """The regular end of the bytes, at the end of a recording."""
+    """Regular end of the bytes, at the end of a recording."""
 
 
 class Transport(Protocol):
-    """A source of bytes."""
+    """Source of bytes, which can be opened again after its end."""
 
     #: Name of the peer, used in messages.
     name: str
 
     @property
     def round_trip(self) -> float:
-        """Duration of the handshake of the last connection, there and back, in s.
+        """Duration of the handshake (a round trip) of the last connection, in s.
 
         It is `inf` if there was no handshake.
         """
@@ -103,11 +103,11 @@ class Transport(Protocol):
         """
 
     def close(self) -> None:
-        """Disconnect after the sent data is delivered, within a limited time; then do the same as `abort`."""
+        """Wait until sent data is delivered, for a limited time; then disconnect as `abort` does."""
 
 
 class TcpTransport:
-    """A TCP connection, made by `open` on this side, or by a peer and passed to `adopt`.
+    """TCP connection. It is made by `open`, or by a peer; in the second case, pass its socket to `adopt`.
 
     Args:
         host: Host name or address.
@@ -320,13 +320,14 @@ class TcpTransport:
         connection, self._socket = self._socket, None
         if connection is None:
             return
-        # Not SHUT_RDWR, which would append the end of the stream to the bytes to be discarded, and deliver both.
+        # Do not use SHUT_RDWR. It would append the end of the stream to the bytes that must be discarded, and deliver
+        # both.
         with contextlib.suppress(OSError):  # already disconnected, so no thread waits on it
             connection.shutdown(socket.SHUT_RD)
         connection.close()
 
     def close(self, timeout: float = _DRAIN) -> None:
-        """Disconnect when the peer's kernel has acknowledged all sent data, but after `timeout` seconds at the latest.
+        """Disconnect when the peer has acknowledged all sent data, but after `timeout` seconds at the latest.
 
         After `timeout`, unacknowledged data is discarded, as by `abort`. `receive` continues during the wait. Linux and
         macOS report unacknowledged data, but Windows does not. There, the connection is closed at once, and the kernel
@@ -382,7 +383,7 @@ _connections: weakref.WeakSet[TcpTransport] = weakref.WeakSet()
 
 
 def _leave_to_parent() -> None:
-    """Close the copies of the sockets in a forked child, so that no call there can end the parent's connections.
+    """Close the copies of the sockets in a forked child, so that the child cannot end the parent's connections.
 
     An open copy would also prevent the kernel from ending a connection that the parent closes.
     """
@@ -454,12 +455,13 @@ def _prepare(connection: socket.socket, silence: float) -> None:
     # A controller that has lost power sends no FIN. `silence` detects this sooner; keepalive frees the socket.
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     if hasattr(socket, "TCP_USER_TIMEOUT"):
-        # In ms; 0 would be the system's default. It equals `silence`, because after that time the connection is
-        # considered lost on this side too.
+        # The option is in ms; 0 would select the system's default. It equals `silence`, because after this time the
+        # connection is considered lost on this side too.
         milliseconds = min(max(round(silence * 1e3), 1), 2**31 - 1)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
     elif sys.platform == "win32":
-        # Whole seconds (ws2ipdef.h); 0 would be the system's default. Not verified on Windows; Wine rejects it.
+        # The option is in whole seconds (ws2ipdef.h); 0 would select the system's default. It was not verified on
+        # Windows; Wine rejects it.
         with contextlib.suppress(OSError):
             connection.setsockopt(socket.IPPROTO_TCP, _TCP_MAXRT, min(max(math.ceil(silence), 1), 2**31 - 1))
     _set_receive_timeout(connection, silence)
@@ -476,9 +478,9 @@ def _has_room(connection: socket.socket, seconds: float) -> bool:
         raise OSError(errno.EBADF, "closed")
     if sys.platform == "win32":
         return bool(select.select([], [connection], [], seconds)[1])
-    # Not `select`, which accepts no descriptors above 1023; a program with many robots has such descriptors. While poll
-    # waits, the kernel keeps the socket open, so `abort` takes effect when poll returns. With POLLRDHUP, SHUT_RD wakes
-    # poll (Linux).
+    # Do not use `select`. It accepts no descriptors above 1023, and a program with many robots has such descriptors.
+    # While poll waits, the kernel keeps the socket open, so `abort` takes effect when poll returns. With POLLRDHUP,
+    # SHUT_RD wakes poll (Linux).
     ended = getattr(select, "POLLRDHUP", 0)
     poll = select.poll()
     poll.register(number, select.POLLOUT | ended)
@@ -512,8 +514,9 @@ def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
         connection.settimeout(seconds)
         return
     connection.settimeout(None)
-    # struct timeval is two words of 4 or 8 bytes, and the size of the option shows which. `long` would be wrong on a
-    # 32-bit system whose time_t has 64 bits (Debian 13, and Raspberry Pi OS based on it), which has two words of 8.
+    # struct timeval consists of two numbers of 4 or 8 bytes each; the size of the option shows their size. Two numbers
+    # of type `long` would be wrong on a 32-bit system with a 64-bit time_t (Debian 13, and Raspberry Pi OS based on
+    # it), where each number has 8 bytes.
     size = len(connection.getsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, 32))
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds, size))
 

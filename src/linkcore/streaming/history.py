@@ -1,4 +1,4 @@
-"""The last seconds of a stream as arrays, for filters and for machine learning.
+"""History of the last seconds of a stream, as arrays, for filters and for machine learning.
 
 States are kept as they arrive, which takes about a microsecond of the reader for each state. They are converted to
 columns when an array is requested.
@@ -28,8 +28,8 @@ _WHEN = ("received", "received_wall")
 class History(StrictAttributes, Closing):
     """The states of the last seconds, returned by `Feed.history`.
 
-    It is a context manager: it keeps states until it is closed. After a reconnection to another firmware, whose fields
-    differ, the earlier states are dropped.
+    It stores states until it is closed, and can be used as a context manager. After a reconnection to a firmware with
+    other fields, the earlier states are dropped.
 
     Args:
         kind: Class of the states.
@@ -134,7 +134,7 @@ class History(StrictAttributes, Closing):
         return len(self._states)
 
     def close(self) -> None:
-        """Keep no more states; the kept states stay. Idempotent."""
+        """Stop storing states. Stored states can still be read. Idempotent."""
         self._subscription.close(0)
 
     def __repr__(self) -> str:

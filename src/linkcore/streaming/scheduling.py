@@ -1,4 +1,4 @@
-"""Real-time options of the operating system and the interpreter for threads that must not be late.
+"""Real-time options of the operating system and of the interpreter, for threads that must not be late.
 
 A thread that reads or drives a robot needs little processor time, but it needs it immediately. It might be late because
 of the system's scheduler, swapped-out memory, the garbage collector, or another thread that holds the interpreter's
@@ -51,7 +51,7 @@ class _Options:
 
 
 class _Threads:
-    """The threads that must not be late, and their options."""
+    """Threads that must not be late, and their options."""
 
     def __init__(self) -> None:
         # Re-entrant, because a signal handler may enter a block; it leaves the block before it returns.
@@ -118,8 +118,8 @@ def realtime_options(
         gc: Garbage collection of reference cycles: False switches it off, True switches it on, "freeze" excludes all
             current objects from it, and None leaves it unchanged.
         switch_interval: Seconds after which a thread that computes in Python must let other threads run; Python's
-            default is 0.005 (`sys.setswitchinterval`). This is the longest delay of another thread, each time that it
-            needs the interpreter. None leaves it unchanged.
+            default is 0.005 (`sys.setswitchinterval`). Each time that another thread needs the interpreter, it waits at
+            most this long. None leaves the value unchanged.
 
     Raises:
         BadValue: If the priority, the processor or the interval is out of range.

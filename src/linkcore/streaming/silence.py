@@ -1,9 +1,9 @@
-"""Measurement of the silence of a peer, from the result of each wait for bytes. Sans-IO.
+"""Measurement of the silence of a peer, based on the result of each wait for bytes. It uses no sockets (sans-IO).
 
-Only the reader thread can measure silence. The time since the last packet proves nothing, because packets might be
-waiting in the socket while this process is suspended, or blocked by a C call that holds the interpreter's lock. But if
-the kernel's own wait for bytes times out, nothing has arrived. So silence is the sum of the waits that timed out since
-the last packet. A stall of this process never adds to it.
+Only the reader thread can measure silence. The time since the last packet does not prove a silence, because packets
+might be waiting in the socket while this process is suspended, or blocked by a C call that holds the interpreter lock.
+But if the kernel waits for bytes and this wait times out, nothing has arrived. So the silence is the sum of the waits
+that have timed out since the last packet. An interruption of this process never increases this sum.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ROUNDING = 1e-6
 
 
 class _Watch:
-    """Callback, and the seconds of silence after which it is called."""
+    """Callback, with the seconds of silence after which it is called."""
 
     def __init__(self, seconds: float, hook: Callable[[float], object]) -> None:
         self.seconds = seconds
@@ -31,7 +31,7 @@ class _Watch:
 class SilenceMonitor:
     """Sum of the silence of a peer.
 
-    One thread reports to it; any thread may add and remove watches.
+    Only one thread reports the results of waits. Any thread may add and remove watches.
 
     Args:
         name: Name of the stream, used in messages.

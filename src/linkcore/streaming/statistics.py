@@ -1,6 +1,7 @@
 """Counters of streams and subscriptions, so that no packet disappears silently.
 
-Each counter is incremented where its event happens, and no counter is computed from others. So their sums are a check:
+Each counter is incremented where its event happens, and no counter is computed from other counters. So the following
+sums are a check:
 
 - of a stream: ``received == decoded + failed``
 - of a subscription: ``offered == delivered + dropped + raised + waiting``

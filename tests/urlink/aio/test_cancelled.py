@@ -303,7 +303,7 @@ def test_cancelled_recording_is_closed(tmp_path: Path, controller: Controller, s
             break
 
 
-def test_unanswered_claim_of_inputs_leaves_no_task(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cancelled_claim_of_inputs_leaves_no_task(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     """The controller has accepted the connection of an RTDE link, and hangs."""
     asked = asyncio.Event()
 

@@ -73,7 +73,7 @@ def test_column_as_attribute_raises_with_a_hint(run: urlink.Recording) -> None:
         held.realtime.q_actual  # noqa: B018
 
 
-def test_line_is_interrupted_at_lost_connection(tmp_path: Path) -> None:
+def test_plot_line_is_interrupted_at_a_lost_connection(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run.urlog")
     channel = writer.add_channel({"name": "realtime"})
     for number in range(20):

@@ -1,4 +1,4 @@
-"""Columns for identification, from a recording or from a table of RTDE variables with their names."""
+"""Columns for identification, read from a recording or from a table with the names of RTDE variables."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from urlink import BadRecording, load
 from urlink.tools import FloatArray, Progress
 
-#: RTDE name of a column -> its name on the real-time interface.
+#: Names of columns in RTDE, and their names on the real-time interface.
 COLUMNS = {
     "timestamp": "time",
     "target_q": "q_target",
@@ -43,8 +43,8 @@ class Samples(dict[str, FloatArray]):
     Attributes:
         path: Path of the file.
         model: Name of the arm; None if the file does not contain it.
-        arrival: Arrival time of each row by the clock of the recording computer, shape (n,), in s; None if not
-            recorded.
+        arrival: Arrival time of each row according to the clock of the recording computer, shape (n,), in s; None if
+            not recorded.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Samples(dict[str, FloatArray]):
 
     @property
     def is_rest(self) -> NDArray[np.bool_]:
-        """Whether the targets of all joints are at rest, for each row, shape (n,)."""
+        """For each row, whether the targets of all joints are at rest, shape (n,)."""
         return np.asarray(~self["target_qd"].any(axis=1))
 
 

@@ -15,7 +15,7 @@ from .samples import Samples
 _SETTLING = 0.3
 #: Minimum number of rows of a rest that can be used.
 _ROWS = 8
-#: Maximum time in s between two rows that still show a ramp of 0.16 s.
+#: Maximum time between two rows, in s, with which a ramp of 0.16 s can be measured.
 _FINE = 0.05
 
 
@@ -43,11 +43,11 @@ def tracking_lag(samples: Samples) -> Estimate:
 
 
 def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
-    """Return standard deviations, by their names in the table of parameters, and the offset of the force at rest.
+    """Return standard deviations and the offset of the force at rest, by their names in the table of parameters.
 
     Args:
         samples: Samples of the recording.
-        coulomb: Coulomb friction, shape (6,), in A, which identifies stiction.
+        coulomb: Coulomb friction, shape (6,), in A; used to recognise stiction.
     """
     rests = list(_rests(samples))
     needs = f"two rests of {_SETTLING} s and more"
@@ -76,11 +76,11 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
 
 
 def start_rate(samples: Samples) -> Estimate:
-    """Return the rate in 1/s at which the scaling of a program rises from 0, from movements that start at rest.
+    """Return the rate, in 1/s, at which the speed scaling of a program rises from 0.
 
-    The fastest joint of each movement is used. While a joint accelerates by a, and the time of its program passes at a
-    scaling of s, its speed after the distance x is s √(2 a x), so each row shows s. The ramp begins with the program,
-    which may wait before it moves.
+    The rate is computed from movements that start at rest, with the fastest joint of each movement. If the acceleration
+    of the joint is a and the speed scaling is s, the speed of the joint after the distance x is s √(2 a x). Therefore s
+    can be computed from each row. The ramp begins with the program, but the program might wait before it moves the arm.
     """
     times, rest = samples["timestamp"], samples.is_rest
     period = float(np.median(np.diff(times)))
@@ -101,7 +101,7 @@ def start_rate(samples: Samples) -> Estimate:
     rates_ = np.array(rates)
     middle = float(np.median(rates_))
     spread = 1.4826 * float(np.median(np.abs(rates_ - middle)))
-    # Distance and speed may differ by half a cycle of 2 or 8 ms. The ramp takes 80 ms.
+    # Distance and speed might differ in time by half a cycle of 2 or 8 ms. The ramp takes 80 ms.
     unsure = 0.5 * float(np.clip(period, 0.002, 0.008)) * middle * middle
     found = Estimate.around(middle, spread / np.sqrt(len(rates)))
     return Estimate(middle, float(found.low - unsure), float(found.high + unsure))
@@ -129,7 +129,10 @@ def _rate_of(t: FloatArray, distance: FloatArray, speed: FloatArray, push: Float
 
 
 def clock_drift(samples: Samples) -> Estimate:
-    """Return how much faster the controller's clock is than the computer's clock, as a fraction."""
+    """Return the drift of the controller's clock relative to the computer's clock, as a fraction.
+
+    The drift is positive if the clock of the controller is faster.
+    """
     if samples.arrival is None:
         return Estimate.unknown("arrival times, as recordings contain them")
     arrival, times = samples.arrival - samples.arrival[0], samples["timestamp"] - samples["timestamp"][0]
@@ -141,7 +144,7 @@ def clock_drift(samples: Samples) -> Estimate:
 
 
 def _rests(samples: Samples) -> Iterator[slice]:
-    """Yield the rows of each rest, without the rows where the arm settles."""
+    """Yield the rows of each rest, without the rows in which the arm settles."""
     times, rest = samples["timestamp"], samples.is_rest
     edges = np.flatnonzero(np.diff(np.concatenate(([False], rest, [False])).astype(int))).reshape(-1, 2)
     for begin, end in edges.tolist():
@@ -151,7 +154,7 @@ def _rests(samples: Samples) -> Iterator[slice]:
 
 
 def _deviation(parts: list[FloatArray]) -> Estimate:
-    """Return the standard deviation within parts, each about its own mean."""
+    """Return the standard deviation within the parts, relative to the mean of each part."""
     left = np.concatenate([(part - part.mean(axis=0)).ravel() for part in parts])
     free = max(len(left) - sum(part.shape[1] for part in parts), 1)
     value = float(np.sqrt((left**2).sum() / free))
