@@ -1,6 +1,6 @@
 """Follow a line with a robot that uses MQTT, then stop before a wall: a mission, on a robot or on a simulated one.
 
-The mission is `missions/line.smr`. Without an address, the program simulates a robot. This needs a broker on this
+The mission is `missions/line.smr`. Without an address, the program simulates a robot, which needs a broker on this
 computer, such as mosquitto.
 
     pip install 'urlink-robot[mqtt]'

@@ -47,13 +47,15 @@ if sys.platform == "win32":
 else:
 
     def _which() -> int:
-        """Return the clock that includes a suspend: CLOCK_BOOTTIME on Linux, CLOCK_MONOTONIC on macOS and the BSDs."""
+        """Return the clock that includes a suspend."""
         boot_time: int | None = getattr(time, "CLOCK_BOOTTIME", None)
         if boot_time is not None:
             with contextlib.suppress(OSError):  # a sandbox might not provide this clock
                 time.clock_gettime(boot_time)
                 return boot_time
-        return time.CLOCK_MONOTONIC
+        # On macOS, both clocks below include a suspend (clock_gettime(3)), but CLOCK_MONOTONIC has steps of 1 us and
+        # follows the adjustments of the wall clock. On Linux, CLOCK_MONOTONIC_RAW does not include a suspend.
+        return time.CLOCK_MONOTONIC_RAW if sys.platform == "darwin" else time.CLOCK_MONOTONIC
 
     _CLOCK = _which()
     #: Function that returns the same time as `now`. Because it is not a Python function, a call takes about 370

@@ -273,7 +273,7 @@ class Runnable(Closing, ABC):
         self._thread: threading.Thread | None = None
         self._home = HomeProcess(kind)
         self._is_stopping = False
-        self._is_used = False
+        self._used: MadeOnce[object] = MadeOnce()  # kept by the call that begins
         self._ended = ReentrantEvent()
 
     # -- methods of a subclass -------------------------------------------------------------------------
@@ -303,16 +303,20 @@ class Runnable(Closing, ABC):
     # -- life ------------------------------------------------------------------------------------------
 
     def _begin_once(self) -> None:
-        if self._is_used:
-            raise Closed(f"this {self._kind} has already run; create a new one")
-        # Set the flag before anything that might fail. A failed attempt cannot be repeated, because it might have left
+        # Keep the mark before anything that might fail. A failed attempt cannot be repeated, because it might have left
         # devices open.
-        self._is_used = True
+        mark = object()
+        if self._used.keep(mark) is not mark:
+            raise Closed(f"this {self._kind} has already run; create a new one")
         try:
             self._begin()
         except BaseException:
             self._abandon()
             raise
+
+    @property
+    def _is_used(self) -> bool:
+        return self._used.made is not None
 
     def _abandon(self) -> None:
         try:

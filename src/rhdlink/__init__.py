@@ -1,4 +1,4 @@
-"""Client and host for mobile robots with the Robot Hardware Daemon (RHD) or MQTT, with typed access to their variables.
+"""Client and host for mobile robots with the Robot Hardware Daemon (RHD), and client for mobile robots with MQTT.
 
     import rhdlink
     from rhdlink import Int32, Read, Variables, Write

@@ -39,7 +39,8 @@ class MqttAddress(NamedTuple):
     dialect: str | None = None
 
     def __str__(self) -> str:
-        return f"{_MQTT}{Address(self.host, self.port)}"
+        dialect = "" if self.dialect is None else f"?dialect={self.dialect}"
+        return f"{_MQTT}{Address(self.host, self.port)}{dialect}"
 
 
 def parse_address(text: object) -> Address:

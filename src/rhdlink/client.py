@@ -176,6 +176,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         self._sync_thread: SyncThread | None = None
         self._connections = 0
         self._state = ConnectionState.IDLE
+        self._telling = threading.RLock()  # held from a change of the state until its event is queued
         self._open(clock.now() + timeout)
 
     # -- values --------------------------------------------------------------------------------
@@ -442,8 +443,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         self._transport.close()
         if self._sync_thread is not None:
             self._sync_thread.close(timeout)
-        if self._state is not ConnectionState.CLOSED:
-            self._tell(ConnectionState.CLOSED)
+        self._tell(ConnectionState.CLOSED)
         self._subscribers.close(until)
         if isinstance(self._transport, RecordedTransport):
             self._transport.finish()
@@ -548,7 +548,10 @@ class Variables(StrictAttributes, Declarations, Closing):
         self._tell(ConnectionState.LOST, error)
 
     def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
-        if self._closing.is_set() and state is not ConnectionState.CLOSED:
-            return  # `close` interrupted this sync
-        self._state = state
-        self._subscribers.tell(ConnectionEvent(state, self._address, error, Stamp.now()))
+        with self._telling:
+            if self._state is ConnectionState.CLOSED or (
+                self._closing.is_set() and state is not ConnectionState.CLOSED
+            ):
+                return  # told already, or `close` interrupted this sync
+            self._state = state
+            self._subscribers.tell(ConnectionEvent(state, self._address, error, Stamp.now()))

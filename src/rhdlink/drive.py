@@ -7,7 +7,6 @@ import itertools
 import math
 import os
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -70,7 +69,8 @@ class _Motions:
     def __init__(self, control: MotionControl) -> None:
         self._control = control
         # No lock is used, because a signal handler might stop the robot while its own thread requests a motion.
-        self._requested: deque[_Command] = deque()
+        # Any thread adds to this list. Only the driving thread removes items, or every thread after its end.
+        self._requested: list[_Command] = []
         self._numbers = itertools.count(1)
         self._newest = 0  # number of the newest motion that has begun, or was preempted
         self._current: _Command | None = None
@@ -100,14 +100,15 @@ class _Motions:
     def _refuse(self, error: Exception) -> None:
         while self._requested:
             with contextlib.suppress(IndexError):  # another thread has removed it
-                self._requested.popleft().life.fail(error)
+                self._requested.pop(0).life.fail(error)
 
     def _next(self) -> _Command | None:
         """Take the newest request if it is newer than the running motion.
 
         The other requests are cancelled.
         """
-        requested = [self._requested.popleft() for _ in range(len(self._requested))]
+        requested = list(self._requested)
+        del self._requested[: len(requested)]  # a request that was added meanwhile stays
         new = max(requested, key=lambda each: each.number, default=None)
         if new is not None and new.number < self._newest:
             new = None

@@ -205,8 +205,8 @@ class Subscribers:
         return Subscription(delivery, lambda delivery: self._by_queue.pop(delivery.sink, None), owner)
 
     @property
-    def _subscribers(self) -> tuple[_Subscriber, ...]:
-        return tuple(self._by_queue.values())
+    def _subscribers(self) -> list[_Subscriber]:
+        return list(self._by_queue.values())
 
     def tell(self, event: object) -> None:
         """Deliver an event to the subscribers of its type."""

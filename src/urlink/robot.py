@@ -652,7 +652,7 @@ class Robot(StrictAttributes, Closing):
             control.close(timeout)
         if (rtde := self._rtde.made) is not None:
             rtde.close(clock.left(until))
-        for stream in tuple(self._streams.values()):
+        for stream in list(self._streams.values()):
             stream.close(clock.left(until))
         if self._controller is not None:
             self._controller.close()
@@ -666,7 +666,7 @@ class Robot(StrictAttributes, Closing):
 
     def _repr_html_(self) -> str:
         known = self._who.last
-        streams = tuple(self._streams.items())
+        streams = list(self._streams.items())
         opened = ", ".join(name for name, _ in streams) or "none; the first use of robot.realtime connects it"
         who = html_table(
             self.address, (), [("model", known.model), ("firmware", known.firmware), ("open streams", opened)]

@@ -35,7 +35,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     """Registered callbacks by event, in a simulated notebook process that does not watch any part yet."""
     found: dict[str, Any] = {}
     shell = SimpleNamespace(events=SimpleNamespace(register=found.__setitem__))
-    monkeypatch.setattr(process, "_watched", set())
+    monkeypatch.setattr(process, "_watched", {})
     monkeypatch.setattr(atexit, "register", lambda call, *of: found.update(exit=lambda: call(*of)))
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
     monkeypatch.setattr(os, "register_at_fork", lambda after_in_child: found.update(fork=after_in_child), raising=False)

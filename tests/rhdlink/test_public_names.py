@@ -73,7 +73,7 @@ NAMES = [
 
 
 #: This file, as named in the messages.
-HERE = "tests/rhdlink/test_public_names_equal_the_list.py"
+HERE = "tests/rhdlink/test_public_names.py"
 #: Modules with further public names.
 MODULES = ["host", "mqtt", "robots", "smrcl", "variables"]
 

@@ -23,6 +23,7 @@ import pytest
 import urlink
 from linkcore.errors import ConnectionLost, LinkError
 from linkcore.handle import Handle
+from tests import platforms
 from tests.spawning import spawning
 from tests.waiting import until
 from urlink.command.interpreter import Interpreter
@@ -43,7 +44,7 @@ from urlink.protocol.tool_serial import ToolSerial
 from urlink.robot import Robot
 from urlink.rtde import Inputs, Registers, Rtde
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, platforms.needs_prompt_release]
 
 #: Longest time until a state shows a setting, in s. It is long because the computer may be busy.
 CONFIRM = 10.0

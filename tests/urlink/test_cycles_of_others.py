@@ -15,13 +15,14 @@ import pytest
 
 import urlink
 from linkcore.errors import LinkError
+from tests import platforms
 from tests.spawning import spawning
 from tests.urlink.test_cycles import COUNT, HOME, NEAR, collector_off
 from tests.waiting import until
 from urlink.protocol.realtime.protocol import RealtimeProtocol
 from urlink_compat import rtde_control, rtde_io, urx
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, platforms.needs_prompt_release]
 
 ZEROS = [0.0] * 6
 DOWN = ([0, 0, 1, 0, 0, 0], ZEROS, [0.1] * 6)

@@ -214,7 +214,8 @@ class LoopConnection(Connection):
 
         with contextlib.suppress(LocalError):
             self.call(abort)
-            clock.wait(done.wait, _HANDOVER)
+            if clock.wait(done.wait, _HANDOVER):
+                return  # the loop might have connected again meanwhile; this thread must not abort that connection
         self._transport.abort()
 
     def _abort_here(self) -> None:

@@ -77,7 +77,7 @@ class HttpClient:
     def close(self) -> None:
         """Abort running requests, and send no more. Idempotent, in any thread."""
         self._is_closed = True
-        for transport in tuple(self._open):
+        for transport in list(self._open):
             transport.abort()
 
     def _ask(

@@ -22,6 +22,7 @@ import os
 import select
 import signal
 import struct
+import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -149,7 +150,8 @@ class _Pipe:
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
-        os.set_blocking(descriptor, False)
+        if sys.platform != "win32":  # see IsolatedTransport
+            os.set_blocking(descriptor, False)
         self._waiting = bytearray()
 
     @property

@@ -53,14 +53,7 @@ class IsolatedTransport:
     def __init__(
         self, host: str, port: int, *, silence: float, boundary: str, decode: Callable[[bytes, Stamp], Any]
     ) -> None:
-        if sys.platform == "win32":
-            raise LocalError(
-                "isolate=True needs to share a file descriptor, which Windows does not support; omit isolate"
-            )
-        if not sys.executable:
-            raise LocalError(
-                "isolate=True starts a Python interpreter, but sys.executable is not set; set it, or omit isolate"
-            )
+        _check_system()
         self.name = f"{host}:{port}"
         self.round_trip = math.inf
         self._arguments = {"host": host, "port": port, "silence": silence, "boundary": boundary}
@@ -169,9 +162,7 @@ class IsolatedTransport:
                 raise ConnectionLost(f"{self.name} was closed by this program")
             self._is_receiving = True
         try:
-            poll = select.poll()
-            poll.register(process.stdout, select.POLLIN)
-            if not poll.poll(timeout * 1e3):
+            if not _is_readable(process.stdout.fileno(), timeout):
                 return None
             data = os.read(process.stdout.fileno(), _CHUNK)
             if data:
@@ -222,6 +213,30 @@ class IsolatedTransport:
     def close(self) -> None:
         """Do the same as `abort`, because no sent data has to be acknowledged."""
         self.abort()
+
+
+def _check_system() -> None:
+    """Check that a process can be started that shares memory with this process.
+
+    Raises:
+        LocalError: See `IsolatedTransport`.
+    """
+    if sys.platform == "win32":
+        raise LocalError("isolate=True needs to share a file descriptor, which Windows does not support; omit isolate")
+    elif not sys.executable:
+        raise LocalError(
+            "isolate=True starts a Python interpreter, but sys.executable is not set; set it, or omit isolate"
+        )
+
+
+def _is_readable(descriptor: int, seconds: float) -> bool:
+    """Wait until a pipe can be read, or its other end is closed; return False after `seconds`."""
+    if sys.platform == "win32":
+        raise NotImplementedError("no transport of this kind exists on Windows")
+    else:
+        poll = select.poll()
+        poll.register(descriptor, select.POLLIN)
+        return bool(poll.poll(seconds * 1e3))
 
 
 def _error(said: str) -> RemoteError:

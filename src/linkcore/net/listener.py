@@ -20,6 +20,7 @@ import weakref
 
 from ..errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from ..process import HomeProcess
+from ..threads import MadeOnce
 from .transport import TcpTransport, mapped
 
 #: Seconds without a byte after which an accepted connection is considered silent.
@@ -96,7 +97,10 @@ class TcpListener:
         except OSError as error:  # another socket that was bound to the same port already listens
             listener.close()
             raise BadAddress(f"cannot listen on {host or '*'}:{port}: {error.strerror}") from error
-        self._socket: socket.socket | None = listener
+        # One thread takes it to close it. Two threads that closed a descriptor at the same time could close the
+        # descriptor of another connection.
+        self._socket: MadeOnce[socket.socket] = MadeOnce()
+        self._socket.keep(listener)
         bound = listener.getsockname()
         self.address: tuple[str, int] = (bound[0], bound[1])
         self._home = HomeProcess(f"{self.address[0]}:{self.address[1]}")
@@ -112,7 +116,7 @@ class TcpListener:
             LocalError: If this process was forked from the process that listens.
         """
         self._home.check()
-        listener = self._socket
+        listener = self._socket.made
         where = f"{self.address[0]}:{self.address[1]}"
         if listener is None:
             raise ConnectFailed(f"the listener on {where} was closed")
@@ -138,7 +142,7 @@ class TcpListener:
 
         Accepted connections stay open. Idempotent.
         """
-        listener, self._socket = self._socket, None
+        listener = self._socket.take()
         if listener is None:
             return
         # On systems that cannot shut down a listening socket, closing it wakes the thread.
@@ -160,7 +164,7 @@ _listeners: weakref.WeakSet[TcpListener] = weakref.WeakSet()
 def _leave_to_parent() -> None:
     """Close the copies of the sockets in a forked child, so that it cannot take the parent's connections."""
     for each in list(_listeners):
-        listener, each._socket = each._socket, None
+        listener = each._socket.take()
         if listener is not None:
             listener.close()
 

@@ -706,9 +706,11 @@ class SelectorLoop:
             connection._socket.close()
         for port in self.ports:
             port._socket.close()
-        self._selector.close()
         self._waker.close()
         self._woken.close()
+        # A child does not inherit a kqueue (macOS), so closing it fails before CPython 3.11.7 and 3.12.1.
+        with contextlib.suppress(OSError):
+            self._selector.close()
 
 
 #: All loops of this process.

@@ -125,7 +125,7 @@ class PendingUndos:
     @property
     def pending(self) -> tuple[str, ...]:
         """Names of the commands that might still be executed, and have not been undone."""
-        return tuple(self._pending)
+        return (*self._pending,)
 
     @contextlib.contextmanager
     def command(self, name: str, timeout: float, undo: Undo[Any] | None = None) -> Iterator[Callable[[], None]]:
@@ -168,7 +168,7 @@ class PendingUndos:
     def drop(self) -> None:
         """Forget all pending undos, because a newer command has replaced the abandoned ones."""
         self._answered.clear()
-        self._remove(*self._pending)
+        self._remove(*self.pending)  # a copy: another thread might add a command
 
     def close(self, user: object = None) -> None:
         """Stop undoing, and abort a running attempt. Idempotent.
@@ -245,7 +245,7 @@ class PendingUndos:
                     self._thread = None
                     return
             began = clock.now()
-            for name, undo in tuple(self._pending.items()):
+            for name, undo in list(self._pending.items()):
                 self._try(name, undo)
             if self._pending:
                 if clock.now() - began > _PAUSE:

@@ -213,8 +213,11 @@ class FanOut:
         return tuple(route.sink for route in self._now())
 
     def _now(self) -> list[_Route]:
+        # Copied in one step, because the reader calls this while other threads subscribe.
+        routes = list(self._routes)
         # Inline callbacks come last, so that a slow one does not delay the queues.
-        return sorted(self._routes, key=lambda route: route.sink.is_inline)
+        routes.sort(key=lambda route: route.sink.is_inline)
+        return routes
 
     def _update(self) -> None:
         """Make the tuples of the reader from the routes.
@@ -234,9 +237,9 @@ class FanOut:
     # -- callbacks -------------------------------------------------------------------------------
 
     @property
-    def deliveries(self) -> tuple[Delivery, ...]:
+    def deliveries(self) -> list[Delivery]:
         """Deliveries of all callbacks."""
-        return tuple(self._deliveries)
+        return list(self._deliveries)
 
     def add_delivery(self, delivery: Delivery) -> None:
         """Register a callback, so that closing the stream can wait for it."""

@@ -12,7 +12,7 @@ from ..address import PORT, parse_mqtt_address
 from ..host.host import Host, Pacing
 from ..host.plugins.turtle import SmrTurtle, Turtle
 from ..host.world import World
-from ..mqtt.dialects import DIALECTS
+from ..mqtt.commands import DIALECTS
 from ..mqtt.simulated import SimulatedRobobot
 from ..wire.decoder import Limits
 from .hosting import serve_until_told, service_arguments, service_options

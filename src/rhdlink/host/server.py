@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -48,7 +47,8 @@ class TickSchedule:
         self.skipped = 0
         self.worst = 0.0
         self._period = period
-        self._late: deque[float] = deque(maxlen=_REMEMBERED)
+        # The thread of the host adds to this list, and other threads copy it in one step.
+        self._late: list[float] = []
 
     def advance(self) -> float:
         """Advance to the next tick, and return the time when it is due."""
@@ -63,6 +63,8 @@ class TickSchedule:
         """Record that the tick has come."""
         late = now - self.due
         self._late.append(late)
+        if len(self._late) >= 2 * _REMEMBERED:
+            del self._late[:-_REMEMBERED]
         self.worst = max(self.worst, late)
         if late > self._period:
             periods = int(late / self._period)
@@ -72,8 +74,7 @@ class TickSchedule:
 
     def lateness(self) -> tuple[float, float]:
         """Return the median and the 99th percentile of the last 4096 delays, in seconds. Callable from any thread."""
-        # The host's thread may be adding to the deque. Copying it is a single step, but iterating would fail then.
-        late = list(self._late.copy())
+        late = self._late[-_REMEMBERED:]
         if not late:
             return 0.0, 0.0
         median, p99 = np.percentile(late, (50, 99)).tolist()

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 from linkcore.names import lazy_names
 
 if TYPE_CHECKING:
-    from .dialects import DIALECTS as DIALECTS
-    from .dialects import Command as Command
-    from .dialects import Dialect as Dialect
-    from .robobot import MqttRobot as MqttRobot
+    from .commands import DIALECTS as DIALECTS
+    from .commands import Command as Command
+    from .commands import Dialect as Dialect
+    from .mqtt_robot import MqttRobot as MqttRobot
     from .simulated import SimulatedRobobot as SimulatedRobobot
     from .topics import TOPICS as TOPICS
     from .topics import Message as Message
@@ -29,8 +29,8 @@ else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
-            ".dialects": "DIALECTS Command Dialect",
-            ".robobot": "MqttRobot",
+            ".commands": "DIALECTS Command Dialect",
+            ".mqtt_robot": "MqttRobot",
             ".simulated": "SimulatedRobobot",
             ".topics": "TOPICS Message Topic decode",
             ".variables": "RobobotVariables",

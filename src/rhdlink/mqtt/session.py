@@ -30,7 +30,7 @@ from linkcore.threads import ReentrantEvent, started
 from ..address import MqttAddress
 from ..errors import AccessDenied
 from .broker import BrokerConnection
-from .dialects import DIALECTS, STANDSTILL, Command, Dialect, alive, find_dialect, new_identity, stop
+from .commands import DIALECTS, STANDSTILL, Command, Dialect, alive, find_dialect, new_identity, stop
 from .topics import DRIVE, Message, decode
 
 _log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from linkcore.threads import ReentrantEvent, Runnable
 from ..address import MQTT_PORT, MqttAddress
 from ..host.world import World
 from .broker import BrokerConnection
-from .dialects import CMD, Command, find_dialect
+from .commands import CMD, Command, find_dialect
 from .motors import STEP, Wheel
 from .topics import DRIVE
 from .wheel_odometry import WHEEL_BASE

@@ -23,8 +23,8 @@ from ..variables.database import Database
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from ..wire.messages import encode_access
-from .dialects import find_dialect
-from .robobot import MqttRobot
+from .commands import find_dialect
+from .mqtt_robot import MqttRobot
 
 #: Duration of a tick, in s.
 PERIOD = 0.01
@@ -171,7 +171,7 @@ class MqttTransport:
             self._robot = self._opened("r", max(clock.left(until), 0.1))
 
     def _opened(self, access: Literal["r", "w"], timeout: float) -> _HostedRobot:
-        plugin = MqttRobot(self._address, access, timeout=timeout, silence=self._silence)
+        plugin = MqttRobot(str(self._address), access, timeout=timeout, silence=self._silence)
         return _HostedRobot(plugin, access, self._width)
 
     def _connected(self) -> _HostedRobot:

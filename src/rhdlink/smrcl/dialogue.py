@@ -27,6 +27,8 @@ MOST_COMMANDS, MOST_PLANS = 400, 10
 MOST_PLAN_LINES = 5000
 #: Maximum number of lines that are taken from a client in one cycle.
 _MOST_LINES = 100
+#: Maximum number of failures that are kept.
+_MOST_FAILURES = 100
 
 
 @dataclass
@@ -46,7 +48,7 @@ class ClientDialogue:
 
     Attributes:
         sessions: Sessions of the clients.
-        failures: Failures of commands, the newest last.
+        failures: Last 100 failures of commands, the newest last. Any thread may copy the list.
         queue: Queued commands.
         run: Program that is executed.
     """
@@ -58,7 +60,7 @@ class ClientDialogue:
         self._outbox = effects.output
         self._profile = effects.profile
         self.sessions: list[Session] = []
-        self.failures: deque[Failure] = deque(maxlen=100)
+        self.failures: list[Failure] = []
         self.queue: deque[_Queued] = deque()
         self.run: Run | None = None
         self._plans: list[MissionPlan] = []
@@ -129,7 +131,12 @@ class ClientDialogue:
             self._interpreter.skips = False
             self._finish(run, current)
         elif not self.failures or self.failures[-1] != failure:
-            self.failures.append(failure)
+            self.note(failure)
+
+    def note(self, failure: Failure) -> None:
+        """Add a failure, and forget the oldest ones."""
+        self.failures.append(failure)
+        del self.failures[:-_MOST_FAILURES]
 
     def tell(self, plain: str, xml: str) -> None:
         """Send an event about the robot to every client."""
@@ -302,7 +309,7 @@ class ClientDialogue:
     def _keep(self, run: Run) -> None:
         self._result = run.result
         if run.failure is not None:
-            self.failures.append(run.failure)
+            self.note(run.failure)
 
     def _plan(self, text: str) -> MissionPlan:
         if not text.startswith("runplan"):

@@ -139,7 +139,7 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
             except MissionFailed as error:
                 _log.warning("%s", error)
                 assert self._dialogue is not None
-                self._dialogue.failures.append(Failure(error.reason, 0, 0, ""))
+                self._dialogue.note(Failure(error.reason, 0, 0, ""))
 
         return save_or_note
 

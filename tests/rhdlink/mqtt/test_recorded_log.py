@@ -14,7 +14,7 @@ import rhdlink
 from rhdlink.address import MqttAddress
 from rhdlink.mqtt import DIALECTS, TOPICS, Command, decode
 from rhdlink.mqtt.broker import BrokerConnection
-from rhdlink.mqtt.dialects import alive, configure, interface_log, leds, stop, teensy, velocity
+from rhdlink.mqtt.commands import alive, configure, interface_log, leds, stop, teensy, velocity
 from rhdlink.mqtt.session import RobotSession
 from rhdlink.mqtt.wheel_odometry import Odometry
 from rhdlink.robots import Robobot

@@ -22,7 +22,7 @@ from rhdlink.host.scene import Scene, Tape
 from rhdlink.host.world import World
 from rhdlink.mqtt import Command, MqttRobot, SimulatedRobobot
 from rhdlink.mqtt.broker import BrokerConnection
-from rhdlink.mqtt.dialects import STANDSTILL, alive, stop
+from rhdlink.mqtt.commands import STANDSTILL, alive, stop
 from rhdlink.robots import Robobot, VelocityOmega
 from tests.mosquitto import needs_broker, running
 from tests.waiting import threads_named, until

@@ -182,7 +182,7 @@ def test_notebook_plot_shows_every_received_state(monkeypatch: pytest.MonkeyPatc
         return SimpleNamespace(update=show)
 
     shell = SimpleNamespace(kernel=None, events=SimpleNamespace(register=lambda event, call: None))
-    monkeypatch.setattr(process, "_watched", {"exit", "SIGTERM", "notebook"})
+    monkeypatch.setattr(process, "_watched", dict.fromkeys(("exit", "SIGTERM", "notebook"), "watched"))
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
     monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=display))
     with urlink.connect("sim://") as robot:

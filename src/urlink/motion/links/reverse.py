@@ -157,7 +157,11 @@ class ReverseLink:
         """Close the port, and the connections that have not sent their token."""
         self._listener.close()
         while self._candidates:
-            self._candidates.pop()[0].abort()
+            try:
+                connection, _ = self._candidates.pop()
+            except IndexError:  # another thread has taken the last one
+                break
+            connection.abort()
 
     def send(self, data: bytes) -> None:
         """Send data to the program without waiting; either all bytes are sent, or the connection is aborted.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -148,7 +147,8 @@ class Servo(BlockMotion):
         self._began: float  # time at which the first set-point was sent
         self._sent_at: float
         self._count = self._late = 0
-        self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
+        # Between set-points, in s. The thread in the block adds to this list, and other threads copy it in one step.
+        self._intervals: list[float] = []
         self._model = model
         self._limit = SpeedLimit(servoing.speeds, 1.0 / rate)
         self._cycle = cycle
@@ -289,12 +289,16 @@ class Servo(BlockMotion):
         if self._last is None:
             self._dialogue.has_begun = True
             self._began = now
+            self._count = 1
         else:
             interval = now - self._sent_at
+            # Counted first, so that there are never more intervals than set-points in `stats`.
+            self._count += 1
             self._intervals.append(interval)
+            if len(self._intervals) >= 2 * _REMEMBERED:
+                del self._intervals[:-_REMEMBERED]
             if interval * self.rate > 1.5:
                 self._late += 1
-        self._count += 1
         self._last, self._sent_at = values, now
 
     @property
@@ -314,7 +318,7 @@ class Servo(BlockMotion):
 
         The deviations are those of the last 50000 intervals.
         """
-        intervals = np.array(self._intervals)
+        intervals = np.array(self._intervals[-_REMEMBERED:])
         if not intervals.size:
             return ServoStatistics(self._count, 0.0, 0.0, 0.0, 0.0, self._late)
         deviations = np.abs(intervals - 1.0 / self.rate)

@@ -20,6 +20,7 @@ measures the forces that act on the tool, not the forces that the tool exerts.
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -152,6 +153,7 @@ class Surroundings(StrictAttributes):
         # Each tuple is replaced as a whole, so that the thread that owns the controller reads either the old or the new
         # tuple.
         self._contacts: tuple[ContactModel, ...] = ()
+        self._changing = threading.RLock()  # held while contacts are added or removed
         self._wrench: tuple[float, ...] = (0.0,) * 6
         self._torques: tuple[float, ...] = (0.0,) * 6
         self._load: tuple[float, tuple[float, ...]] | None = None
@@ -166,7 +168,8 @@ class Surroundings(StrictAttributes):
         """
         if not callable(getattr(contact, "force", None)):
             raise BadValue(f"contact is {contact!r}; expected an object with a method force(position, velocity)")
-        self._contacts = (*self._contacts, contact)
+        with self._changing:
+            self._contacts = (*self._contacts, contact)
         return contact
 
     def remove(self, contact: ContactModel) -> None:
@@ -175,15 +178,17 @@ class Surroundings(StrictAttributes):
         Raises:
             BadValue: If the object was not added.
         """
-        left = tuple(each for each in self._contacts if each is not contact)
-        if len(left) == len(self._contacts):
-            raise BadValue(f"contact {contact!r} is not in the surroundings; expected one of `contacts`")
-        self._contacts = left
+        with self._changing:
+            left = tuple(each for each in self._contacts if each is not contact)
+            if len(left) == len(self._contacts):
+                raise BadValue(f"contact {contact!r} is not in the surroundings; expected one of `contacts`")
+            self._contacts = left
 
     def clear(self) -> None:
         """Remove all objects and forces: the scene, planes and springs, pushes, and the load."""
         self.scene = None
-        self._contacts = ()
+        with self._changing:
+            self._contacts = ()
         self._wrench = self._torques = (0.0,) * 6
         self._load = None
 

@@ -15,7 +15,7 @@ from ..host.config import Element
 from ..host.plugin import Plugin
 from ..variables.database import TimeStamp
 from ..variables.value_types import wrapped
-from .dialects import STANDSTILL, Command, find_dialect, interface_log, teensy, velocity
+from .commands import STANDSTILL, Command, find_dialect, interface_log, teensy, velocity
 from .session import RobotSession
 from .topics import Message
 from .variables import ANGULAR_SCALE, LINEAR_SCALE, RobobotVariables
@@ -56,7 +56,7 @@ class MqttRobot(RobobotVariables, Plugin):
 
     def __init__(
         self,
-        address: str | MqttAddress = "mqtt://localhost",
+        address: str = "mqtt://localhost",
         access: Literal["r", "w"] = "w",
         *,
         timeout: float = 5.0,
@@ -194,8 +194,8 @@ class MqttRobot(RobobotVariables, Plugin):
         return STANDSTILL if self._is_stale else wanted
 
 
-def _checked(address: str | MqttAddress) -> MqttAddress:
-    parsed = address if isinstance(address, MqttAddress) else parse_mqtt_address(address)
+def _checked(address: str) -> MqttAddress:
+    parsed = parse_mqtt_address(address)
     if parsed.dialect is not None:
         find_dialect(parsed.dialect)
     return parsed

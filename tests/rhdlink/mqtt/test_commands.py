@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from linkcore.errors import BadAddress, BadValue
 from rhdlink.address import MqttAddress, is_mqtt, parse_address, parse_mqtt_address
-from rhdlink.mqtt.dialects import (
+from rhdlink.mqtt.commands import (
     DIALECTS,
     FASTEST,
     STANDSTILL,
@@ -140,7 +140,7 @@ def test_new_identity_always_has_the_same_length() -> None:
 def test_parse_mqtt_address_reads_host_port_and_dialect(text: str, address: MqttAddress) -> None:
     assert is_mqtt(text)
     assert parse_mqtt_address(text) == address
-    assert parse_mqtt_address(str(address)) == address._replace(dialect=None)
+    assert parse_mqtt_address(str(address)) == address
 
 
 @pytest.mark.parametrize(
