@@ -82,8 +82,10 @@ class BrokerConnection:
         try:
             client.connect(address.host, address.port, keepalive=KEEPALIVE)
         except TimeoutError as error:
+            self._release()
             raise LinkTimeout(f"{address}: no answer within {timeout:g} s") from error
         except (OSError, ValueError) as error:
+            self._release()
             raise ConnectFailed(f"{address}: no MQTT broker: {error}") from error
         client.loop_start()
         if not clock.wait(self._answered.wait, clock.left(until)):
@@ -118,6 +120,15 @@ class BrokerConnection:
             self._client.disconnect()
         # The thread ends when the broker has been sent the end of the connection, or within a second.
         self._client.loop_stop()
+        self._release()
+
+    def _release(self) -> None:
+        client = self._client
+        # paho leaves the socket open if the broker has not accepted the connection.
+        if (connection := client.socket()) is not None:
+            connection.close()
+        # Break the reference cycle, so that paho closes its other sockets when this object is no longer used.
+        client.on_connect = client.on_subscribe = client.on_disconnect = client.on_message = None
 
     # -- in the thread of paho -------------------------------------------------------------------------
 

@@ -4,16 +4,19 @@ The controller is the one in the `robot.ini` of the log: a PI controller with 7 
 and at most 8 V. The other numbers were fitted to the log of 2025-01-31, in which the robot drives with ``rc 0.1 0.5``
 for 10 s:
 
-======================================  ==============  ================
-quantity                                log             simulated
-======================================  ==============  ================
-mean speed, left and right, m/s         0.045, 0.155    0.045, 0.155
-standard deviation of the speed, m/s    0.029, 0.021    0.025, 0.024
-mean voltage, left and right, V         0.51, 1.10      0.51, 1.10
-correlation of the speed after 20 ms    0.49, 0.16      0.4
-delay after ``rc 0.25 0``, ms           24              24
-largest speed after ``rc 0.25 0``, m/s  0.31            0.28
-======================================  ==============  ================
+==========================================  ==============  ================
+quantity                                    log             simulated
+==========================================  ==============  ================
+mean speed, left and right, m/s             0.045, 0.155    0.045, 0.155
+standard deviation of the speed, m/s        0.029, 0.021    0.024, 0.025
+mean voltage, left and right, V             0.51, 1.10      0.50, 1.10
+correlation of the speed after 20 ms        0.49, 0.16      0.48, 0.49
+first movement after ``rc 0.25 0``, ms      24              25
+largest speed in the next 0.3 s, m/s        0.31            0.28
+largest speed in the first 60 ms, m/s       0.31            0.20
+==========================================  ==============  ================
+
+So the simulated wheels start more slowly than the real ones, probably because their gears have play.
 """
 
 from __future__ import annotations
