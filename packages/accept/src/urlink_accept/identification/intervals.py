@@ -1,9 +1,11 @@
 """Least squares with intervals that hold on real logs.
 
 The residuals of a real arm are not white noise: friction depends on load and temperature, and the residuals of one
-movement are alike. Therefore the rows are cut into blocks, one movement after the other, and a fit is repeated without
-each block in turn (jackknife). A number that depends on the choice of the movements gets a wide interval. The width
-also takes into account how many blocks the number effectively comes from.
+movement are alike. Therefore the rows are cut into blocks, one movement after the other, and the fit is repeated with
+random halves of the blocks. A number that depends on the choice of the movements gets a wide interval.
+
+The values from random halves deviate from the value of all blocks as much as this value deviates from the true one, if
+the blocks are independent.
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ from urlink.tools import Estimate, FloatArray
 
 #: Largest number of blocks; more movements are joined. Number of equal blocks if there are few movements.
 _MOST_BLOCKS, _EQUAL_BLOCKS = 24, 12
-#: Smallest number of movements that are used as blocks.
-_LEAST_MOVEMENTS = 8
+#: Smallest number of movements that are used as blocks. Number of random halves and their complements.
+_LEAST_MOVEMENTS, _PAIRS = 8, 200
 #: Degrees of freedom, and the quantiles of Student's t distribution for them that enclose 95 %.
 _FREE = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 60.0, np.inf])
 _STUDENT = np.array([12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.306, 2.228, 2.131, 2.086, 2.042, 2.0, 1.96])
@@ -30,17 +32,17 @@ class Fit:
 
     Attributes:
         factors: Factors of the columns, shape (k,).
-        without: Factors of the fit without each block, shape (blocks, k).
-        free: Degrees of freedom of each factor, shape (k,).
+        halves: Factors of the fits of random halves of the blocks, shape (halves, k).
+        blocks: Number of blocks.
     """
 
     factors: FloatArray
-    without: FloatArray
-    free: FloatArray
+    halves: FloatArray
+    blocks: int
 
     def estimate(self, number: int) -> Estimate:
         """Return one factor with its interval."""
-        return jackknifed(float(self.factors[number]), self.without[:, number], float(self.free[number]))
+        return within(float(self.factors[number]), self.halves[:, number], self.blocks)
 
 
 def student(free: float) -> float:
@@ -49,16 +51,15 @@ def student(free: float) -> float:
     return float(np.interp(1.0 / max(free, 1.0), 1.0 / _FREE[::-1], _STUDENT[::-1]))
 
 
-def jackknifed(value: float, without: FloatArray, free: float) -> Estimate:
-    """Return an estimate with the interval that follows from its values without each block.
+def within(value: float, halves: FloatArray, blocks: int) -> Estimate:
+    """Return an estimate with the interval that follows from its values in random halves.
 
     Args:
         value: Value from all blocks.
-        without: Values without each block, shape (blocks,).
-        free: Degrees of freedom.
+        halves: Values from random halves of the blocks, shape (halves,).
+        blocks: Number of blocks.
     """
-    deviation = float(np.sqrt((len(without) - 1) / len(without) * ((without - value) ** 2).sum()))
-    half = student(free) * deviation
+    half = student(blocks - 1) * float(np.sqrt(((halves - value) ** 2).mean()))
     return Estimate(value, value - half, value + half)
 
 
@@ -76,7 +77,7 @@ def blocks_of(is_rest: NDArray[np.bool_]) -> NDArray[np.int_]:
 
 
 def fit(columns: FloatArray, measured: FloatArray, blocks: NDArray[np.int_]) -> Fit:
-    """Fit by least squares, with all rows and without each block.
+    """Fit by least squares, with all rows and with random halves of the blocks.
 
     Args:
         columns: Columns, shape (n, k).
@@ -90,11 +91,10 @@ def fit(columns: FloatArray, measured: FloatArray, blocks: NDArray[np.int_]) -> 
     parts = [blocks == each for each in np.unique(blocks)]
     squares = np.array([scaled[rows].T @ scaled[rows] for rows in parts])
     sides = np.array([scaled[rows].T @ measured[rows] for rows in parts])
-    inverse = np.linalg.pinv(squares.sum(axis=0), hermitian=True)
-    factors = inverse @ sides.sum(axis=0)
-    others = np.linalg.pinv(squares.sum(axis=0) - squares, hermitian=True)
-    without = np.einsum("bij,bj->bi", others, sides.sum(axis=0) - sides)
-    # Share of each block in the information about each factor. Equal shares give one degree less than blocks.
-    shares = np.einsum("ij,bjk,ki->bi", inverse, squares, inverse) / np.maximum(np.diag(inverse), 1e-300)
-    free = 1.0 / np.maximum((shares**2).sum(axis=0), 1e-9) - 1.0
-    return Fit(factors / lengths, without / lengths, np.asarray(free))
+    # The same recording always has the same result.
+    rng = np.random.default_rng(0)
+    first = np.array([rng.permutation(len(parts)) < len(parts) // 2 for _ in range(_PAIRS)])
+    chosen = np.concatenate((np.ones((1, len(parts)), dtype=bool), first, ~first)).astype(np.float64)
+    inverses = np.linalg.pinv(np.einsum("hb,bij->hij", chosen, squares), hermitian=True)
+    factors = np.einsum("hij,hj->hi", inverses, chosen @ sides) / lengths
+    return Fit(factors[0], factors[1:], len(parts))

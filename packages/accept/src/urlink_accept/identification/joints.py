@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from urlink.arm.models import Model
 from urlink.tools import FULL_SPEED, JOINTS, Dynamics, Estimate, FloatArray, motors_of
 
-from .intervals import Fit, blocks_of, fit, jackknifed
+from .intervals import Fit, blocks_of, fit, within
 
 #: Minimum acceleration in rad/s² for a joint to show its rotor inertia.
 _ACCELERATION = 0.3
@@ -103,15 +103,17 @@ def _fit_moments(
     moved = np.abs(qdd).max(axis=0) >= _ACCELERATION
     shared = np.stack([at_flange, *per_way], axis=-1)
     rotor_columns = qdd[:, :, np.newaxis] * np.eye(6)
-    factors = np.zeros(10)
+    # A joint that hardly accelerates has the published rotor.
+    factors = np.concatenate((np.zeros(4), np.where(moved, 0.0, motors_of(model).rotor_inertias)))
+    resting = rotor_columns @ factors[4:]
     modelled = bare
     weight = np.ones(6)
     known = np.concatenate((np.ones(4, dtype=bool), moved))
-    last = Fit(factors, factors[np.newaxis], np.ones(10))
+    last = Fit(factors, factors[np.newaxis], 1)
     second = np.zeros_like(bare)
     for _ in range(4):
         whole = np.concatenate((shared, rotor_columns), axis=-1)[:, :, known] * weight[:, np.newaxis]
-        wanted = (moments - bare - second) * weight
+        wanted = (moments - bare - resting - second) * weight
         last = fit(whole.reshape(-1, int(known.sum())), wanted.ravel(), np.repeat(blocks, 6))
         factors[known] = last.factors
         mass, first = factors[0], factors[1:4]
@@ -131,9 +133,9 @@ def _fit_moments(
     elif factors[0] < 0.05:
         centre = (Estimate.unknown("a payload"),) * 3
     else:
-        masses = np.maximum(last.without[:, 0], 1e-3)
+        masses = np.maximum(last.halves[:, 0], 1e-3)
         centre = tuple(
-            jackknifed(factors[axis] / factors[0], last.without[:, axis] / masses, last.free[axis]) for axis in (1, 2, 3)
+            within(factors[axis] / factors[0], last.halves[:, axis] / masses, last.blocks) for axis in (1, 2, 3)
         )
     numbers = np.cumsum(known) - 1
     rotors = tuple(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from urlink.tools import FULL_SPEED, Estimate, FloatArray, number
 
-from .intervals import blocks_of, fit, jackknifed, student
+from .intervals import blocks_of, fit, student, within
 from .samples import Samples
 
 #: Time in s that an arm needs to settle after a movement.
@@ -19,7 +19,7 @@ _ROWS, _SHORT, _PIECE = 4, 0.08, 1.0
 #: Smallest difference of the targets of two rests, in rad.
 _APART = 1e-3
 #: Smallest relative error of the rate of one ramp. Number of blocks for the drift of a clock.
-_RATE_ERROR, _CLOCK_BLOCKS = 0.002, 20
+_RATE_ERROR, _CLOCK_BLOCKS = 1e-5, 20
 #: Maximum time in s between two rows that still show a ramp of 0.16 s.
 _FINE = 0.05
 
@@ -200,8 +200,7 @@ def _spread(means: FloatArray) -> Estimate:
 def _rms(squares: FloatArray, blocks: NDArray[np.int_]) -> Estimate:
     """Return the root of a mean of squares, with its interval from the blocks."""
     found = fit(np.ones((len(squares), 1)), squares, blocks)
-    roots = np.sqrt(np.maximum(found.without[:, 0], 0.0))
     # The interval is that of the logarithm, because a deviation is positive.
-    value = float(np.sqrt(max(found.factors[0], 1e-300)))
-    logs = jackknifed(float(np.log(value)), np.log(np.maximum(roots, 1e-150)), float(found.free[0]))
-    return Estimate(value, float(np.exp(logs.low)), float(np.exp(logs.high)))
+    value, *halves = 0.5 * np.log(np.maximum(np.concatenate((found.factors, found.halves[:, 0])), 1e-300))
+    logs = within(float(value), np.array(halves), found.blocks)
+    return Estimate(float(np.exp(logs.value)), float(np.exp(logs.low)), float(np.exp(logs.high)))
