@@ -1,6 +1,6 @@
 """Arm files: the identified properties of one arm, for the simulator (`sim://ur5e?like=arm.json`).
 
-The file is JSON. Each number has a value and the interval that contains it with a probability of 99 %. If the recording
+The file is JSON. Each number has a value and the interval that contains it with a probability of 95 %. If the recording
 does not show a number, the file names the motion that would show it, and the simulator uses the value of the model.
 """
 
@@ -30,17 +30,13 @@ MOTORS = {
 }
 
 
-#: Number of standard deviations on each side that contain 99 % of a normal distribution.
-SIDES = 2.576
-
-
 @dataclasses.dataclass(frozen=True)
 class Estimate:
     """One number with its interval, or the motion that is needed to find it.
 
     Attributes:
         value: Value of the number; nan if unknown.
-        low: Lower end of the interval that contains the number with 99 %, if the residuals of the model are noise.
+        low: Lower end of the interval that contains the number with 95 %, if the movements are typical of the arm.
         high: Upper end of this interval.
         needs: Motion that would show the number; "" if it is known.
     """
@@ -49,11 +45,6 @@ class Estimate:
     low: float
     high: float
     needs: str = ""
-
-    @classmethod
-    def around(cls, value: float, deviation: float) -> Estimate:
-        """Return an estimate from a value and its standard deviation."""
-        return cls(value, value - SIDES * deviation, value + SIDES * deviation)
 
     @classmethod
     def unknown(cls, needs: str) -> Estimate:

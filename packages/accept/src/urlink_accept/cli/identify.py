@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from urlink.tools import ADDRESS, ProgressBar, agrees, argument, command, connected, seconds, tell
+from urlink.tools import ADDRESS, ProgressBar, agrees, argument, command, connected, positive_number, seconds, tell
 
 if TYPE_CHECKING:
     from urlink import Robot
@@ -25,6 +25,27 @@ def _degrees(text: str) -> float:
     if not 6.0 <= seconds(text) <= 45.0:
         raise argparse.ArgumentTypeError(f"{text} is out of range; expected 6 to 45 degrees")
     return seconds(text)
+
+
+def _mapping(text: str) -> tuple[str, str]:
+    ours, _, theirs = text.partition("=")
+    if not ours or not theirs:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a mapping; expected for example target_q=joint_positions")
+    return ours, theirs
+
+
+#: Arguments for tables.
+_TABLE = (
+    argument(
+        "--map",
+        type=_mapping,
+        action="append",
+        default=[],
+        metavar="NAME=COLUMN",
+        help="RTDE name and its column in a table; for a vector, the name without its number, or all columns with commas",
+    ),
+    argument("--rate", type=positive_number, metavar="HZ", help="rows per second of a table without timestamp"),
+)
 
 
 @command(
@@ -106,6 +127,7 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--like", metavar="FILE", help="use the arm in FILE, written by urlink identify"),
     argument("--model", metavar="NAME", help="arm, if neither --like nor the recording names it"),
+    *_TABLE,
     argument(
         "--tolerance", type=seconds, default=0.01, metavar="S", help="allowed time difference in s (default: 0.01)"
     ),
@@ -113,7 +135,8 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
 def _compare(args: argparse.Namespace) -> int:
     """Run the motions of a recording on the simulator, and print the differences: for each movement between two rests
     the additional time of the simulator, and for each quantity the root mean square by joint. The exit status is 1 if
-    a movement differs by more than --tolerance seconds, so the command can serve as a regression test of a cell.
+    a movement differs by more than --tolerance seconds, so the command can serve as a regression test of a cell. It is
+    2 if no movement could be compared.
 
     A recording does not contain commands, so each movement is run as the movej or movel that fits its targets.
 
@@ -128,7 +151,7 @@ def _compare(args: argparse.Namespace) -> int:
     from ..identification.comparison import QUANTITIES, compare
 
     with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
-        samples = _samples(args.recording, progress)
+        samples = _samples(args, progress)
         if args.like is not None:
             like = read_arm_file(args.like)
         else:
@@ -138,6 +161,12 @@ def _compare(args: argparse.Namespace) -> int:
             like = ArmFile(found.model, {}, found.calibration, found.tcp)
         progress.next("simulating the movements")
         difference = compare(samples, like, progress)
+    if not difference.rms:
+        tell(
+            f"nothing to compare: {args.recording} has {len(difference.movements)} complete movements between two "
+            "rests, and no movej or movel fits any of them"
+        )
+        return 2
     begin, worst = float(samples["timestamp"][0]), 0.0
     for each in difference.movements:
         at = f"{float(samples['timestamp'][each.begin]) - begin:8.2f} s"
@@ -156,12 +185,13 @@ def _compare(args: argparse.Namespace) -> int:
     "estimate the parameters of an arm from a recording",
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--model", metavar="NAME", help="arm, if the recording does not name it"),
+    *_TABLE,
     argument("--out", metavar="FILE", help="write the result, for sim://...?like=FILE"),
     argument("--json", action="store_true", help="print one object per line: name, joint, value, low, high, needs"),
 )
 def _identify(args: argparse.Namespace) -> int:
     """Identify an arm from a recording of its motion: calibration, payload, rotor inertias, torque constants,
-    friction, lag, the ramp of programs, noise. Each number is printed with its 99 % confidence interval. If the
+    friction, lag, the ramp of programs, noise. Each number is printed with its 95 % confidence interval. If the
     recording does not show a number, the motion that would show it is named. With the file that --out writes, the
     simulator behaves like that arm: sim://ur5e?like=arm.json.
 
@@ -176,7 +206,7 @@ def _identify(args: argparse.Namespace) -> int:
     from ..identification import identify
 
     with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
-        samples = _samples(args.recording, progress)
+        samples = _samples(args, progress)
         progress.next("identifying the arm")
         found = identify(samples, args.model)
     if args.out is not None:
@@ -187,13 +217,20 @@ def _identify(args: argparse.Namespace) -> int:
     return 0
 
 
-def _samples(path: Path, progress: ProgressBar) -> Samples:
-    """Read a recording, a table, or the recording in a bundle."""
+def _samples(args: argparse.Namespace, progress: ProgressBar) -> Samples:
+    """Read a recording, a table, or the recording in a bundle; print what it lacks."""
     from ..acceptance.bundle import recording_in
     from ..identification.samples import read_samples
 
-    with recording_in(path) as recording:
-        return read_samples(recording, progress)
+    with recording_in(args.recording) as recording:
+        samples = read_samples(recording, progress, names=dict(args.map), rate=args.rate)
+    if samples.missing:
+        tell(f"{args.recording} lacks {len(samples.missing)} columns:")
+        for name, effect in samples.missing.items():
+            tell(f"  without {name}: {effect}")
+    for remark in samples.remarks:
+        tell(f"warning: {remark}")
+    return samples
 
 
 def _objects(found: ArmFile) -> Sequence[str]:
@@ -213,6 +250,7 @@ def _lines(found: ArmFile) -> Sequence[str]:
 
     units = {name: row.unit for (name, _), row in parameters().items()}
     units |= {"payload": "kg", "payload_cog": "m", "calibration": "m rms", "clock_drift": ""}
+    units |= {"force_offset": "N or Nm", "unset_payload": "kg"}
     lines = [found.model]
     for name, each in found.estimates.items():
         for number, estimate in enumerate(each):

@@ -60,14 +60,23 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     Args:
         model: Model of the arm.
         columns: Columns by their RTDE names, shape (n, 6) each: target_q, target_qd, target_qdd, target_moment and
-            target_current. Instead of target_current, actual_current can be used.
+            target_current. Instead of target_current, actual_current can be used. Without target_moment, the moments
+            are those of the model with the columns payload and payload_cog, if they exist, and with its rotors.
     """
     blocks = blocks_of(~columns["target_qd"].any(axis=1))
     q, qd, qdd = (columns[f"target_{name}"] for name in ("q", "qd", "qdd"))
     motors = motors_of(model)
-    moments = columns["target_moment"]
-    payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, moments, blocks)
-    torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
+    if "target_moment" in columns:
+        moments = columns["target_moment"]
+        payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, moments, blocks)
+        torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
+    else:
+        needed = Estimate.unknown("target_moment in the recording")
+        payload, cog, rotors, torque_r2 = needed, (needed,) * 3, (needed,) * 6, (np.nan,) * 6
+        mass = float(np.median(columns["payload"])) if "payload" in columns else 0.0
+        at = np.median(columns["payload_cog"], axis=0) if "payload_cog" in columns else np.zeros(3)
+        carried = Dynamics(model, payload=mass, payload_cog=at, rotors=motors.rotor_inertias)
+        modelled = carried.torque(q, qd, qdd)
     currents = columns.get("target_current", columns.get("actual_current"))
     if currents is None:
         unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6

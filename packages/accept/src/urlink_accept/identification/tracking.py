@@ -26,8 +26,8 @@ _FINE = 0.05
 
 def tracking_lag(samples: Samples) -> Estimate:
     """Return the lag of the actual joints behind their targets, in s."""
-    if "actual_q" not in samples:
-        return Estimate.unknown("actual_q in the recording")
+    if "actual_q" not in samples or "target_q" in samples.derived:
+        return Estimate.unknown("target_q and actual_q in the recording, each measured by itself")
     qd, blocks = samples["target_qd"], blocks_of(samples.is_rest)
     off = samples["actual_q"] - samples["target_q"]
     columns, measured, numbers = [], [], []
@@ -56,14 +56,15 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
         samples: Samples of the recording.
         coulomb: Coulomb friction, shape (6,), in A, which identifies stiction.
     """
-    rests, pieces = list(_rests(samples)), list(_pieces(samples))
+    rests, pieces = list(rests_of(samples)), list(_pieces(samples))
     needs = f"rests of {_SETTLING + _SHORT} s and more, at least two"
     names = ("position_noise", "position_offset", "current_noise_at_rest", "stiction", "force_noise", "torque_noise")
     found = dict.fromkeys(names, Estimate.unknown(needs))
     if "actual_q" in samples:
-        off = samples["actual_q"] - samples["target_q"]
+        # The targets of a rest are constant, whether they are recorded or not.
+        off = samples["actual_q"] - (0.0 if "target_q" in samples.derived else samples["target_q"])
         found["position_noise"] = _deviation(off, pieces, needs)
-        if len(rests) > 1:
+        if len(rests) > 1 and "target_q" not in samples.derived:
             found["position_offset"] = _spread(np.array([off[rows].mean(axis=0) for rows in rests]))
     if {"actual_current", "joint_control_output"} <= samples.keys():
         off = samples["actual_current"] - samples["joint_control_output"]
@@ -89,6 +90,8 @@ def start_rate(samples: Samples) -> Estimate:
     scaling of s, its speed after the distance x is s √(2 a x), so each row shows s. The ramp begins with the program,
     which may wait before it moves.
     """
+    if samples.derived:
+        return Estimate.unknown("target_q, target_qd and target_qdd in the recording")
     times, rest = samples["timestamp"], samples.is_rest
     period = float(np.median(np.diff(times)))
     if period > _FINE:
@@ -146,7 +149,7 @@ def clock_drift(samples: Samples) -> Estimate:
     return Estimate(found.value - 1.0, found.low - 1.0, found.high - 1.0)
 
 
-def _rests(samples: Samples) -> Iterator[slice]:
+def rests_of(samples: Samples) -> Iterator[slice]:
     """Yield the rows of each rest, without the rows where the arm settles."""
     times, rest = samples["timestamp"], samples.is_rest
     # If rows were left out, two rests may follow each other.
@@ -163,7 +166,7 @@ def _rests(samples: Samples) -> Iterator[slice]:
 def _pieces(samples: Samples) -> Iterator[slice]:
     """Yield parts of the rests, of 1 s or less, so that a slow drift is not noise."""
     times = samples["timestamp"]
-    for rows in _rests(samples):
+    for rows in rests_of(samples):
         count = max(int((times[rows.stop - 1] - times[rows.start]) / _PIECE), 1)
         edges = np.linspace(rows.start, rows.stop, count + 1).astype(int)
         yield from map(slice, edges[:-1].tolist(), edges[1:].tolist())
