@@ -186,6 +186,9 @@ def _compare(args: argparse.Namespace) -> int:
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--model", metavar="NAME", help="arm, if the recording does not name it"),
     *_TABLE,
+    argument(
+        "--calibration", action="store_true", help="fit only the kinematics, to the poses measured_pose_0 to 2 or 5"
+    ),
     argument("--out", metavar="FILE", help="write the result, for sim://...?like=FILE"),
     argument("--json", action="store_true", help="print one object per line: name, joint, value, low, high, needs"),
 )
@@ -206,6 +209,8 @@ def _identify(args: argparse.Namespace) -> int:
     from ..identification import identify
 
     with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
+        if args.calibration:
+            return _calibrate(args)
         samples = _samples(args, progress)
         progress.next("identifying the arm")
         found = identify(samples, args.model)
@@ -214,6 +219,41 @@ def _identify(args: argparse.Namespace) -> int:
         tell(f"to simulate this arm: sim://{found.model.lower().replace(' ', '')}?like={args.out}")
     for line in _objects(found) if args.json else _lines(found):
         print(line)
+    return 0
+
+
+def _calibrate(args: argparse.Namespace) -> int:
+    """Fit the kinematics to measured poses, and print the accuracy in rows that were left out."""
+    from urlink import BadValue
+    from urlink.arm import models
+    from urlink.tools import ArmFile, Estimate
+
+    from ..identification.calibration import fit_measured
+    from ..identification.samples import read_columns
+
+    columns = read_columns(args.recording, dict(args.map))
+    q, poses = columns.get("actual_q", columns.get("target_q")), columns.get("measured_pose")
+    if args.model is None or q is None or poses is None or poses.shape[1:] not in ((3,), (6,)):
+        raise BadValue(
+            f"{args.recording} has the columns {', '.join(columns) or 'none'}; --calibration needs --model, actual_q or "
+            "target_q, and measured_pose_0 to measured_pose_2 (position in m) or to measured_pose_5 (with a rotation "
+            "vector in rad), for example --map measured_pose=x,y,z"
+        )
+    model = models.model(args.model)
+    found = fit_measured(model, q, poses)
+    print(f"{model.name}: {len(q)} measured poses, every fourth of them left out of the fit")
+    print(f"  distance of the published arm   {1e3 * found.published:.4g} mm rms in the rows that were left out")
+    print(f"  distance of the fitted arm      {1e3 * found.rms:.4g} mm rms")
+    for name, pose in (("base", found.base), ("tcp", found.tcp)):
+        print(f"  {name:24} {' '.join(f'{value:.6g}' for value in pose.tolist())}  m and rad")
+    for name, values in found.table._asdict().items():
+        print(f"  {name:24} {' '.join(f'{value:.7g}' for value in values)}")
+    if found.rms >= found.published:
+        tell("the fitted arm is not better than the published arm; measure more poses, in more directions")
+        return 1
+    if args.out is not None:
+        estimates = {"calibration": (Estimate(found.rms, 0.0, found.rms),)}
+        ArmFile(model.name, estimates, found.table, tuple(found.tcp.tolist())).write(args.out)
     return 0
 
 

@@ -13,12 +13,12 @@ import numpy as np
 from urlink.arm.poses import rotvec_to_matrix
 from urlink.tools import GRAVITY, Estimate, FloatArray
 
-from .intervals import fit, within
+from .intervals import Fit, fit
 from .samples import Samples
 from .tracking import rests_of
 
-#: Largest standard error of the mass in kg; with a larger one, the tool did not turn enough.
-_MASS = 0.2
+#: Largest width of the interval of the mass in kg; with a wider one, the tool did not turn enough. Fewest rests.
+_MASS, _RESTS = 1.0, 4
 
 
 def force_offset(samples: Samples) -> dict[str, Sequence[Estimate]]:
@@ -26,32 +26,33 @@ def force_offset(samples: Samples) -> dict[str, Sequence[Estimate]]:
 
     The keys are force_offset, six numbers in N and Nm along the axes of the TCP, and unset_payload, in kg.
     """
-    needs = ""
     pose = samples.get("actual_TCP_pose", samples.get("target_TCP_pose"))
+    rests = list(rests_of(samples))
+    needs = ""
     if "actual_TCP_force" not in samples or pose is None:
         needs = "actual_TCP_force and actual_TCP_pose in the recording"
-    rests = list(rests_of(samples))
-    if len(rests) < 4:
-        needs = needs or "four rests or more, with the tool in different directions"
+    elif len(rests) < _RESTS:
+        needs = f"{_RESTS} rests or more"
     if needs or pose is None:
         return {"force_offset": (Estimate.unknown(needs),) * 6, "unset_payload": (Estimate.unknown(needs),)}
-    force = np.array([samples["actual_TCP_force"][rows].mean(axis=0) for rows in rests])
+    wrench = np.array([samples["actual_TCP_force"][rows].mean(axis=0) for rows in rests])
     turns = rotvec_to_matrix(np.array([pose[rows][0, 3:] for rows in rests]))
     down = np.tile((0.0, 0.0, -GRAVITY), (len(rests), 1))
     # Unknown: three forces that turn with the tool, and a mass. The blocks are the rests.
-    numbers = np.repeat(np.arange(len(rests)), 3)
-    forces = fit(np.concatenate((turns, down[:, :, np.newaxis]), axis=2).reshape(-1, 4), force[:, :3].ravel(), numbers)
-    mass = forces.estimate(3)
+    forces = _fit(np.concatenate((turns, down[:, :, np.newaxis]), axis=2), wrench[:, :3])
     # The centre of the unknown mass turns with the tool: its torque is (R s) x g, with s = mass times distance.
-    levers = -_cross(down) @ turns
-    torques = fit(np.concatenate((turns, levers), axis=2).reshape(-1, 6), force[:, 3:].ravel(), numbers)
-    offsets = [forces.estimate(axis) for axis in range(3)] + [
-        within(float(torques.factors[axis]), torques.halves[:, axis], torques.blocks) for axis in range(3)
-    ]
-    if mass.high - mass.low > 4.0 * _MASS:
-        needs = "rests with the tool in different directions"
-        return {"force_offset": (Estimate.unknown(needs),) * 6, "unset_payload": (Estimate.unknown(needs),)}
+    torques = _fit(np.concatenate((turns, -_cross(down) @ turns), axis=2), wrench[:, 3:])
+    mass = forces.estimate(3)
+    if mass.high - mass.low > _MASS:
+        mass = Estimate.unknown("rests with the tool in different directions; the offset assumes that it is 0")
+        forces, torques = _fit(turns, wrench[:, :3]), _fit(turns, wrench[:, 3:])
+    offsets = [fitted.estimate(axis) for fitted in (forces, torques) for axis in range(3)]
     return {"force_offset": tuple(offsets), "unset_payload": (mass,)}
+
+
+def _fit(columns: FloatArray, wrench: FloatArray) -> Fit:
+    """Fit three components of each rest; columns have the shape (n, 3, k)."""
+    return fit(columns.reshape(-1, columns.shape[2]), wrench.ravel(), np.repeat(np.arange(len(wrench)), 3))
 
 
 def _cross(vectors: FloatArray) -> FloatArray:

@@ -186,8 +186,11 @@ def _saturated(qd: FloatArray) -> FloatArray:
 
 
 def _r2(measured: FloatArray, modelled: FloatArray) -> float:
+    # Rounding is not a variation.
+    if np.ptp(measured) <= 1e-6:
+        return float("nan")
     total = float(((measured - measured.mean()) ** 2).sum())
-    return 1.0 - float(((measured - modelled) ** 2).sum()) / total if total > 0.0 else float("nan")
+    return 1.0 - float(((measured - modelled) ** 2).sum()) / total
 
 
 def of_ratio(estimate: Estimate) -> Estimate:

@@ -249,6 +249,13 @@ def read_samples(
 
 
 def _table(path: Path, names: Mapping[str, str], rate: float | None) -> Samples:
+    columns = read_columns(path, names)
+    return Samples(path, columns, None, columns.get("received"), rate)
+
+
+def read_columns(path: str | os.PathLike[str], names: Mapping[str, str]) -> dict[str, FloatArray]:
+    """Return the columns of a table by their RTDE names. The arguments and errors are those of `read_samples`."""
+    path = Path(path)
     groups = _columns(*_cells(path))
     known = {theirs: ours for ours, theirs in COLUMNS.items()}
     columns = {known.get(name, name): column for name, column in groups.items()}
@@ -263,7 +270,7 @@ def _table(path: Path, names: Mapping[str, str], rate: float | None) -> Samples:
             )
         found = [column for column in every if column is not None]
         columns[ours] = found[0] if len(found) == 1 else np.column_stack(found)
-    return Samples(path, columns, None, columns.get("received"), rate)
+    return columns
 
 
 def _columns_named(
