@@ -79,7 +79,9 @@ def agreement(samples: Samples, model: str, seed: int = 0) -> Agreement:
         compared += len(shared)
         at_random += [name for name in shared if disjoint(half[name], rest[name])]
     widths = {
-        name: (whole[name].high - whole[name].low) / np.ptp(each) for name, each in values.items() if len(each) == HALVES
+        name: (whole[name].high - whole[name].low) / np.ptp(each)
+        for name, each in values.items()
+        if len(each) == HALVES
     }
     return Agreement(whole, ordered, len(one.keys() & two.keys()), at_random, compared, widths)
 

@@ -42,7 +42,7 @@ _TABLE = (
         action="append",
         default=[],
         metavar="NAME=COLUMN",
-        help="RTDE name and its column in a table; for a vector, the name without its number, or all columns with commas",
+        help="RTDE name and its column in a table; for a vector, the name without number, or all columns with commas",
     ),
     argument("--rate", type=positive_number, metavar="HZ", help="rows per second of a table without timestamp"),
 )
@@ -235,8 +235,8 @@ def _calibrate(args: argparse.Namespace) -> int:
     q, poses = columns.get("actual_q", columns.get("target_q")), columns.get("measured_pose")
     if args.model is None or q is None or poses is None or poses.shape[1:] not in ((3,), (6,)):
         raise BadValue(
-            f"{args.recording} has the columns {', '.join(columns) or 'none'}; --calibration needs --model, actual_q or "
-            "target_q, and measured_pose_0 to measured_pose_2 (position in m) or to measured_pose_5 (with a rotation "
+            f"{args.recording} has the columns {', '.join(columns) or 'none'}; --calibration needs --model, actual_q "
+            "or target_q, and measured_pose_0 to measured_pose_2 (position in m) or to measured_pose_5 (with a rotation "
             "vector in rad), for example --map measured_pose=x,y,z"
         )
     model = models.model(args.model)

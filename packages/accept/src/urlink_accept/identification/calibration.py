@@ -150,7 +150,9 @@ def fit_measured(model: Model, q: FloatArray, poses: FloatArray) -> MeasuredFit:
     """
     _check_motion(q)
     if np.ptp(poses[:, :3], axis=0).max() > 10.0:
-        raise BadValue(f"the measured positions extend over {np.ptp(poses[:, :3], axis=0).max():.4g}; expected m (in mm?)")
+        raise BadValue(
+            f"the measured positions extend over {np.ptp(poses[:, :3], axis=0).max():.4g}; expected m (in mm?)"
+        )
     held = np.arange(len(q)) % 4 == 3
     published = np.column_stack((model.dh_theta, model.dh_a, model.dh_d, model.dh_alpha, np.zeros(6)))
     free = np.flatnonzero(_FREE)
@@ -170,7 +172,9 @@ def fit_measured(model: Model, q: FloatArray, poses: FloatArray) -> MeasuredFit:
             return np.asarray(away)
         # A rotation counts like the distance that it causes at this lever.
         off = rotvec_to_matrix(poses[rows, 3:]) @ np.swapaxes(found[:, :3, :3], 1, 2)
-        turn = 0.5 * np.stack((off[:, 2, 1] - off[:, 1, 2], off[:, 0, 2] - off[:, 2, 0], off[:, 1, 0] - off[:, 0, 1]), -1)
+        turn = 0.5 * np.stack(
+            (off[:, 2, 1] - off[:, 1, 2], off[:, 0, 2] - off[:, 2, 0], off[:, 1, 0] - off[:, 0, 1]), -1
+        )
         return np.concatenate((away, _LEVER * turn), axis=1)
 
     spread = np.concatenate((np.tile(_PRIOR, (6, 1)).ravel()[free], np.full(6 + tool, 10.0)))

@@ -43,7 +43,7 @@ def force_offset(samples: Samples) -> dict[str, Sequence[Estimate]]:
     # The centre of the unknown mass turns with the tool: its torque is (R s) x g, with s = mass times distance.
     torques = _fit(np.concatenate((turns, -_cross(down) @ turns), axis=2), wrench[:, 3:])
     mass = forces.estimate(3)
-    if mass.high - mass.low > _MASS:
+    if not mass.is_known or mass.high - mass.low > _MASS:
         mass = Estimate.unknown("rests with the tool in different directions; the offset assumes that it is 0")
         forces, torques = _fit(turns, wrench[:, :3]), _fit(turns, wrench[:, 3:])
     offsets = [fitted.estimate(axis) for fitted in (forces, torques) for axis in range(3)]

@@ -21,6 +21,8 @@ from urlink.tools import Estimate, FloatArray
 _MOST_BLOCKS, _EQUAL_BLOCKS = 24, 12
 #: Smallest number of movements that are used as blocks. Number of random halves and their complements.
 _LEAST_MOVEMENTS, _PAIRS = 8, 200
+#: Relative size of an eigenvalue that is rounding. Part of a factor in such a direction that makes it unknown.
+_RANK, _HIDDEN = 1e-10, 1e-3
 #: Degrees of freedom, and the quantiles of Student's t distribution for them that enclose 95 %.
 _FREE = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 60.0, np.inf])
 _STUDENT = np.array([12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.306, 2.228, 2.131, 2.086, 2.042, 2.0, 1.96])
@@ -34,14 +36,18 @@ class Fit:
         factors: Factors of the columns, shape (k,).
         halves: Factors of the fits of random halves of the blocks, shape (halves, k).
         blocks: Number of blocks.
+        is_shown: Whether the columns show each factor, shape (k,). They do not if a column is a combination of others.
     """
 
     factors: FloatArray
     halves: FloatArray
     blocks: int
+    is_shown: NDArray[np.bool_]
 
     def estimate(self, number: int) -> Estimate:
-        """Return one factor with its interval."""
+        """Return one factor with its interval, or an unknown estimate."""
+        if not self.is_shown[number]:
+            return Estimate.unknown("motion that separates this number from the others")
         return within(float(self.factors[number]), self.halves[:, number], self.blocks)
 
 
@@ -97,4 +103,6 @@ def fit(columns: FloatArray, measured: FloatArray, blocks: NDArray[np.int_]) -> 
     chosen = np.concatenate((np.ones((1, len(parts)), dtype=bool), first, ~first)).astype(np.float64)
     inverses = np.linalg.pinv(np.einsum("hb,bij->hij", chosen, squares), hermitian=True)
     factors = np.einsum("hij,hj->hi", inverses, chosen @ sides) / lengths
-    return Fit(factors[0], factors[1:], len(parts))
+    sizes, ways = np.linalg.eigh(squares.sum(axis=0))
+    hidden = np.abs(ways[:, sizes <= _RANK * sizes[-1]]).max(axis=1, initial=0.0)
+    return Fit(factors[0], factors[1:], len(parts), hidden < _HIDDEN)

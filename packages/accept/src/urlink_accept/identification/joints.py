@@ -118,7 +118,7 @@ def _fit_moments(
     modelled = bare
     weight = np.ones(6)
     known = np.concatenate((np.ones(4, dtype=bool), moved))
-    last = Fit(factors, factors[np.newaxis], 1)
+    last = Fit(factors, factors[np.newaxis], 1, np.ones(10, dtype=bool))
     second = np.zeros_like(bare)
     for _ in range(4):
         whole = np.concatenate((shared, rotor_columns), axis=-1)[:, :, known] * weight[:, np.newaxis]
@@ -136,7 +136,7 @@ def _fit_moments(
         weight = 1.0 / np.maximum(deviation, max(deviation.max() * 1e-3, 1e-12))
     payload = last.estimate(0)
     centre: tuple[Estimate, ...]
-    if payload.high - payload.value > _MASS:
+    if not payload.is_known or payload.high - payload.value > _MASS:
         needs = "postures in which the weight of the tool turns the wrists differently"
         payload, centre = Estimate.unknown(needs), (Estimate.unknown(needs),) * 3
     elif factors[0] < 0.05:

@@ -43,7 +43,7 @@ _WITHOUT = {
     "target_q": "actual_q is used; lag and offsets of the positions stay unknown",
     "target_qd": "the positions are differentiated; the ramp of programs stays unknown",
     "target_qdd": "the speeds or positions are differentiated; the ramp of programs stays unknown",
-    "target_moment": "payload and rotor inertias stay unknown; the currents are fitted to the published moments with the payload column",
+    "target_moment": "payload and rotor inertias stay unknown; the currents are fitted to moments of the model",
     "target_current": "torque constants and friction come from actual_current, if it exists",
     "actual_q": "lag and noise of the positions stay unknown",
     "actual_current": "the noise of the currents stays unknown",
@@ -156,7 +156,6 @@ class Samples(dict[str, FloatArray]):
                 continue
             ranges = np.ptp(self[measured], axis=0).max(initial=0.0)
             if np.abs(self[target] - self[measured]).max(initial=0.0) <= _COPY * ranges and ranges > 0.0:
-                # Fits can use the currents, whichever of the names is right; the difference says nothing.
                 del self[target]
                 self.remarks.append(f"{target} is a copy of {measured}, so it is ignored")
 
@@ -273,9 +272,7 @@ def read_columns(path: str | os.PathLike[str], names: Mapping[str, str]) -> dict
     return columns
 
 
-def _columns_named(
-    name: str, groups: Mapping[str, FloatArray], singles: Mapping[str, FloatArray]
-) -> FloatArray | None:
+def _columns_named(name: str, groups: Mapping[str, FloatArray], singles: Mapping[str, FloatArray]) -> FloatArray | None:
     if name in groups:
         return groups[name]
     if name in singles:

@@ -60,6 +60,7 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
     needs = f"rests of {_SETTLING + _SHORT} s and more, at least two"
     names = ("position_noise", "position_offset", "current_noise_at_rest", "stiction", "force_noise", "torque_noise")
     found = dict.fromkeys(names, Estimate.unknown(needs))
+    found["current_noise"] = Estimate.unknown("actual_current and joint_control_output in the recording")
     if "actual_q" in samples:
         # The targets of a rest are constant, whether they are recorded or not.
         off = samples["actual_q"] - (0.0 if "target_q" in samples.derived else samples["target_q"])
@@ -173,26 +174,29 @@ def _pieces(samples: Samples) -> Iterator[slice]:
 
 
 def _deviation(values: FloatArray, pieces: list[slice], needs: str) -> Estimate:
-    """Return the usual standard deviation within a piece, about a line in each column.
+    """Return the standard deviation within the pieces, about a line in each column.
 
-    The median over the pieces ignores a rest in which a person touched the arm.
+    Pieces with an unusual deviation are left out, such as a rest in which a person touched the arm.
     """
     if len(pieces) < 2:
         return Estimate.unknown(needs)
-    found = []
-    for rows in pieces:
+    found, free = np.zeros(len(pieces)), np.zeros(len(pieces))
+    for number, rows in enumerate(pieces):
         part = values[rows]
         line = np.column_stack((np.ones(len(part)), np.arange(len(part))))
         left = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
-        found.append(float(np.sqrt((left**2).sum() / (left.size - 2 * left.shape[1]))))
-    logs = np.log(np.maximum(found, 1e-300))
-    middle = float(np.median(logs))
-    # The deviation of a median is 1.25 times the deviation of a mean.
-    spread = 1.4826 * float(np.median(np.abs(logs - middle)))
-    rows_each = float(np.median([rows.stop - rows.start for rows in pieces]))
-    spread = max(spread, 1.0 / np.sqrt(2.0 * values.shape[1] * max(rows_each - 2.0, 1.0)))
-    half = student(len(pieces) - 1) * 1.25 * spread / np.sqrt(len(pieces))
-    return Estimate(float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half)))
+        free[number] = left.size - 2 * left.shape[1]
+        found[number] = float((left**2).sum()) / free[number]
+    logs = 0.5 * np.log(np.maximum(found, 1e-300))
+    # Even equal pieces differ by this much.
+    least = 1.0 / np.sqrt(2.0 * free)
+    away = np.abs(logs - np.median(logs))
+    usual = away <= 3.0 * np.maximum(1.4826 * np.median(away), least)
+    value = float(np.sqrt((free * found)[usual].sum() / free[usual].sum()))
+    count = int(usual.sum())
+    spread = float(np.std(logs[usual])) / np.sqrt(max(count - 1, 1))
+    half = student(count - 1) * max(spread, float((2.0 * free[usual].sum()) ** -0.5))
+    return Estimate(value, value * float(np.exp(-half)), value * float(np.exp(half)))
 
 
 def _spread(means: FloatArray) -> Estimate:
