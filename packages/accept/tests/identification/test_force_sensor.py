@@ -22,13 +22,16 @@ def rests(turned: FloatArray, rng: np.random.Generator) -> Samples:
     q = np.repeat(0.1 * np.arange(count), rows)[:, np.newaxis] * np.ones(6)
     moved = np.zeros((count * rows, 6))
     moved[::rows] = 1.0
-    turns = np.repeat(rotvec_to_matrix(turned), rows, axis=0)
+    turns: FloatArray = np.repeat(rotvec_to_matrix(turned), rows, axis=0)
     weight = np.array([0.0, 0.0, -9.82 * MASS])
     force = turns @ OFFSET[:3] + weight
     torque = turns @ OFFSET[3:] + np.cross(turns @ COG, weight)
-    wrench = np.hstack((force, torque)) + rng.standard_normal((count * rows, 6)) * [*[0.1] * 3, *[0.003] * 3]
-    pose = np.hstack((np.zeros((count * rows, 3)), np.repeat(turned, rows, axis=0)))
-    columns = {
+    wrench: FloatArray = np.hstack((force, torque)) + rng.standard_normal((count * rows, 6)) * [
+        *[0.1] * 3,
+        *[0.003] * 3,
+    ]
+    pose: FloatArray = np.hstack((np.zeros((count * rows, 3)), np.repeat(turned, rows, axis=0)))
+    columns: dict[str, FloatArray] = {
         "timestamp": 0.008 * np.arange(count * rows),
         "target_q": q,
         "target_qd": moved,

@@ -168,7 +168,7 @@ def test_compare_command_fails_if_nothing_can_be_compared(
     samples: Samples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     still = {name: np.repeat(column[:1], 50, axis=0) for name, column in samples.items()}
-    still["timestamp"] = 0.008 * np.arange(50)
+    still["timestamp"] = np.linspace(0.0, 0.4, 50)
     planted().write(tmp_path / "arm.json")
     path = write(tmp_path / "still.csv", still)
     assert main(["compare", str(path), "--like", str(tmp_path / "arm.json")]) == 2

@@ -236,8 +236,8 @@ def _calibrate(args: argparse.Namespace) -> int:
     if args.model is None or q is None or poses is None or poses.shape[1:] not in ((3,), (6,)):
         raise BadValue(
             f"{args.recording} has the columns {', '.join(columns) or 'none'}; --calibration needs --model, actual_q "
-            "or target_q, and measured_pose_0 to measured_pose_2 (position in m) or to measured_pose_5 (with a rotation "
-            "vector in rad), for example --map measured_pose=x,y,z"
+            "or target_q, and measured_pose_0 to measured_pose_2 (position in m) or to measured_pose_5 (with a "
+            "rotation vector in rad), for example --map measured_pose=x,y,z"
         )
     model = models.model(args.model)
     found = fit_measured(model, q, poses)

@@ -63,7 +63,7 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
             target_current. Instead of target_current, actual_current can be used. Without target_moment, the moments
             are those of the model with the columns payload and payload_cog, if they exist, and with its rotors.
     """
-    blocks = blocks_of(~columns["target_qd"].any(axis=1))
+    blocks = blocks_of(np.asarray(~columns["target_qd"].any(axis=1)))
     q, qd, qdd = (columns[f"target_{name}"] for name in ("q", "qd", "qdd"))
     motors = motors_of(model)
     if "target_moment" in columns:

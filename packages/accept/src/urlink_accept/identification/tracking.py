@@ -156,8 +156,8 @@ def rests_of(samples: Samples) -> Iterator[slice]:
     # If rows were left out, two rests may follow each other.
     places = np.flatnonzero(rest[1:] & rest[:-1] & (np.abs(np.diff(samples["target_q"], axis=0)).max(axis=1) > _APART))
     edges = np.flatnonzero(np.diff(np.concatenate(([False], rest, [False])).astype(int)))
-    edges = np.sort(np.concatenate((edges, places + 1, places + 1))).reshape(-1, 2)
-    for begin, end in edges.tolist():
+    spans = np.sort(np.concatenate((edges, places + 1, places + 1))).reshape(-1, 2)
+    for begin, end in spans.tolist():
         # A recording may begin while the arm settles.
         settled = begin + int(np.searchsorted(times[begin:end], times[begin] + _SETTLING))
         if end - settled >= _ROWS and times[end - 1] - times[settled] >= _SHORT:
@@ -181,12 +181,12 @@ def _deviation(values: FloatArray, pieces: list[slice], needs: str) -> Estimate:
     if len(pieces) < 2:
         return Estimate.unknown(needs)
     found, free = np.zeros(len(pieces)), np.zeros(len(pieces))
-    for number, rows in enumerate(pieces):
+    for i, rows in enumerate(pieces):
         part = values[rows]
         line = np.column_stack((np.ones(len(part)), np.arange(len(part))))
         left = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
-        free[number] = left.size - 2 * left.shape[1]
-        found[number] = float((left**2).sum()) / free[number]
+        free[i] = left.size - 2 * left.shape[1]
+        found[i] = float((left**2).sum()) / free[i]
     logs = 0.5 * np.log(np.maximum(found, 1e-300))
     # Even equal pieces differ by this much.
     least = 1.0 / np.sqrt(2.0 * free)
