@@ -32,7 +32,7 @@ def rests(turned: FloatArray, rng: np.random.Generator) -> Samples:
     ]
     pose: FloatArray = np.hstack((np.zeros((count * rows, 3)), np.repeat(turned, rows, axis=0)))
     columns: dict[str, FloatArray] = {
-        "timestamp": 0.008 * np.arange(count * rows),
+        "timestamp": np.linspace(0.0, 0.008 * (count * rows - 1), count * rows),
         "target_q": q,
         "target_qd": moved,
         "target_qdd": moved,

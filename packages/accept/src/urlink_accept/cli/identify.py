@@ -246,7 +246,7 @@ def _calibrate(args: argparse.Namespace) -> int:
     print(f"  distance of the fitted arm      {1e3 * found.rms:.4g} mm rms")
     for name, pose in (("base", found.base), ("tcp", found.tcp)):
         print(f"  {name:24} {' '.join(f'{value:.6g}' for value in pose.tolist())}  m and rad")
-    for name, values in found.table._asdict().items():
+    for name, values in zip(("dh_theta", "dh_a", "dh_d", "dh_alpha"), found.table, strict=True):
         print(f"  {name:24} {' '.join(f'{value:.7g}' for value in values)}")
     if found.rms >= found.published:
         tell("the fitted arm is not better than the published arm; measure more poses, in more directions")

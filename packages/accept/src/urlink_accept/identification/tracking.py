@@ -72,11 +72,13 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
         found["current_noise_at_rest"] = _deviation(off, pieces, needs)
         if len(rests) > 1:
             found["stiction"] = _spread(np.array([off[rows].mean(axis=0) / coulomb for rows in rests]))
-        moving = np.abs(samples["target_qd"]).max(axis=1) > FULL_SPEED
+        # A joint at rest has less noise, even while other joints move.
+        moving = np.abs(samples["target_qd"]) > FULL_SPEED
         found["current_noise"] = Estimate.unknown("an arm that moves")
         if moving.sum() > 30:
-            left, blocks = off[moving] - off[moving].mean(axis=0), blocks_of(samples.is_rest)[moving]
-            found["current_noise"] = _rms((left**2).mean(axis=1), blocks)
+            means = (off * moving).sum(axis=0) / np.maximum(moving.sum(axis=0), 1)
+            blocks = np.repeat(blocks_of(samples.is_rest)[:, np.newaxis], 6, axis=1)
+            found["current_noise"] = _rms((off - means)[moving] ** 2, blocks[moving])
     if "actual_TCP_force" in samples:
         force = samples["actual_TCP_force"]
         found["force_noise"] = _deviation(force[:, :3], pieces, needs)
