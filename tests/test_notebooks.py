@@ -52,7 +52,7 @@ def test_cells_print_the_output_of_their_page(notebooks: Any, name: str) -> None
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_cells_with_simulated_time_print_the_output_of_their_page(notebooks: Any) -> None:
+def test_simulated_time_cells_print_the_output_of_their_page(notebooks: Any) -> None:
     check_outputs(notebooks, "test-your-cell")
 
 

@@ -33,9 +33,10 @@ def test_interop_tests_with_a_controller_are_marked_real_time() -> None:
 USES = {
     "it starts a thread": "threading.Thread(target=print).start()",
     "it binds a socket": "socket.create_server(('127.0.0.1', 0)).close()",
-    "it starts a process": "subprocess.run(['true'])",
-    "it sends a signal": "signal.pthread_kill(threading.get_ident(), 0)",
+    "it starts a process": "subprocess.run([sys.executable, '-c', ''])",
 }
+if not platforms.IS_WINDOWS:
+    USES["it sends a signal"] = "signal.pthread_kill(threading.get_ident(), 0)"
 
 
 @pytest.mark.real_time
@@ -43,7 +44,7 @@ def test_unmarked_test_with_system_calls_fails(pytester: pytest.Pytester) -> Non
     pytester.makeini("[pytest]\nmarkers = real_time")
     test = pytester.mkdir("tests") / "test_uses.py"
     test.write_text(
-        "import pytest, signal, socket, subprocess, threading\n"
+        "import pytest, signal, socket, subprocess, sys, threading\n"
         + "".join(
             f"{mark}\ndef test_{number}_{len(mark)}():\n    {use}\n"
             for number, use in enumerate(USES.values())

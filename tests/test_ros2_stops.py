@@ -85,7 +85,7 @@ def test_halt_stops_a_script(adapter: Any, robot: urlink.Robot) -> None:
 
 
 @pytest.mark.parametrize("stop", ["halt", "protective stop"])
-def test_goal_that_waits_for_its_time_ends_with_a_stop(adapter: Any, robot: urlink.Robot, stop: str) -> None:
+def test_goal_waiting_for_its_start_time_is_cancelled_by_stop(adapter: Any, robot: urlink.Robot, stop: str) -> None:
     monotonic = time.monotonic
     clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=int(monotonic() * 1e9), to_msg=lambda: None))
     node = MagicMock(get_clock=lambda: clock)

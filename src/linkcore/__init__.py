@@ -1,9 +1,9 @@
-"""Streams, connections, recordings and handles, which urlink and rhdlink share.
+"""Common base of urlink and rhdlink: streams, connections, recordings and handles.
 
 Importing linkcore warns if another distribution with a package `urlink` is installed. Every package of this project
-imports linkcore first. The project called urlink on PyPI shortens URLs. It installs a package `urlink` too, so only one
-of the two can be imported: the one that was installed last, or the one that comes first on the path. Python itself does
-not report this conflict.
+imports linkcore first. The project called urlink on PyPI shortens URLs. It also installs a package `urlink`, so only
+one of the two packages can be imported: the package that was installed last, or the package that comes first on the
+path. Python itself does not report this conflict.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _warn(version: str) -> None:
 
 
 def _is_shadowed() -> bool:
-    """Whether `import urlink` finds a package that is not ours."""
+    """Whether `import urlink` finds the package of another project."""
     from importlib.util import find_spec
 
     try:

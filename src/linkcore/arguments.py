@@ -1,4 +1,4 @@
-"""Argument checks that many calls share; their errors name the given value and the expected one."""
+"""Checks of arguments, for many functions. The errors contain the given value and the expected values."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ _WAIT = 60.0
 #: Larger than every quantity of a robot, in any unit.
 _LARGEST = 1e9
 _DEGREES = 180.0 / math.pi
-#: A value that exceeds its limits by less than this factor is assumed to be in the right unit.
+#: Factor for the guess of a wrong unit: a value that exceeds its limits by a smaller factor is assumed to be in the
+#: right unit.
 _FAR = 1.25
-#: Expected unit -> another unit that the caller might have used, and the number of these units in one expected unit.
+#: Expected unit -> another unit that the caller might have used, and its number per expected unit, such as 1000 mm in 1
+#: m.
 _OTHER_UNITS = {
     "m": ("mm", 1e3),
     "m/s": ("mm/s", 1e3),
@@ -85,8 +87,9 @@ def check_number(
         limit_of: Name of the object that has these limits, used in the error; empty if they apply everywhere.
 
     Raises:
-        BadValue: If `value` is not a number, or is out of range. The message has the value, the limits and the unit.
-            If the value would be within the limits in another unit, the message asks about this unit.
+        BadValue: If `value` is not a number, or is out of range. The message has the value, the limits and the unit. If
+            the value would be within the limits when read in another unit, the message asks whether this unit was
+            meant.
     """
     try:
         # Numpy has its own boolean type.
@@ -176,7 +179,7 @@ def element_of(name: str) -> tuple[str, int] | None:
 
 
 def check_callable(value: Any, name: str) -> None:
-    """Raise `BadValue` unless `value` can be called."""
+    """Raise `BadValue` unless `value` is callable."""
     if not callable(value):
         raise BadValue(f"{name}={value!r}; expected a function or something else that can be called")
 

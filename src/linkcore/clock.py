@@ -1,17 +1,17 @@
-"""The clock of the library, functions that wait, time stamps of arrived bytes, and the expiry of commands.
+"""Clock of the library, functions that wait, time stamps of received bytes, and the expiry of commands.
 
-All ages, rates and deadlines use `now`, and everything that waits for a thread uses `wait` or one of its forms below.
-Both count the time for which this computer was suspended. `time.monotonic` does not count it on Linux and macOS, so a
-state from before a suspend would be considered fresh, and a timeout would ignore the time of the suspend.
+All ages, rates and deadlines use `now`. Code that waits for a thread uses `wait`, or one of the functions below that
+call it. Both count the time for which this computer was suspended. `time.monotonic` does not count it on Linux and
+macOS, so a state from before a suspend would be considered fresh, and a timeout would ignore the time of the suspend.
 
-`now` looks up `read` in each call. So it reads the simulated clock while time is simulated (`linkcore.simulated`), even
-if `now` is kept as a default value.
+`now` looks up `read` in each call. So `now` reads the simulated clock while time is simulated (`linkcore.simulated`),
+even if a program has stored `now` as a default value.
 
 `Expiry` is for a server that offers a robot in a middleware. If a process is suspended or gets no processor time, its
-commands stay in the buffers of the middleware. The middleware delivers them when the process resumes, although their
-client has abandoned them by then. It does not report the age of a command. But this process can detect an interruption
-without another clock, because it records a tick ten times a second. If a tick is late, commands that arrive shortly
-after the tick might have been sent before it.
+commands stay in the buffers of the middleware. The middleware delivers these commands when the process resumes,
+although the client has abandoned them in the meantime. The middleware does not report the age of a command. But this
+process can detect an interruption without another clock, because it records a tick ten times a second. If a tick is
+late, commands that arrive shortly after the tick might have been sent before it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple, TypeVar, cast
 
 from .errors import LinkTimeout
@@ -37,6 +37,8 @@ T = TypeVar("T")
 # -- the clock -------------------------------------------------------------------------------------
 
 if sys.platform == "win32":
+    import ctypes
+
     # Before CPython 3.13, `time.monotonic` has steps of 15.6 ms on Windows. Both clocks include the time of a suspend.
     read: Callable[[], float] = time.perf_counter
 
@@ -45,17 +47,20 @@ if sys.platform == "win32":
 else:
 
     def _which() -> int:
-        """Return the clock that includes a suspend: CLOCK_BOOTTIME on Linux, CLOCK_MONOTONIC on macOS and the BSDs."""
+        """Return the clock that includes a suspend."""
         boot_time: int | None = getattr(time, "CLOCK_BOOTTIME", None)
         if boot_time is not None:
             with contextlib.suppress(OSError):  # a sandbox might not provide this clock
                 time.clock_gettime(boot_time)
                 return boot_time
-        return time.CLOCK_MONOTONIC
+        # On macOS, both clocks below include a suspend (clock_gettime(3)), but CLOCK_MONOTONIC has steps of 1 us and
+        # follows the adjustments of the wall clock. On Linux, CLOCK_MONOTONIC_RAW does not include a suspend.
+        return time.CLOCK_MONOTONIC_RAW if sys.platform == "darwin" else time.CLOCK_MONOTONIC
 
     _CLOCK = _which()
-    #: The same time as `now`, but not a Python function, so a call takes about 370 instructions fewer. Use it only for
-    #: work that is done for each packet. Call it as `clock.read()`, because simulated time replaces it in this module.
+    #: Function that returns the same time as `now`. Because it is not a Python function, a call takes about 370
+    #: instructions fewer. Use it only for work that is done for each packet. Call it as `clock.read()`, because
+    #: simulated time replaces this name in this module.
     read = partial(time.clock_gettime, _CLOCK)
     #: Smallest step of `now`, in seconds.
     RESOLUTION = time.clock_getres(_CLOCK)
@@ -67,7 +72,8 @@ def now() -> float:
 
 
 #: A faster clock, in seconds, to measure how long a call of this process took. Do not use it for an age, a rate or a
-#: deadline, because it might not include a suspend. Call it as `clock.ticks()`, because simulated time replaces it.
+#: deadline, because it might not include a suspend. Call it as `clock.ticks()`, because simulated time replaces this
+#: name in this module.
 ticks = time.perf_counter
 
 
@@ -75,12 +81,10 @@ ticks = time.perf_counter
 def fine_timer() -> Iterator[None]:
     """Let waits in the block end within about 1 ms on Windows, whose timer ticks every 15.6 ms by default.
 
-    Only sleeps are exact without it, from CPython 3.11. Other systems do not need it, and nothing happens there.
+    Without this function, only sleeps are exact (since CPython 3.11). On other systems, the function does nothing.
     """
     if sys.platform == "win32":
-        import ctypes
-
-        multimedia = ctypes.WinDLL("winmm")
+        multimedia = _multimedia()
         multimedia.timeBeginPeriod(1)
         try:
             yield
@@ -90,6 +94,14 @@ def fine_timer() -> Iterator[None]:
         yield
 
 
+if sys.platform == "win32":
+
+    @cache
+    def _multimedia() -> ctypes.WinDLL:
+        """Load the library of the timer. It is loaded once, because a `WinDLL` is part of a reference cycle."""
+        return ctypes.WinDLL("winmm")
+
+
 def left(until: float) -> float:
     """Return the seconds left until the deadline `until` on this clock; 0.0 if it has passed."""
     return max(until - now(), 0.0)
@@ -97,7 +109,7 @@ def left(until: float) -> float:
 
 # -- waiting ---------------------------------------------------------------------------------------
 
-#: Whether Ctrl-C cannot interrupt a wait for a lock. This is so on Windows before CPython 3.14.
+#: Whether Ctrl-C cannot interrupt a wait for a lock. This is true on Windows before CPython 3.14.
 _IS_DEAF = sys.platform == "win32" and sys.version_info < (3, 14)
 
 #: Longest wait of one system call, in s. On Linux and macOS such a call does not count the time of a suspend. So a
@@ -107,7 +119,8 @@ _SLICE = 0.1 if _IS_DEAF else 1.0
 #: Longest wait of one system call in a wait without a limit; None if the system call has no limit either.
 ENDLESS = _SLICE if _IS_DEAF else None
 
-#: Interval in s at which `wait` checks whether its pending call was abandoned, because nothing can wake this wait.
+#: Interval in s at which `wait` checks whether its pending call was abandoned. The check is needed because nothing can
+#: wake a waiting thread in this case.
 _LOOK = 0.05
 
 
@@ -229,7 +242,7 @@ def join(thread: threading.Thread, timeout: float | None = None) -> bool:
     therefore counts as ended.
 
     Raises:
-        RuntimeError: If it is the current thread.
+        RuntimeError: If `thread` is the current thread.
     """
 
     def attempt(seconds: float | None) -> bool:
@@ -277,8 +290,8 @@ class Stamp(NamedTuple):
 
 # -- commands that might be too old ------------------------------------------------------------------
 
-#: If two ticks are further apart than this time in s, a command might be too old. On a busy machine, two ticks can be
-#: 1.5 s apart without an interruption.
+#: Time in s between two ticks above which a command might be too old. On a busy computer, two ticks can be 1.5 s apart
+#: even without an interruption.
 _HELD_UP = 2.0
 
 
@@ -286,7 +299,8 @@ class Expiry(StrictAttributes):
     """Check that rejects commands that might be too old, because this process was recently interrupted.
 
     Args:
-        settling: Seconds for which commands are rejected after the process resumes; delayed commands arrive by then.
+        settling: Seconds for which commands are rejected after the process resumes. All delayed commands should arrive
+            in this time.
         now: Monotonic clock, in seconds.
     """
 

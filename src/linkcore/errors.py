@@ -1,6 +1,7 @@
-"""The errors of the library, in one tree.
+"""All error classes of the library.
 
-A `LocalError` is a wrong call, and a `RemoteError` is a failure of the peer or of the connection::
+A `LocalError` reports a wrong call. A `RemoteError` reports a failure of the peer or of the connection. The classes
+form a tree::
 
     LinkError
     ├── LocalError                  you called it wrongly; nothing was sent

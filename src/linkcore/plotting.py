@@ -30,7 +30,7 @@ _SUFFIXES = (".png", ".svg", ".pdf")
 
 
 class Curves(NamedTuple):
-    """One field over time.
+    """Values of one field over time.
 
     Attributes:
         name: Name of the field.

@@ -29,7 +29,7 @@ from .errors import LocalError
 
 
 class HomeProcess:
-    """The process in which an object was created.
+    """Process in which an object was created.
 
     Args:
         name: Name of the object, used in the error message.
@@ -86,7 +86,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
 
 
 class Abandonable(Protocol):
-    """An object that has started programs on a robot."""
+    """Object that has started programs on a robot."""
 
     def abandon(self, why: str, is_end: bool) -> object:
         """Stop the started programs, and if the process ends, start nothing more.
@@ -99,25 +99,29 @@ class Abandonable(Protocol):
         """
 
 
-#: Parts by their `id`. A WeakSet cannot be copied while another thread changes it.
+#: `id` -> object to abandon. A dictionary is used because a WeakSet cannot be copied while another thread changes it.
 _open: weakref.WeakValueDictionary[int, Abandonable] = weakref.WeakValueDictionary()
-_watched: set[str] = set()
+#: What is watched already, each with a mark of the call that has begun to watch it.
+_watched: dict[str, object] = {}
+
+
+def _is_first(what: str) -> bool:
+    """Whether this is the first call for `what`, in one step for threads and signal handlers."""
+    mark = object()
+    return _watched.setdefault(what, mark) is mark
 
 
 def abandon_at_end(part: Abandonable) -> None:
     """Call `part.abandon` when this process ends, unless `forget` was called or `part` was collected before."""
     _open[id(part)] = part
-    if "exit" not in _watched:
-        _watched.add("exit")
+    if _is_first("exit"):
         atexit.register(_abandon_all, "the interpreter exits", True)
         if hasattr(os, "register_at_fork"):
             # A child must not stop the programs that its parent has started.
             os.register_at_fork(after_in_child=_open.clear)
-    if "SIGTERM" not in _watched and threading.current_thread() is threading.main_thread():
-        _watched.add("SIGTERM")
+    if threading.current_thread() is threading.main_thread() and _is_first("SIGTERM"):
         _watch_sigterm()
-    if "notebook" not in _watched and "IPython" in sys.modules:
-        _watched.add("notebook")
+    if "IPython" in sys.modules and _is_first("notebook"):
         _watch_notebook()
 
 

@@ -1,4 +1,4 @@
-"""Functions that make text from a peer safe to print, to log, and to show as JSON or HTML.
+"""Functions that make text from a peer safe for printing, for logs, and for JSON or HTML.
 
 Bytes from the wire must not control a terminal, forge a log line, or be interpreted as HTML. Modules that few programs
 need are imported inside the functions, so that importing the library stays fast.

@@ -1,10 +1,10 @@
-"""Helpers for threads and locks.
+"""Functions and base classes for threads and locks.
 
 - `started` starts a thread, with a clear error if the system has no thread left.
 - `acquired`, `held` and `alone` hold a lock in a block, with a timeout.
-- `CallbackThread` calls the callbacks of a user: done callbacks, `on_stop` and `on_text`. No lock is held meanwhile,
-  and the robot does not wait. So a callback may command the robot, wait for a motion, close the robot, be slow or
-  raise. A slow callback delays only the callbacks after it.
+- `CallbackThread` calls the callbacks of a user: done callbacks, `on_stop` and `on_text`. During such a call, no lock
+  is held, and the robot does not wait. So a callback may command the robot, wait for a motion, close the robot, be slow
+  or raise. A slow callback delays only the callbacks after it.
 - `MadeOnce` holds an object that several threads may make at its first use.
 - `Closing` is a base class of context managers that close themselves at the end of their block.
 - `Runnable` is a server that runs once, either in the thread that calls `run`, or in a dedicated thread from `start` to
@@ -53,7 +53,7 @@ def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator
     got: list[bool] = []
 
     def attempt(seconds: float | None) -> bool:
-        # One step acquires the lock and records this. Ctrl-C between two steps would leave the lock locked forever.
+        # Acquire the lock and record this in one step. Ctrl-C between two steps would leave the lock locked forever.
         got.extend(map(lock.acquire, (True,), (-1 if seconds is None else seconds,)))
         return got[-1]
 
@@ -80,7 +80,7 @@ def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str)
 
 @contextlib.contextmanager
 def alone(lock: threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
-    """Hold a lock like `held`, but raise at once if a signal handler enters the block that it has interrupted.
+    """Hold a lock like `held`, but raise at once if the current thread already holds the lock.
 
     Use it for a block that waits for a peer. A signal handler runs in the thread that it has interrupted. If that
     thread is already in the block, the handler would wait forever.
@@ -143,10 +143,10 @@ _Calls = SimpleQueue[tuple[Callable[..., object], tuple[Any, ...]] | None]
 class MadeOnce(Generic[T]):
     """Holder of an object that is made at its first use, by the first thread that uses it.
 
-    It has no lock. A signal handler might interrupt the first use and use the object itself; it would wait for a lock
-    forever. Therefore two threads might make an object at the same time, and `keep` decides which object is kept. It
-    uses `dict.setdefault`, which is one step for threads and signal handlers. Making the object must not have effects
-    that need to be undone. The kept object may be started afterwards.
+    The holder has no lock: a signal handler might interrupt the first use and use the object itself, and would then
+    wait for a lock forever. Without a lock, two threads might make an object at the same time. `keep` decides which
+    object is kept, with `dict.setdefault`, which neither a thread nor a signal handler can interrupt. Making the object
+    must not have effects that need to be undone. The kept object may be started afterwards.
     """
 
     def __init__(self) -> None:
@@ -167,7 +167,7 @@ class MadeOnce(Generic[T]):
 
 
 class CallbackThread:
-    """Thread that makes calls one after the other; it is started for the first call.
+    """Thread that makes calls one after the other. It is started at the first call.
 
     Args:
         name: Name of the thread.
@@ -273,7 +273,7 @@ class Runnable(Closing, ABC):
         self._thread: threading.Thread | None = None
         self._home = HomeProcess(kind)
         self._is_stopping = False
-        self._is_used = False
+        self._used: MadeOnce[object] = MadeOnce()  # kept by the call that begins
         self._ended = ReentrantEvent()
 
     # -- methods of a subclass -------------------------------------------------------------------------
@@ -303,15 +303,20 @@ class Runnable(Closing, ABC):
     # -- life ------------------------------------------------------------------------------------------
 
     def _begin_once(self) -> None:
-        if self._is_used:
+        # Keep the mark before anything that might fail. A failed attempt cannot be repeated, because it might have left
+        # devices open.
+        mark = object()
+        if self._used.keep(mark) is not mark:
             raise Closed(f"this {self._kind} has already run; create a new one")
-        # Set before anything that might fail: a failed attempt might have left devices open, so it cannot be repeated.
-        self._is_used = True
         try:
             self._begin()
         except BaseException:
             self._abandon()
             raise
+
+    @property
+    def _is_used(self) -> bool:
+        return self._used.made is not None
 
     def _abandon(self) -> None:
         try:

@@ -1,4 +1,4 @@
-"""Mobile robots that run the Robot Hardware Daemon (RHD): their variable database as typed Python.
+"""Client and host for mobile robots with the Robot Hardware Daemon (RHD), with typed access to their variables.
 
     import rhdlink
     from rhdlink import Int32, Read, Variables, Write

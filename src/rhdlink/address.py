@@ -13,7 +13,7 @@ PORT = 24902
 
 
 class Address(NamedTuple):
-    """A host and a port."""
+    """Address of a robot: host and port."""
 
     host: str
     port: int

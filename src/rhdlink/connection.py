@@ -1,4 +1,4 @@
-"""One connection to a server: performs the handshake, and exchanges one batch per request."""
+"""Connection to a server, which performs the handshake and exchanges one batch per request."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Transport(Protocol):
 
 
 class Connection:
-    """A connection to a server that has granted access.
+    """Connection to a server that has granted access.
 
     A server of the original sends one unsolicited batch at its first tick after the handshake, unless a request arrives
     before that tick (docs/protocols/rhd.md, The unsolicited batch). A client that takes this batch for the reply to a
@@ -194,7 +194,7 @@ class Connection:
             ConnectionLost: If the connection is lost.
             PacketError: If the reply cannot be decoded.
         """
-        # Set this only when no reply is outstanding: until then a batch cannot be assigned to a request.
+        # Set this only when no reply is outstanding, because until then it is unknown to which request a batch belongs.
         while self._outstanding:
             self._take(*self._transport.receive(_left(until)))
             self._has_answered = not self._outstanding

@@ -1,8 +1,8 @@
 """Ready-made classes for the robots of docs/protocols/rhd.md, Names of variables.
 
-Scales and units are taken from the drivers of the original. Variables that not every robot of a kind has are optional:
-if one is missing, using it raises `NotThere`. To declare more variables, or to declare them differently, derive a
-class.
+Scales and units are taken from the drivers of the original. A variable is optional if some robots of a kind do not have
+it. If such a variable is missing, its use raises `NotThere`. To declare more variables, or to change declarations,
+derive a class.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["Ackerman", "Gps", "Smr", "VelocityOmega"]
 
 
 class Smr(Variables):
-    """A small mobile robot with two driven wheels."""
+    """Small mobile robot (SMR) with two driven wheels."""
 
     tick = Read(Int32, doc="number of ticks of the server")
     encl = Read(
@@ -39,7 +39,7 @@ class Smr(Variables):
 
 
 class VelocityOmega(Variables):
-    """A robot that is commanded with a speed and a turn rate, such as the iRobot ATRV-Jr."""
+    """Robot that is commanded with a speed and a turn rate, such as the iRobot ATRV-Jr."""
 
     tick = Read(Int32, doc="number of ticks of the server", optional=True)
     cmdtransvel = Write(Scaled(1e-5, unit="m/s"), doc="forward speed")
@@ -67,7 +67,7 @@ class VelocityOmega(Variables):
 
 
 class Ackerman(Variables):
-    """A robot that steers like a car, such as the Hako tractor."""
+    """Robot that steers like a car, such as the Hako tractor."""
 
     tick = Read(Int32, doc="number of ticks of the server", optional=True)
     steeringangleref = Write(Scaled(3.141592653589793 / 1800, unit="rad"), doc="steering angle")
@@ -84,7 +84,7 @@ class Ackerman(Variables):
 
 
 class Gps(Variables):
-    """A robot with the GPS plugin.
+    """Robot with the GPS plugin.
 
     Names are spelled as in the plugin. The plugin states no units; the units here are the units of NMEA.
     """

@@ -1,12 +1,12 @@
 """Names for tools in separate packages, in addition to the names that every program uses.
 
-Such a tool tests a controller, shows an arm, or imitates the API of another client. It needs protocols without a
-connection, the parameters of the arms, and the parts of a command line. A program that moves an arm needs nothing from
-this module.
+Such a tool tests a controller, shows an arm, or imitates the API of another client. For this, the tool needs protocols
+without a connection, the parameters of the arms, and functions for a command line. A program that moves an arm needs
+nothing from this module.
 
-The packages below packages/ import only from this module, from `urlink`, and from the other public modules. Each name
-here comes from a module that the library itself uses, so it may change with any release. Such a change is made here and
-in the packages at the same time.
+The packages in the folder packages/ import only from this module, from `urlink`, and from the other public modules.
+Each name here comes from an internal module of the library, so the name might change with any release. Such a change is
+made here and in the packages at the same time.
 """
 
 from __future__ import annotations
@@ -123,5 +123,5 @@ from .session.address import (
 )
 from .session.identity import Identity as Identity, described_identity as described_identity
 
-#: Speed at full deflection of a jog. The prefix distinguishes it from `FULL_SPEED` of the motors.
+#: Full speed of a jog. The word JOG distinguishes the name from `FULL_SPEED` of the motors.
 FULL_JOG_SPEED = _jog.FULL_SPEED

@@ -147,7 +147,7 @@ def test_notebook_cells_show_their_last_values(tmp_path: Path, monkeypatch: pyte
     ]
 
 
-def test_rtde_cell_counts_up() -> None:
+def test_rtde_cell_prints_increasing_numbers() -> None:
     lines = output("rtde_cell.py", "--count", "5").splitlines()
     counted = [int(line.rpartition(" ")[2]) for line in lines]
     assert len(counted) == 5
@@ -230,7 +230,7 @@ def test_policy_chunks_never_starves() -> None:
     assert re.fullmatch(r"\d+ chunks in 1\.5 s, starved 0 times\n", text)
 
 
-def test_umi_schedule_prints_counts() -> None:
+def test_umi_schedule_prints_numbers_of_poses() -> None:
     text = output("umi_schedule.py", "--duration", "0.6")
     assert re.fullmatch(r"\d+ poses scheduled, \d+ of them too late; \d+ states seen at last\n", text)
 
@@ -272,7 +272,7 @@ def points_of(path: Path) -> list[tuple[float, float]]:
 
 
 @pytest.mark.slow
-def test_rhd_spiral_closes(tmp_path: Path) -> None:
+def test_rhd_spiral_ends_at_its_start(tmp_path: Path) -> None:
     text = output("rhd_spiral.py", str(tmp_path / "spiral.svg"))
     assert re.search(r"ended 0\.0[0-2] m from the start", text), text
     points = points_of(tmp_path / "spiral.svg")
@@ -292,7 +292,7 @@ def test_rhd_arc_ends_at_the_computed_pose(tmp_path: Path, options: tuple[str, .
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_rhd_mission_docks_with_each_way_to_start_it(tmp_path: Path) -> None:
+def test_rhd_mission_docks_when_started_in_each_of_three_ways(tmp_path: Path) -> None:
     """The mission is started from Python, from the command line, and through the port of the server."""
     lines = checked(run_process("rhd_mission.py", str(tmp_path / "way.svg"))).splitlines()
     assert [line.strip() for line in lines[:2]] == ["userevent round", "userevent docked"]

@@ -150,7 +150,8 @@ class Desk:
         # Callbacks are called immediately.
         self.callbacks = cast(CallbackThread, SimpleNamespace(call=lambda function, *arguments: function(*arguments)))
         self.monitor = SafetyMonitor(slow, fast, self.interlock, self.section, self.callbacks, self.clock)
-        self.channel = CommandChannel(slow, self.monitor, self.section, self.clock)
+        self.undos = PendingUndos("controller")
+        self.channel = CommandChannel(slow, self.monitor, self.section, self.clock, self.undos)
 
     def _wait(self, seconds: float) -> None:
         self.waits.append(seconds)
@@ -185,10 +186,11 @@ STARTED, STOPPED = "PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"
 
 
 class Run(Handle):
-    """Handle of a sent program; `texts` holds the texts that it has sent."""
+    """Handle of a sent program; `life` is its life, and `texts` holds the texts that it has sent."""
 
     def __init__(self, desk: Programming, life: Lifecycle, name: str, **options: Any) -> None:
         super().__init__(life)
+        self.life = life
         self._desk = desk
         self.texts: list[str] = []
         #: Name of the program on the controller.

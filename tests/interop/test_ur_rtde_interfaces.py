@@ -232,7 +232,7 @@ def sent(controller: Controller, name: str) -> Any:
     return found[0]
 
 
-def test_receive_interface_with_selected_variables(controller: Controller, rtde: Rtde) -> None:
+def test_receive_interface_works_with_selected_variables(controller: Controller, rtde: Rtde) -> None:
     receive = rtde.make("receive", 10.0, ["timestamp", "actual_q"])
     first = receive.getTimestamp()
     until(lambda: receive.getTimestamp() > first)

@@ -36,7 +36,7 @@ def test_now_reads_a_clock_that_includes_a_suspend() -> None:
     assert before <= clock.now() <= read()
 
 
-def test_now_is_the_simulated_clock_as_a_default_value() -> None:
+def test_now_reads_simulated_clock_when_used_as_default_argument() -> None:
     def read(now: object = clock.now) -> float:
         assert callable(now)
         return float(now())
@@ -58,7 +58,7 @@ def test_clock_gettime_is_simulated() -> None:
     assert time.clock_gettime(time.CLOCK_PROCESS_CPUTIME_ID) - busy < 100.0
 
 
-def test_left_is_never_negative_after_the_deadline() -> None:
+def test_remaining_time_is_never_negative_after_the_deadline() -> None:
     assert clock.left(clock.now() + 10.0) == pytest.approx(10.0, abs=1e-3)
     assert clock.left(clock.now() - 10.0) == 0.0
 
@@ -103,7 +103,7 @@ def test_sleep_lasts_for_the_requested_time(seconds: float) -> None:
     assert clock.now() - begun == pytest.approx(max(seconds, 0.0), abs=1e-3)
 
 
-def test_wait_without_timeout_runs_in_slices(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wait_without_timeout_is_divided_into_short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock, "ENDLESS", 0.1)
     monkeypatch.setattr(clock, "_SLICE", 0.1)
     waited: list[float | None] = []
@@ -126,7 +126,7 @@ def test_get_raises_empty_when_time_is_up() -> None:
     assert clock.get(items) == "x"
 
 
-def test_is_done_neither_raises_nor_returns_the_result() -> None:
+def test_is_done_returns_bool_for_failed_and_cancelled_futures() -> None:
     failed, cancelled, pending = Future[None](), Future[None](), Future[None]()
     failed.set_exception(TimeoutError("of its own"))
     cancelled.cancel()
@@ -164,7 +164,7 @@ def test_join_rejects_the_current_thread() -> None:
         clock.join(threading.current_thread(), 0.1)
 
 
-def test_stamp_is_old_after_a_suspend(suspend: Suspend) -> None:
+def test_age_of_a_stamp_includes_a_suspend(suspend: Suspend) -> None:
     stamp = Stamp.now()
     assert not is_older(SimpleNamespace(received=stamp), 60.0)
     suspend(100.0)

@@ -35,7 +35,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     """Registered callbacks by event, in a simulated notebook process that does not watch any part yet."""
     found: dict[str, Any] = {}
     shell = SimpleNamespace(events=SimpleNamespace(register=found.__setitem__))
-    monkeypatch.setattr(process, "_watched", set())
+    monkeypatch.setattr(process, "_watched", {})
     monkeypatch.setattr(atexit, "register", lambda call, *of: found.update(exit=lambda: call(*of)))
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
     monkeypatch.setattr(os, "register_at_fork", lambda after_in_child: found.update(fork=after_in_child), raising=False)
@@ -45,7 +45,7 @@ def events(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     signal.signal(signal.SIGTERM, before)
 
 
-def test_exit_abandons_open_parts_only(events: dict[str, Any]) -> None:
+def test_exit_aborts_only_connections_that_are_still_open(events: dict[str, Any]) -> None:
     kept, closed = Part(), Part()
     process.abandon_at_end(kept)
     process.abandon_at_end(closed)
@@ -82,7 +82,9 @@ def test_exit_abandons_open_parts_while_a_thread_opens_and_closes_others(events:
     assert len(kept.reasons) == 1000
 
 
-def test_sigterm_abandons_and_ends_the_process(events: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigterm_abandons_open_connections_and_ends_the_process(
+    events: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     part, sent = Part(), []
     process.abandon_at_end(part)
     handler = signal.getsignal(signal.SIGTERM)
@@ -103,7 +105,7 @@ def test_own_sigterm_handler_is_kept(events: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(("error", "is_abandoned"), [(KeyboardInterrupt(), True), (ValueError(), False), (None, False)])
-def test_notebook_cell_abandons_when_interrupted(
+def test_interrupted_notebook_cell_abandons_its_connections(
     events: dict[str, Any], error: BaseException | None, is_abandoned: bool
 ) -> None:
     part = Part()

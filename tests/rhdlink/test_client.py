@@ -43,6 +43,7 @@ from rhdlink.address import Address, parse_address
 from rhdlink.connection import Connection
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.replica import Replica
+from rhdlink.sync_thread import Subscribers
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import SymbolRow
@@ -208,7 +209,7 @@ def test_client_accepts_less_access_than_requested() -> None:
 @pytest.mark.real_time
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["late_first_sync64", "late_first_sync_orig2014"])
-def test_late_first_sync_gets_its_own_reply(name: str) -> None:
+def test_first_sync_gets_its_own_reply_after_unsolicited_batch(name: str) -> None:
     """The unsolicited batch arrives before the first request: it is applied, and each sync gets its own reply."""
     recording = Recording(name)
     unasked, *answers = recording.batches
@@ -264,7 +265,7 @@ def test_client_continues_after_a_corrupted_batch() -> None:
 # -- in step -----------------------------------------------------------------------------------
 
 
-def test_unsolicited_batch_that_crosses_a_request_is_absorbed(
+def test_unsolicited_batch_is_not_taken_as_the_reply(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The server sent the batch before it received the request, so the batch only looks like the reply."""
@@ -316,7 +317,7 @@ def test_each_sync_sends_exactly_one_request() -> None:
             assert robot.tick == tick
 
 
-def test_flags_stay_until_the_next_batch_arrives() -> None:
+def test_fresh_flags_stay_set_until_the_next_batch_arrives() -> None:
     """A sync takes a tick, during which the flags can be read."""
     side = Robot()
     is_asked, may_answer = threading.Event(), threading.Event()
@@ -343,19 +344,19 @@ def test_flags_stay_until_the_next_batch_arrives() -> None:
         assert not robot.fresh("encl")
 
 
-def test_value_set_in_the_loss_callback_is_sent() -> None:
+def test_value_set_in_the_loss_callback_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     with (
         ScriptedServer(lambda peer: Robot().greet(peer, "w")) as server,
         rhdlink.connect(server.address, Smr, access="w") as robot,
     ):
-        tell = robot._subscribers.tell
+        tell = Subscribers.tell
 
-        def stop(event: ConnectionEvent) -> None:
+        def stop(subscribers: Subscribers, event: ConnectionEvent) -> None:
             if event.state is ConnectionState.LOST:
                 robot.speedl = 0
-            tell(event)
+            tell(subscribers, event)
 
-        robot._subscribers.tell = stop  # type: ignore[method-assign,assignment]
+        monkeypatch.setattr(Subscribers, "tell", stop)
         robot.speedl = 1
         with pytest.raises(ConnectionLost):
             robot.sync()
@@ -381,7 +382,7 @@ def closed_while_it_syncs(robot: Smr, has_begun: threading.Event) -> BaseExcepti
     return error
 
 
-def test_close_wins_over_a_reconnect_in_progress() -> None:
+def test_robot_stays_closed_when_closed_during_a_reconnect() -> None:
     """Another thread is reconnecting at the time of the close."""
     is_greeted = threading.Event()
 
@@ -414,7 +415,7 @@ def test_robot_does_not_reconnect_after_close() -> None:
                 use()
 
 
-def test_variables_of_all_batches_of_a_sync_are_fresh() -> None:
+def test_fresh_flags_cover_all_batches_of_a_sync() -> None:
     side = Robot()
     is_said = threading.Event()
 
@@ -832,7 +833,7 @@ def test_values_that_arrived_are_not_counted_as_discarded() -> None:
         assert robot.discarded == 0
 
 
-def test_kept_value_of_a_removed_variable_is_counted(caplog: pytest.LogCaptureFixture) -> None:
+def test_kept_value_counts_as_discarded_if_variable_is_removed(caplog: pytest.LogCaptureFixture) -> None:
     before, after = Robot(), Robot(write=("speedl",))
 
     def last(peer: Peer) -> None:

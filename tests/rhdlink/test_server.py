@@ -19,6 +19,7 @@ from rhdlink.host.server import MOST_NEW, Server
 from rhdlink.host.service import AHEAD, Client, Service
 from rhdlink.variables.database import Database
 from rhdlink.wire.messages import SymbolRow
+from tests import platforms
 from tests.fakes.clock import Clock
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
@@ -337,7 +338,8 @@ def test_only_rejected_clients_are_logged_as_warnings(stand: Stand, caplog: pyte
     client.send(b"nonsense")
     stand.serve(lambda: not stand.service.clients)
     # The connection is reset, so the host keeps no data that the client does not read.
-    with pytest.raises(ConnectionResetError):
+    # Under Wine, `recv` reports a reset as an orderly end, and the client raises its own ConnectionError.
+    with pytest.raises(ConnectionError if platforms.IS_WINE else ConnectionResetError):
         client.batch()
     levels = [record.levelname for record in caplog.records if record.name == "rhdlink.host.server"]
     assert levels == ["INFO", "WARNING"]
@@ -356,7 +358,7 @@ def test_client_that_resets_during_its_reply_is_removed(stand: Stand) -> None:
     stand.sync(other)
 
 
-def test_queued_nonsense_is_found_after_the_previous_reply(stand: Stand) -> None:
+def test_queued_invalid_bytes_close_client_after_previous_reply(stand: Stand) -> None:
     client = stand.join()
     stand.deliver(client, b"rreexx")
     assert stand.service.bad_clients == 0

@@ -42,9 +42,10 @@ class Side:
         self.computer.rate = 1.0 + sim.random.uniform(-1e-4, 1e-4)
         with sim.on(self.computer):
             time.sleep(sim.random.uniform(0.0, 0.01))
-            self.controller = Controller(
-                "UR5e" if firmware[0] == "5" else "UR5", firmware, host=host, ports="standard"
-            ).start()
+            self.controller = Controller("UR5e" if firmware[0] == "5" else "UR5", firmware, host=host, ports="standard")
+            #: Time of the computer's clock when the controller's clock was 0.
+            self.began = linkcore.clock.now() - self.controller.time
+            self.controller.start()
         self.rows: list[tuple[float, float, float]] = []
         self.marks: list[tuple[float, float]] = []
 
@@ -61,11 +62,9 @@ class Side:
 
     def mark(self) -> None:
         """Store the exact time of the controller's clock, together with the simulated time."""
-        controller = self.controller
-        assert controller._server is not None
         with self.sim.on(self.computer):
-            cycles = (linkcore.clock.now() - controller._server._epoch) * self.rate + controller._server._first
-        self.marks.append((self.sim.now, (cycles - (controller._state.cycle - controller._state.uptime)) / self.rate))
+            now = linkcore.clock.now()
+        self.marks.append((self.sim.now, now - self.began))
 
     def path(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the reported times, positions and speeds since the first mark, on the clock of the simulation."""
@@ -422,7 +421,7 @@ def test_replace_changes_no_arm_when_one_arm_refuses() -> None:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
         far = [beside(path, 1.0 * number) for number, path in enumerate(both.dense(1.0))]
-        with pytest.raises(BadValue, match="cannot be reached from where the stream is"):
+        with pytest.raises(BadValue, match="cannot be reached from the position of the stream"):
             stream.replace(0.0, far)
         with pytest.raises(BadValue, match=r"end at 2\.4, 1 s; expected the same time for all"):
             stream.replace(0.0, [both.dense()[0], far[1]])

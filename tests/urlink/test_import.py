@@ -103,7 +103,7 @@ def test_import_starts_no_thread_and_opens_no_socket(imported: dict[str, Any]) -
         ("import threading; threading.Thread(target=print).start()", "_thread.start_new_thread"),
     ],
 )
-def test_sockets_and_threads_are_noticed(statement: str, event: str) -> None:
+def test_import_check_detects_sockets_and_threads(statement: str, event: str) -> None:
     if event.startswith("_thread") and sys.version_info < (3, 12):
         # Before 3.12, starting a thread raises no audit event, but the thread can be counted.
         statement = "import threading; threading.Thread(target=threading.Event().wait, daemon=True).start()"

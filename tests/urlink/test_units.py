@@ -219,7 +219,7 @@ def test_inverse_returns_nan_for_unreachable_rows() -> None:
         (90.0, "", (-3.2, 3.2), ""),
     ],
 )
-def test_other_unit_asks_for_the_likely_unit(
+def test_other_unit_returns_a_question_about_the_likely_unit(
     value: float, unit: str, limits: tuple[float, float], question: str
 ) -> None:
     assert other_unit(value, unit, *limits) == question

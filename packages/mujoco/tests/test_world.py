@@ -56,7 +56,7 @@ def test_tcp_is_flange_without_gripper(table: Path) -> None:
     assert not any("finger" in world.model.body(i).name for i in range(world.model.nbody))
 
 
-def test_cb3_arm_with_cycle_of_8_ms(table: Path) -> None:
+def test_world_advances_by_8_ms_per_cycle_of_a_cb3(table: Path) -> None:
     controller = Controller("UR3", "3.15", noise=False)
     world = MujocoWorld(table, controller)
     controller.step(10)
@@ -121,7 +121,7 @@ def test_images_are_equal_from_several_threads(drawing: MujocoWorld) -> None:
     assert all((each == pictures[0]).all() for each in pictures)
 
 
-def test_renderer_is_freed_when_other_thread_collects(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_renderer_is_freed_when_collected_in_another_thread(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     failed: list[object] = []
     monkeypatch.setattr(sys, "unraisablehook", failed.append)
     before = set(threading.enumerate())

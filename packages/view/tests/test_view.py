@@ -131,7 +131,7 @@ def q_of(window: Window) -> Any:
     return window.numbers("q")
 
 
-def test_recorded_window_shows_moment(tmp_path: Path) -> None:
+def test_recorded_window_shows_values_at_the_chosen_time(tmp_path: Path) -> None:
     window = RecordedWindow(urlink.load(run(tmp_path / "run.urlog", 3000)).realtime)
     assert window.end == pytest.approx(29.99)
     window.at(20.004)

@@ -23,10 +23,10 @@ SHOWN = (
 
 
 class Shown(NamedTuple):
-    """A piece as it is printed.
+    """Piece in the forms in which it can be printed.
 
     Attributes:
-        is_read: Whether any part of it was decoded.
+        is_read: Whether any part of the piece was decoded.
         json: The piece as values for JSON.
         text: The piece as lines of text.
     """
@@ -37,7 +37,7 @@ class Shown(NamedTuple):
 
 
 def print_pieces(pieces: Iterable[Shown], args: argparse.Namespace, of: str = "") -> int:
-    """Print pieces, as many as `args` says, and return the exit status: 1 if nothing was decoded.
+    """Print at most as many pieces as `args` requests, and return the exit status: 1 if nothing was decoded.
 
     Args:
         pieces: The pieces of the file that `args` names.

@@ -1,4 +1,4 @@
-"""TCP connections for programs that use asyncio: opened and closed without blocking the event loop."""
+"""TCP connections for programs that use asyncio. Opening and closing them does not block the event loop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK, 10035)
 
 
 class AwaitedTransport(Transport, Protocol):
-    """A source of bytes that an event loop can wait for."""
+    """Transport for whose bytes an event loop can wait."""
 
     async def connect(self, timeout: float) -> None:
         """Connect like `open`, without blocking the event loop."""
@@ -34,14 +34,14 @@ class AwaitedTransport(Transport, Protocol):
         """
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
-        """Return the bytes that have already arrived, or None; never waits; raises `ConnectionLost`."""
+        """Return the bytes that have already arrived, or None. Never waits. Raises `ConnectionLost`."""
 
     async def disconnect(self) -> None:
         """Disconnect like `close`, without blocking the event loop."""
 
 
 class AwaitedTcp(TcpTransport):
-    """A TCP connection that an event loop waits for."""
+    """TCP connection for whose bytes an event loop can wait."""
 
     async def connect(self, timeout: float) -> None:
         """Connect within `timeout` seconds. If the call is cancelled, everything is closed.
@@ -75,7 +75,7 @@ class AwaitedTcp(TcpTransport):
         return received
 
     async def disconnect(self) -> None:
-        """Disconnect when the peer's kernel has acknowledged all sent data.
+        """Disconnect when the operating system of the peer has acknowledged all sent data.
 
         See `TcpTransport.close`.
         """
@@ -87,7 +87,7 @@ class AwaitedTcp(TcpTransport):
 
 
 async def _is_ready(descriptor: int, seconds: float, *, for_room: bool = False) -> bool:
-    """Wait until bytes have arrived, or there is room; return False after `seconds`."""
+    """Wait until bytes have arrived, or with `for_room`, until bytes can be sent. Return False after `seconds`."""
     loop = asyncio.get_running_loop()
     ready: asyncio.Future[None] = loop.create_future()
     watch(loop, descriptor, lambda: happened(ready), for_room=for_room)

@@ -1,11 +1,11 @@
-"""Short questions and answers over TCP, such as single lines, on a connection that is made when it is needed.
+"""Short questions and answers over TCP, such as single lines. The connection is made when it is needed.
 
 An answer does not name its question, so only the order shows which answer belongs to which question. Therefore threads
 take turns. After a failed
 exchange the connection is closed, because a late answer would be mistaken for the answer to the next question. The next
 question uses a new connection. A question that might have reached the peer is never asked again.
 
-If a signal handler asks while the interrupted thread waits for an answer, it uses a separate connection.
+If a signal handler asks while the interrupted thread waits for an answer, the handler uses a separate connection.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .undo import MAY_STILL
 
 
 class DialogueProtocol(Protocol):
-    """Protocol of one connection, sans-IO; each connection has a new one."""
+    """Protocol of one connection, without sockets (sans-IO). Each connection has a new protocol object."""
 
     @property
     def is_greeted(self) -> bool:
@@ -51,7 +51,7 @@ class DialogueProtocol(Protocol):
 
 
 class Dialogue:
-    """Dialogue with one peer, which threads may share.
+    """Dialogue with one peer. Several threads may use the same object.
 
     Args:
         transport: Transport of the connection.
@@ -88,9 +88,9 @@ class Dialogue:
         Args:
             text: Question.
             timeout: Maximum time for the whole exchange, in s.
-            stays: Function that gets the answer, and returns whether the connection is kept.
-            gate: Function that calls its argument, which sends and does not wait. It may raise an error to prevent the
-                question from being sent.
+            stays: Function that gets the answer, and returns whether the connection stays open.
+            gate: Function that gets a function and calls it; this call sends the question, and does not wait. The gate
+                can raise an error instead, so that the question is not sent.
             given_up: Function that is called if the question was sent, but no answer was received. The error then
                 states that the question might still be executed. None for a question that changes nothing.
 
@@ -155,7 +155,7 @@ class Dialogue:
         gate: Callable[[Callable[[], object]], object],
         given_up: Callable[[], object] | None,
     ) -> str:
-        """Ask on a separate new connection, which is closed afterwards."""
+        """Send a question over a separate new connection, and close this connection afterwards."""
         if self.is_closed:
             raise Closed(f"{self._name} was closed")
         beside = Dialogue(self._transport.another(), self._make, self._name, self._timeout)
@@ -191,8 +191,8 @@ class Dialogue:
     def _is_in_step(self, protocol: DialogueProtocol) -> bool:
         """Whether the connection is open and idle, so that a question can be sent on it.
 
-        If it was lost, or if the peer has sent something without a question, it can be replaced, because nothing of the
-        next question has been sent yet.
+        If the connection was lost, or if the peer has sent something without a question, a new connection can replace
+        it, because no part of the next question has been sent yet.
         """
         try:
             return self._transport.receive_waiting() is None and protocol.is_in_step

@@ -1,9 +1,9 @@
-"""A selector loop that serves many TCP clients in one thread, and never waits for any of them.
+"""Selector loop, which serves many TCP clients in one thread and never waits for a single client.
 
 A server of this project (the simulated controller, the RHD host) is a `SelectorLoop`. It has a `ListeningPort` for each
-TCP port, and a `Handler` for each connection. The handler is sans-IO: it gets bytes, and answers with
-`Connection.write`. The thread that owns the loop calls `serve_once` between two of its own deadlines, such as the
-cycles of a controller::
+TCP port, and a `Handler` for each connection. The handler uses no sockets (sans-IO): it gets bytes, and sends its
+answers with `Connection.write`. The thread that owns the loop calls `serve_once` between two of its own deadlines, such
+as the cycles of a controller::
 
     loop = SelectorLoop()
     loop.listen("127.0.0.1", 0, accept)            # accept(connection) -> Handler
@@ -54,11 +54,13 @@ OUTPUT_LIMIT = 1 << 20
 #: Maximum number of bytes that are read from one client at a time.
 CHUNK = 1 << 16
 
-# Maximum number of connections that wait in the kernel, and that are accepted in one poll.
+# Maximum number of connections that wait in the kernel; maximum number of connections that are accepted in one poll.
 _BACKLOG, _ACCEPTS = 64, 16
-# Size of the kernel's buffer for a client, in bytes. By default it grows to megabytes, which are seconds of old data.
+# Size of the kernel's buffer for a client, in bytes. By default, this buffer grows to megabytes, which hold seconds of
+# old data.
 _KERNEL_BUFFER = 1 << 18
-# Minimum time in s for serving events, even if the owner is already late. Otherwise its clients would starve.
+# Minimum time in s for serving events, even if the owner of the loop is already late. Without it, clients might never
+# be served.
 _LEAST_SLICE = 1e-3
 # Pause in s after the process ran out of descriptors. Without the pause, the kernel would immediately report the same
 # waiting client again.
@@ -79,7 +81,7 @@ class Handler:
 
     @property
     def is_busy(self) -> bool:
-        """Whether the client keeps its slot while no bytes pass, because it waits for this server."""
+        """Whether the client keeps its slot although no bytes are transferred, because it waits for this server."""
         return False
 
     def data_received(self, data: bytes) -> None:
@@ -93,7 +95,7 @@ class Handler:
 
         Args:
             reason: Reason, for a log.
-            by_peer: Whether the peer has closed or reset it, rather than this side.
+            by_peer: Whether the peer, and not this side, has closed or reset the connection.
         """
 
 
@@ -496,7 +498,7 @@ class SelectorLoop:
                 `ListeningPort.listen` is called.
 
         Raises:
-            BadAddress: If it cannot listen on the address.
+            BadAddress: If the loop cannot listen on the address.
         """
         port = ListeningPort(
             self, host, number, accept, purpose=purpose, limit=limit, idle=idle, output_limit=output_limit, chunk=chunk
@@ -520,7 +522,7 @@ class SelectorLoop:
         If this is called in the same thread, or after the loop was closed, `change` is called at once.
 
         Raises:
-            LinkTimeout: If it is not done in time. A call that has not begun by then is not made.
+            LinkTimeout: If the call is not done in time. If it has not begun by then, it is not made.
             Exception: If `change` raises it.
         """
         done: Future[None] | None = None
@@ -584,7 +586,7 @@ class SelectorLoop:
         """Close all ports and connections. Idempotent.
 
         Args:
-            within: Maximum time in s in which buffered data is still sent, and clients can read it.
+            within: Maximum time in s for sending buffered data, and for clients to read this data.
         """
         if self._is_closed:
             return
@@ -704,9 +706,11 @@ class SelectorLoop:
             connection._socket.close()
         for port in self.ports:
             port._socket.close()
-        self._selector.close()
         self._waker.close()
         self._woken.close()
+        # A child does not inherit a kqueue (macOS), so closing it fails before CPython 3.11.7 and 3.12.1.
+        with contextlib.suppress(OSError):
+            self._selector.close()
 
 
 #: All loops of this process.
@@ -714,7 +718,7 @@ _loops: weakref.WeakSet[SelectorLoop] = weakref.WeakSet()
 
 
 def _leave_all_to_parent() -> None:
-    """Close the copies of the sockets in a forked child, so that no call there can disturb the parent's clients.
+    """Close the copies of the sockets in a forked child, so that the child cannot disturb the parent's clients.
 
     An open copy would also prevent the kernel from ending a connection that the parent closes.
     """

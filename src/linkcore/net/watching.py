@@ -1,7 +1,7 @@
-"""Calls of an event loop when a socket has bytes, or room to send.
+"""Callbacks of an event loop: the loop calls a function when bytes arrive at a socket, or when bytes can be sent.
 
-The event loop of asyncio on Windows, `ProactorEventLoop`, has no `add_reader`. For such a loop, a thread waits for the
-sockets with `select`, and makes the loop call the functions. The thread ends when no socket is watched any more.
+The event loop of asyncio on Windows, `ProactorEventLoop`, has no `add_reader`. For such a loop, a separate thread waits
+for the sockets with `select`, and lets the loop call the functions. The thread ends when no socket is watched any more.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..threads import started
 def watch(
     loop: asyncio.AbstractEventLoop, descriptor: int, callback: Callable[[], object], *, for_room: bool = False
 ) -> None:
-    """Let the loop call `callback` when bytes have arrived, or with `for_room`, when there is room to send.
+    """Let the loop call `callback` when bytes have arrived, or with `for_room`, when bytes can be sent.
 
     Call it in the thread of the loop.
 
@@ -55,7 +55,7 @@ class _Watched(NamedTuple):
 class _Watcher:
     """Thread that waits for the sockets of one event loop.
 
-    The thread of the loop adds and removes callbacks. This thread removes them only if the loop is closed.
+    The thread of the loop adds and removes callbacks. The waiting thread removes callbacks only if the loop is closed.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -122,7 +122,7 @@ class _Watcher:
         return [each for each in waiting if each.descriptor in (found[1] + found[2] if each.for_room else found[0])]
 
     def _report(self, ready: list[_Watched]) -> bool:
-        """Let the loop make the calls; return False if the loop is closed."""
+        """Let the loop call the callbacks of these sockets; return False if the loop is closed."""
         loop = self._loop()
         if loop is None or loop.is_closed():
             return False
@@ -138,7 +138,7 @@ class _Watcher:
         return True
 
     def _call(self, watched: _Watched, callback: Callable[[], object]) -> None:
-        """Make one call in the thread of the loop, and wait for the socket again."""
+        """Call a callback in the thread of the loop, and watch its socket again."""
         if self._callbacks.get(watched) is not callback:  # forgotten meanwhile
             return
         try:

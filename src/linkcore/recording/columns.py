@@ -1,4 +1,4 @@
-"""Columns of packets as arrays in the byte order and the types of this machine."""
+"""Columns of packets, as arrays in the byte order and the number types of this computer."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Columns(Protocol):
 
 
 class ArrayColumns:
-    """Columns that already are arrays."""
+    """Columns that exist as arrays."""
 
     def __init__(self, known: Mapping[str, Column], arrays: Mapping[str, NDArray[Any]]) -> None:
         self.known = known
@@ -85,7 +85,7 @@ class ArrayColumns:
 
 
 def columns_of(states: Sequence[State]) -> ArrayColumns:
-    """Return the columns of decoded packets. It is for packets with text, whose sizes vary."""
+    """Return the columns of decoded packets. Use this for packets with text, which have different sizes."""
     known = _common([state._layout for state in states])
     arrays = {}
     for name, column in known.items():
@@ -180,8 +180,8 @@ def _allocated(columns: Mapping[str, Column], rows: int) -> dict[str, NDArray[An
 def _cells(part: Part, places: Sequence[Place]) -> _Raw:
     """Return the reader for packets that consist only of 8-byte numbers, in the byte order of this machine.
 
-    All numbers from the first to the last requested one are swapped at once. Numpy would take longer to swap each field
-    separately, for example six numbers of each packet.
+    The bytes of all numbers, from the first to the last requested number, are swapped at once. Numpy would take longer
+    to swap each field separately, for example six numbers of each packet.
     """
     begin = min(place.offset for place in places)
     end = max(place.offset + place.stride * ((place.count or 1) - 1) + place.width for place in places)

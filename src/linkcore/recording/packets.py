@@ -1,9 +1,9 @@
-"""The packets of a recorded connection, found without a Python object for each packet.
+"""Packets of a recorded connection, found without a Python object for each packet.
 
-A controller sends packets of one size, and most of them are recorded one by one. If a record is as long as one or
-several packets like the previous one, and has the same header at the beginning of each, it consists of packets of the
-same layout. Then only the offsets of these packets in the file are kept. All other bytes are passed to the framer and
-the decoder of a stream. So the result does not depend on the division into records; a property test checks this.
+A controller sends packets of one size, and most of them are recorded one by one. A record consists of packets of the
+same layout if its length is that of one or several packets like the previous packet, and if each of them begins with
+the same header. Then only the offsets of these packets in the file are kept. All other bytes are passed to the framer
+and the decoder of a stream. So the result does not depend on the division into records; a property test checks this.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from .file import Kind, Record, RecordingFile
 
 
 class ReplayTimeline:
-    """Time line that all channels of a replay share; it starts when the first channel opens.
+    """Timeline that all channels of a replay share. It starts when the first channel is opened.
 
     Args:
         recording: Recording to replay.
@@ -49,7 +49,7 @@ class ReplayTimeline:
 
 
 class ReplayTransport:
-    """One channel of a recording as a source of bytes.
+    """Transport that replays one channel of a recording.
 
     Chunks have their recorded sizes, and arrive at their recorded times. Their stamps have the recorded wall time, and
     the current monotonic time. Connections are lost and made again at the recorded times.
@@ -153,5 +153,5 @@ class ReplayTransport:
         self._closed.set()
 
     def close(self) -> None:
-        """Do the same as `abort`, because there are no bytes left to send."""
+        """Do the same as `abort`, because no sent bytes have to be delivered."""
         self.abort()

@@ -1,4 +1,4 @@
-"""`Table`: recorded packets as columns, with their arrival times."""
+"""Class `Table`: recorded packets as columns, with their arrival times."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Table(StrictAttributes):
     """Columns of one kind of packet: ``table["q_actual"]`` is an array of shape (n, 6).
 
     Numbers are in the byte order of this machine, and floats are float64. A column is made when it is first used, and
-    kept. Arrays are read-only. Codes are numbers; `fields` has their enumeration.
+    then stored. Arrays are read-only. Codes are numbers; `fields` has their enumeration.
 
     Args:
         name: Name, used in messages.

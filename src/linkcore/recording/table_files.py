@@ -1,6 +1,6 @@
 """Export of tables to CSV, Parquet, MATLAB, HDF5 and MCAP files.
 
-The suffix of the file determines the format. A file appears either complete or not at all.
+The suffix of the file determines the format. An export either writes the complete file, or leaves no file.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def export(
 ) -> Path:
     """Write tables to a file.
 
-    When it is complete, it replaces an existing file of the same name. The file is first written under another name in
-    the same directory, and then renamed.
+    The complete file replaces an existing file with the same name. The file is first written under another name in the
+    same directory, and then renamed.
 
     Args:
         path: Path of the file.
@@ -217,7 +217,7 @@ class TableFormat(NamedTuple):
 
     Attributes:
         write: Function that writes such a file.
-        programs: Programs that read it, for help texts.
+        programs: Programs that can read such a file, for help texts.
         holds_one: Whether a file can hold only one table.
         is_live: Whether a file can also be written while the packets arrive.
     """

@@ -1,4 +1,4 @@
-"""Conversion of bytes to packets, with counters. Sans-IO: this part of a stream needs neither a thread nor a socket.
+"""Conversion of bytes to packets, with counters. This part of a stream uses neither a thread nor a socket (sans-IO).
 
 The reader thread passes the received bytes to it, and publishes the returned packets. An asyncio protocol could do the
 same in `data_received`.
@@ -18,7 +18,7 @@ from .statistics import StreamCounters
 
 _log = logging.getLogger(__name__)
 
-#: Every comparison with it is false.
+#: NaN, because every comparison with NaN is false.
 _NO_TIME = float("nan")
 
 

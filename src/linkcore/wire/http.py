@@ -1,4 +1,4 @@
-"""HTTP/1.1 messages, sans-IO: conversion of bytes to requests and responses, and back.
+"""HTTP/1.1 messages: conversion of bytes to requests and responses, and back. This module uses no sockets (sans-IO).
 
 Each connection carries one request and one response (`Connection: close`). A message consists of its headers and its
 body. The length of the body is given by `Content-Length`, by chunks, or, for a response, by the end of the connection.
@@ -24,8 +24,8 @@ _Reading: TypeAlias = Generator[None, None, _T]
 
 _END = b"\r\n"
 _VERSION = b"HTTP/1."
-# Each pattern either matches a field or fails without backtracking to another position. So the time is linear in the
-# length of a line. Before, `partition` and `strip` cut out the fields.
+# Each pattern either matches a field or fails without backtracking to another position. So the time is proportional to
+# the length of a line. `partition` and `strip` have already separated the fields.
 _REQUEST = re.compile(rb"([A-Z]{1,16}) (\S+) HTTP/1\.[01]")
 _RESPONSE = re.compile(rb"HTTP/1\.[01] ([0-9]{3})(?: ([^\r\n]*))?")
 _NAME = re.compile(rb"[!#$%&'*+\-.^_`|~0-9A-Za-z]+")

@@ -1,4 +1,4 @@
-"""Options of a host, and serving until it ends; shared by `serve` and `turtle`."""
+"""Options of a host, and a function that runs it until it ends, for the commands `serve` and `turtle`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .options import tell
 
 
 def service_arguments(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
-    """Arguments of `Host` that were given, and the limits. Missing limits are taken from `limits`."""
+    """Return the arguments of `Host` that were given, and the limits. Missing limits are taken from `limits`."""
     # `turtle` has no option for the address.
     names = ("port", "address", "width", "resend", "client_timeout", "inactivity_timeout")
     given = {name: value for name in names if (value := getattr(args, name, None)) is not None}

@@ -173,7 +173,7 @@ def _print(text: str) -> None:
 
 
 def _print_as_mrc(said: Said) -> None:
-    # Not escaped, because the lines come from the user's own script.
+    # Do not escape the lines, because they come from the user's own script.
     print(said.printed, end="", flush=True)
 
 

@@ -1,4 +1,4 @@
-"""The loop of a mission on a robot: exchange values, compute, and call the user's functions."""
+"""Loop of a mission on a robot, which exchanges values, computes, and calls the user's functions."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ _OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LO
 
 @dataclass
 class Callbacks:
-    """The callbacks of a user's program.
+    """Callbacks of a user's program.
 
-    All of them are called between two ticks, so they must be quick.
+    All callbacks are called between two ticks, so they must be quick.
 
     Attributes:
         hooks: Functions for commands that need hardware, by the name of the command.
@@ -200,7 +200,10 @@ class MissionExecution:
         return True
 
     def _time(self) -> float:
-        """Value of ``$time``: for a robot whose time stops between two exchanges, its elapsed time."""
+        """Return the value of ``$time``.
+
+        If the robot's time stops between two exchanges, it is the elapsed time of the robot.
+        """
         if not self._link.is_lockstep:
             return time.time()
         return self.cycles * self._period if self.controller.vehicle.profile.knows_time else 0.0

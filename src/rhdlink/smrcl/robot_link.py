@@ -1,4 +1,4 @@
-"""The link of a mission to its robot, over the network or in this process.
+"""Link of a mission to its robot, over the network or in this process.
 
 A link exchanges values once per tick. A mission uses all kinds of links in the same way. The module also finds the
 configuration of the robot.
@@ -25,12 +25,12 @@ from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
 
-#: The words of read variables, by name.
+#: Words of variables, by name.
 Words = Mapping[str, Sequence[int]]
 
 
 class RobotLink(Protocol):
-    """Interface of a robot for the loop of a mission."""
+    """Interface of a robot that the loop of a mission uses."""
 
     @property
     def name(self) -> str:
@@ -56,16 +56,16 @@ class RobotLink(Protocol):
         """
 
     def close(self) -> None:
-        """Release the robot in its current state. Idempotent."""
+        """Release the robot without changing its state. Idempotent."""
 
 
 class ClientLink:
-    """A robot on the network, connected by a client. For the attributes, see `RobotLink`.
+    """Link to a robot on the network, over a client. For the attributes, see `RobotLink`.
 
     Args:
         robot: Robot that is connected with write access.
         is_lockstep: Whether the host waits for each request. The protocol does not show this.
-        owns: Whether `close` closes the robot.
+        owns: Whether `close` closes the robot object.
 
     Raises:
         AccessDenied: If the robot was connected without write access.
@@ -103,7 +103,7 @@ class ClientLink:
 class _Fetched(dict[str, Sequence[int]]):
     """Read variables of a tick, fetched on demand.
 
-    A robot can have thousands, but a mission needs only a few.
+    A robot can have thousands of variables, but a mission needs only a few of them.
     """
 
     def __init__(self, fetch: Callable[[str], Sequence[int]]) -> None:
@@ -120,7 +120,7 @@ def _listed(words: Any) -> list[int]:
 
 
 class PluginLink:
-    """A robot in this process: its plugins, without a host, a port or a thread.
+    """Link to a robot in this process: its plugins run without a host, a port or a thread.
 
     The link calls the plugins in the same way as a host, and is their `plugin.host`. For the attributes, see
     `RobotLink`.
@@ -174,7 +174,7 @@ class PluginLink:
     def exchange(self, written: Words, timeout: float | None = None) -> Words:
         """Write values, and execute one tick.
 
-        As with a host, the answer does not yet show their effect.
+        As with a host, the answer does not yet show the effect of these values.
 
         Raises:
             BadValue: If the link was closed.
@@ -227,7 +227,7 @@ class PluginLink:
             plugin.terminate()
 
 
-#: Robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
+#: Robot on which a mission can run: a connected robot, an address, a plugin such as `Turtle()`, or a link.
 AnyRobot = Variables | Plugin | RobotLink | str
 
 

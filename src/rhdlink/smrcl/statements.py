@@ -28,7 +28,7 @@ from .syntax import (
 if TYPE_CHECKING:
     from .interpreter import ScriptInterpreter
 
-#: One statement of a line. It returns None if the next statement of the line follows.
+#: Compiled statement of a line. It returns None if the next statement of the line follows.
 Step = Callable[[Run], Outcome | None]
 
 

@@ -1,4 +1,4 @@
-"""Dissect the bytes of one direction of a connection into packages.
+"""Dissection of the bytes of one direction of a connection into packages.
 
 The declarations in `schema` are used for this.
 
@@ -25,7 +25,7 @@ _ROLE = {"r": "reader", "w": "master"}
 
 @dataclass(frozen=True)
 class PackagePart:
-    """Some bytes of a package.
+    """Part of a package: some bytes and their meaning.
 
     Attributes:
         offset: Offset of the first byte.
@@ -42,15 +42,15 @@ class PackagePart:
 
 @dataclass
 class Piece:
-    """A package, or bytes that belong to no package.
+    """Piece of a dissection: a package, or bytes that belong to no package.
 
     Attributes:
         offset: Offset of the first byte.
-        batch: Number of batches that ended before it; the handshake is the first batch.
+        batch: Number of batches that ended before this piece. The handshake is the first batch.
         package: The two letters of the package; "" for other bytes.
         meaning: Meaning in words.
         parts: Parts of the piece, in order.
-        error: Reason why these bytes are not a whole package; None if they are.
+        error: Reason why these bytes are not a whole package; None if they are a whole package.
     """
 
     offset: int
@@ -73,9 +73,9 @@ def guess_sender(data: bytes) -> str:
 
 
 def tables_in(data: bytes) -> tuple[dict[str, tuple[SymbolRow, ...]], int | None]:
-    """Tables in the bytes of a server, and the words of its time stamps.
+    """Return the tables in the bytes of a server, and the number of words of its time stamps.
 
-    Empty and None without a handshake.
+    Return an empty mapping and None if there is no handshake.
     """
     decoder = ServerDecoder()
     decoder.feed(data)
@@ -135,7 +135,7 @@ class _Dissector:
         except _Broken as reason:
             piece.error = str(reason)
             piece.meaning = piece.meaning or "no package"
-            # The start of the next package cannot be known.
+            # The rest is one part, because the start of the next package is unknown.
             self._add(piece, len(self.data), "", {})
         return piece
 

@@ -1,4 +1,4 @@
-"""The packages of the RHD format, declared once (docs/protocols/rhd.md, Encoding).
+"""Declarations of the packages of the RHD format (docs/protocols/rhd.md, Encoding).
 
 All data on the wire is a sequence of packages. A package begins with two letters. If it has items, their count and the
 items follow. All numbers are 32-bit words in network byte order, packed. A *batch* is a sequence of packages that ends

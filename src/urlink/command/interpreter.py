@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import threading
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -86,7 +87,8 @@ class Interpreter(Program):
         self._undos = undos
         self._undo = undo
         self._finish_timeout = finish_timeout
-        self._since_clear = 0
+        #: Numbers of the statements that are not cleared. Several threads may add a number, each in one step.
+        self._uncleared: list[int] = []
 
     @starts_motion
     def execute(self, statement: str, *, wait: bool | float = False) -> int:
@@ -116,7 +118,7 @@ class Interpreter(Program):
         """
         seconds = check_wait(wait)
         line = statement_line(statement)
-        if self._since_clear >= CLEAR_AFTER:
+        if len(self._uncleared) >= CLEAR_AFTER:
             self.wait_executed(self._finish_timeout)
             self.clear()
         number = self._hand_over(line, undo=self._undo)
@@ -151,7 +153,7 @@ class Interpreter(Program):
         This is itself a statement, executed in its turn. `execute` does it automatically after every 500 statements.
         """
         number = self._hand_over("clear_interpreter()")
-        self._since_clear = 0
+        self._uncleared.clear()
         return number
 
     def abort(self) -> None:
@@ -240,7 +242,7 @@ class Interpreter(Program):
             if self._life.error is not None:
                 raise self._life.error
             raise StatementDiscarded(line, reply.number)
-        self._since_clear += 1
+        self._uncleared.append(reply.number)
         return reply.number
 
     def _ask(self, word: str) -> int:
@@ -283,12 +285,15 @@ class Interpreters:
         self._timeout = timeout
         #: Connections of the interpreters that were started and have not ended.
         self._open: list[Dialogue] = []
+        self._opening = threading.RLock()  # held while `_open` is replaced; re-entrant for signal handlers
         self._is_closed = False
 
     def close(self) -> None:
         """Close the remaining connections; their programs have already been stopped."""
-        self._is_closed = True
-        for dialogue in self._open:
+        with self._opening:
+            self._is_closed = True
+            opened, self._open = self._open, []
+        for dialogue in opened:
             dialogue.close()
 
     @starts_motion
@@ -309,7 +314,10 @@ class Interpreters:
             raise LocalError("the controller does not serve interpreter mode")
         connection = partial(_connection, self._host, self._port, self._firmware, self._timeout)
         dialogue = connection()
-        self._open = [each for each in self._open if not each.is_closed] + [dialogue]
+        with self._opening:
+            if self._is_closed:
+                raise Closed(f"the robot at {self._host} was closed")
+            self._open = [each for each in self._open if not each.is_closed] + [dialogue]
         life = self._programs.life("interpreter mode")
         undo = Undo(connection, partial(_undo_statements, life))
         interpreter = Interpreter(life, dialogue, self._channel, self._undos, undo, finish_timeout)

@@ -47,7 +47,11 @@ class _Listening:
     def end(self) -> None:
         self.is_over = True
         while self._ends:
-            self._ends.pop()()
+            try:
+                end = self._ends.pop()
+            except IndexError:  # another thread has taken the last one
+                break
+            end()
 
 
 class SafetyMonitor:
@@ -215,7 +219,7 @@ class SafetyMonitor:
     @property
     def is_connected(self) -> bool:
         """Whether all subscribed interfaces are connected. The interlock might be notified of a loss slightly later."""
-        names = tuple(self._listening)
+        names = list(self._listening)
         return all(self._connections[name].state is ConnectionState.CONNECTED for name in names)
 
     # -- notifications -------------------------------------------------------------------------------
@@ -312,7 +316,7 @@ class SafetyMonitor:
                 self.overtake(str(closed))
             for hook in tuple(self._hooks):
                 hook(closed)
-            for callback in tuple(self._stop_callbacks.values()):
+            for callback in list(self._stop_callbacks.values()):
                 self._callbacks.call(callback, closed)
         self._wake()
 
@@ -327,7 +331,7 @@ class SafetyMonitor:
         self.is_closed = True
         self.overtake("the robot was closed")
         self._stop_callbacks.clear()
-        for name, listening in tuple(self._listening.items()):
+        for name, listening in list(self._listening.items()):
             listening.end()
             self._observe(lambda name=name: self._interlock.lose(name, "closed here"))  # type: ignore[misc]
         self._hooks.clear()  # they belong to parts that refer to this object

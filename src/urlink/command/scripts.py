@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,7 +28,8 @@ class Program(Handle):
 
     def __init__(self, life: Lifecycle) -> None:
         super().__init__(life)
-        self._texts: deque[str] = deque(maxlen=_TEXTS)
+        # The reader of the primary interface adds lines, and other threads copy the list in one step.
+        self._texts: list[str] = []
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -38,7 +38,7 @@ class Program(Handle):
         A controller does not report which program sent a line, so the lines of a `sec` that runs at the same time are
         included.
         """
-        return tuple(self._texts.copy())  # in a single step: another thread might be adding lines
+        return tuple(self._texts[-_TEXTS:])
 
     def _receiver(self, callbacks: CallbackThread, on_text: Callable[[str], object] | None) -> Callable[[str], object]:
         """Return the function that receives these lines. It refers only to the lines, not to the program."""
@@ -46,6 +46,8 @@ class Program(Handle):
 
         def receive(text: str) -> None:
             texts.append(text)
+            if len(texts) >= 2 * _TEXTS:
+                del texts[:-_TEXTS]
             if on_text is not None:
                 callbacks.call(on_text, text)
 

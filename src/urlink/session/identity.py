@@ -128,12 +128,13 @@ class KnownIdentity:
 
     def __init__(self, ask: Callable[[], Identity], known: Identity | None = None) -> None:
         self._ask = ask
-        self._doubts = self._answered = 0
+        # A new mark for each doubt. Counting would lose one of two reconnects that two threads record at once.
+        self._doubt = self._answered = object()
         self.last = ask() if known is None else known
 
     def doubt(self) -> None:
         """Record a reconnect, after which the controller might be another one."""
-        self._doubts += 1
+        self._doubt = object()
 
     @property
     def identity(self) -> Identity:
@@ -142,9 +143,9 @@ class KnownIdentity:
         Raises:
             RemoteError: If the identity must be read, and the controller does not answer.
         """
-        if (doubts := self._doubts) != self._answered:
+        if (doubt := self._doubt) is not self._answered:
             self.last = self._ask()
-            self._answered = doubts  # a reconnect during the call stays recorded
+            self._answered = doubt  # a reconnect during the call stays recorded
         return self.last
 
 

@@ -35,7 +35,8 @@ def send(writer: TextIO, text: str) -> None:
     writer.flush()
 
 
-def test_lines_joins_pieces_and_ends_with_stdin(writer: TextIO) -> None:
+@pytest.mark.real_time
+def test_lines_joins_partial_lines_and_ends_when_stdin_ends(writer: TextIO) -> None:
     lines = console.lines(lambda: True, pause=10.0)
     send(writer, "one\r\ntw")
     assert next(lines) == "one"
@@ -45,6 +46,7 @@ def test_lines_joins_pieces_and_ends_with_stdin(writer: TextIO) -> None:
     assert list(lines) == []
 
 
+@pytest.mark.real_time
 def test_lines_yields_none_without_input(writer: TextIO) -> None:
     lines = console.lines(lambda: True, pause=0.0)
     assert [next(lines), next(lines)] == [None, None]
@@ -52,6 +54,7 @@ def test_lines_yields_none_without_input(writer: TextIO) -> None:
     assert next(line for line in lines if line is not None) == ""
 
 
+@pytest.mark.real_time
 def test_lines_ends_when_the_caller_stops_it(writer: TextIO) -> None:
     send(writer, "one\n")
     wanted = iter([True, False])

@@ -206,7 +206,7 @@ def test_answered_command_is_undone_without_a_new_thread(monkeypatch: pytest.Mon
     undos.close()
 
 
-def test_superseded_command_is_not_undone() -> None:
+def test_dropped_command_is_not_undone_when_its_call_is_aborted() -> None:
     undos, call = PendingUndos("robot"), PendingCall()
     undo = Undo(Closeable, lambda client, is_wanted: None)
 

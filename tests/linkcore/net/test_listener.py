@@ -14,6 +14,7 @@ import pytest
 import linkcore.net.listener
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, local_address
+from tests.witnesses import sockets_made
 
 pytestmark = pytest.mark.real_time
 
@@ -53,10 +54,9 @@ def test_accepted_connection_sends_and_receives(listener: TcpListener) -> None:
 
 
 def test_accepted_connection_has_nodelay(listener: TcpListener) -> None:
-    with socket.create_connection(listener.address, TIMEOUT):
+    with socket.create_connection(listener.address, TIMEOUT), sockets_made() as made:
         link = listener.accept(TIMEOUT)
-        assert link._socket is not None
-        assert link._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        assert made[0].getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         link.close()
 
 

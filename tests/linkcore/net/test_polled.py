@@ -46,7 +46,7 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
-def test_connection_comes_from_its_source(listener: socket.socket) -> None:
+def test_polled_connection_uses_the_source_address(listener: socket.socket) -> None:
     source = "127.0.0.2"
     with socket.socket() as probe:
         try:
@@ -108,7 +108,7 @@ def test_invalid_address_fails_immediately(host: str, number: int) -> None:
     assert descriptors() == before
 
 
-def test_data_before_the_end_can_be_read(listener: socket.socket) -> None:
+def test_data_sent_before_the_close_can_be_read(listener: socket.socket) -> None:
     before = descriptors()
     connection, peer = opened(listener)
     with peer:

@@ -13,7 +13,7 @@ from tests.waiting import threads_named
 @pytest.mark.parametrize("processors", [1, 3])
 @pytest.mark.parametrize("size", [0, 1, 10, 11, 95])
 @pytest.mark.simulated_time
-def test_side_by_side_returns_every_share_once_in_order(
+def test_side_by_side_returns_results_in_order_of_the_input(
     processors: int, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: processors)

@@ -160,7 +160,7 @@ def test_aborted_data_is_not_delivered_after_a_cut(sim: Simulation, robot: Compu
 
 
 @platforms.needs_linux
-def test_one_way_silence_ends_after_the_user_timeout(sim: Simulation, robot: Computer) -> None:
+def test_unacknowledged_data_ends_connection_after_user_timeout(sim: Simulation, robot: Computer) -> None:
     """The data arrives, but its acknowledgement does not."""
     came: list[bytes] = []
 
@@ -244,7 +244,7 @@ def test_rebooted_computer_resets_old_connections(sim: Simulation, robot: Comput
             link.recv(1)
 
 
-def test_kernel_of_a_suspended_computer_fills_its_buffers(sim: Simulation, robot: Computer) -> None:
+def test_suspended_computer_accepts_data_until_buffers_are_full(sim: Simulation, robot: Computer) -> None:
     """The kernel still accepts data until its buffers are full."""
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT), timeout=1.0) as link:
@@ -459,7 +459,7 @@ def test_received_bytes_are_a_prefix_of_sent_bytes(
         link.close()
 
 
-def test_event_loop_without_power_ends_with_the_simulation() -> None:
+def test_event_loop_of_powered_off_computer_ends_with_simulation() -> None:
     ended: list[BaseException] = []
 
     async def waits_again() -> None:

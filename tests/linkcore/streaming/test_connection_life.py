@@ -81,7 +81,7 @@ def test_closing_connection_always_reaches_closed(events: list[LifeEvent]) -> No
     assert one.phase is ConnectionPhase.CLOSED
 
 
-def test_awaited_first_connection_is_not_retried() -> None:
+def test_first_connection_is_not_retried_while_a_caller_waits() -> None:
     one = life()
     one.use(is_patient=False, received=0)
     one.fire(LifeEvent.CONNECT)
@@ -94,7 +94,7 @@ def test_awaited_first_connection_is_not_retried() -> None:
     assert one.error is one.failure is one.attempt.failure is None
 
 
-def test_waits_grow_until_packets_arrive() -> None:
+def test_reconnection_waits_grow_until_packets_arrive() -> None:
     one = life()
     one.use(is_patient=True, received=3)
     waits = []

@@ -9,8 +9,9 @@ import pytest
 from linkcore.errors import BadValue, LinkTimeout
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.silence import SilenceMonitor
+from linkcore.streaming.stream import Stream
 from tests import platforms
-from tests.fakes.link import ScriptedTransport, counts, output_of, scripted
+from tests.fakes.link import Count, ScriptedTransport, connection_over, counts, output_of, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
@@ -25,7 +26,7 @@ def monitor(limit: float | None = 2.0) -> SilenceMonitor:
 # -- the monitor, without clock or thread ----------------------------------------------------------------
 
 
-def test_expired_waits_add_up_to_silence() -> None:
+def test_timed_out_waits_add_up_to_silence() -> None:
     silence, reported = monitor(), list[float]()
     silence.watch(0.5, reported.append)
     assert silence.wait == 0.5
@@ -59,7 +60,7 @@ def test_suspended_time_does_not_count_as_silence() -> None:
     assert not silence.is_quiet
 
 
-def test_several_limits_are_reported_in_turn() -> None:
+def test_silence_watchers_are_called_in_order_of_their_limits() -> None:
     silence, reported = monitor(), list[str]()
     silence.watch(1.0, lambda seconds: reported.append(f"one {seconds:g}"))
     silence.watch(0.25, lambda seconds: reported.append(f"quarter {seconds:g}"))
@@ -74,7 +75,7 @@ def test_several_limits_are_reported_in_turn() -> None:
         silence.timed_out()
 
 
-def test_rounded_sums_reach_their_limit() -> None:
+def test_silence_limit_is_reached_despite_rounding_errors() -> None:
     silence, reported = monitor(0.3), list[float]()
     silence.watch(0.1, reported.append)
     silence.watch(0.2, reported.append)
@@ -85,7 +86,7 @@ def test_rounded_sums_reach_their_limit() -> None:
         silence.timed_out()
 
 
-def test_silence_without_limit_is_reported_but_raises_nothing() -> None:
+def test_silence_without_limit_calls_watchers_but_raises_nothing() -> None:
     silence, reported = monitor(None), list[float]()
     assert silence.wait is None
     silence.timed_out()  # a transport that times out on its own, after an unknown time
@@ -98,7 +99,7 @@ def test_silence_without_limit_is_reported_but_raises_nothing() -> None:
     assert silence.wait is None
 
 
-def test_removed_watcher_is_not_called() -> None:
+def test_removed_silence_watcher_is_not_called() -> None:
     silence, reported = monitor(), list[float]()
     remove = silence.watch(0.5, reported.append)
     remove()
@@ -121,7 +122,7 @@ def test_bytes_without_a_packet_count_as_silence() -> None:
         silence.no_packet(102.2)
 
 
-def test_partial_packet_after_a_stall_is_not_silence() -> None:
+def test_partial_packet_read_late_does_not_count_as_silence() -> None:
     """The packet was read late, and its other half is still in the socket."""
     silence, reported = monitor(), list[float]()
     silence.watch(0.5, reported.append)
@@ -159,11 +160,11 @@ def test_watch_rejects_limits_beyond_the_silence(seconds: float) -> None:
 
 def test_silence_is_reported_before_the_connection_is_lost() -> None:
     transport = ScriptedTransport()
-    stream = scripted(transport, silence=0.1, backoff=Backoff(first=60, most=60))
+    here = connection_over(transport, silence=0.1, backoff=Backoff(first=60, most=60))
+    stream = Stream(here, Count)
     reported: list[tuple[float, bool]] = []
     events: list[ConnectionEvent] = []
     stream.subscribe(events.append, ConnectionEvent, inline=True)
-    here = stream._connection
     here.silence.watch(0.03, lambda seconds: reported.append((seconds, here.reads_here())))
     transport.put(counts(1))
     until(lambda: any(event.state is ConnectionState.LOST for event in events))

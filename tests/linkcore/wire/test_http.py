@@ -139,7 +139,7 @@ def test_line_break_in_the_target_is_rejected() -> None:
         b"GET " + b"/" * (LONGEST_HEAD - 100) + b" HTTP/1.2\r\n\r\n",
     ],
 )
-def test_ambiguous_head_is_rejected_quickly(data: bytes) -> None:
+def test_ambiguous_http_head_is_rejected_quickly(data: bytes) -> None:
     """A backtracking regular expression would need hours for the first of these heads."""
     with pytest.raises(PacketError):
         HttpParser("request").feed(data)

@@ -89,7 +89,7 @@ def test_run_time_layout_reads_handwritten_bytes() -> None:
 
 @pytest.mark.property
 @given(recipe=recipes, data=st.data())
-def test_run_time_layout_equals_construct(recipe: dict[str, str], data: st.DataObject) -> None:
+def test_run_time_layout_decodes_like_construct(recipe: dict[str, str], data: st.DataObject) -> None:
     layout = layout_of(recipe)
     raw = data.draw(st.binary(min_size=layout.size, max_size=layout.size + 3))
     slowly = parse(layout, raw)

@@ -308,7 +308,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "linkcore/streaming/silence.py",
         "end",
         "self.last = now",
-        "after self.wait = self._next_wait()",
+        "after self._plan()",
         "the next wait is not computed from the time of the last packet",
     ),
 )

@@ -82,7 +82,7 @@ def test_both_directions_are_dissected(width: int) -> None:
 
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", SERVERS)
-def test_every_byte_of_recorded_servers_has_a_meaning(run: Run, name: str) -> None:
+def test_dissect_explains_every_byte_of_recorded_servers(run: Run, name: str) -> None:
     path = real_captures.folder("rhd") / f"{name}.s2c.bin"
     status, out, err = run("dissect", str(path), "--json")
     assert (status, err) == (0, "")

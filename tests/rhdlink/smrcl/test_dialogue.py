@@ -49,7 +49,7 @@ def test_command_is_queued_started_and_ended(profile: str) -> None:
     assert talk.dialogue.failures[-1].text == "nonsense"
 
 
-def test_impossible_motion_ends_only_its_command() -> None:
+def test_impossible_motion_fails_but_next_command_runs() -> None:
     talk = Talk("mrc")
     talk.exchange('set "odowidth" 0', "drivetopoint 1e200 0 0 0", "b = 5")
     talk.advance(20)
@@ -138,7 +138,7 @@ def test_number_of_plans_is_limited_to_ten(profile: str) -> None:
 
 
 @PROFILES
-def test_goto_of_a_client_cannot_enter_a_plan(profile: str) -> None:
+def test_goto_or_return_of_a_client_is_rejected_as_syntax_error(profile: str) -> None:
     talk = Talk(profile)
     talk.exchange("beginplan p", 'plan label "a"', "plan wait 0.02", "endplan", "runplan p")
     talk.advance(20)
@@ -184,7 +184,7 @@ def test_lost_client_stops_its_commands_in_sound_profile() -> None:
         assert (talk.exchange("getevent 0", client=other) == ["ID1 started"]) == stops
 
 
-def test_motion_continues_into_the_motion_after_a_flush() -> None:
+def test_motion_after_flushcmds_continues_at_current_speed() -> None:
     talk = Talk()
     talk.exchange("drive")
     talk.advance(150)
@@ -269,7 +269,7 @@ def test_read_waits_for_its_condition(profile: str) -> None:
     assert [talk.exchange("getevent 0")[0] for _ in range(2)] == ["ID1 started", "ID1 stopcond 1.000000"]
 
 
-def test_read_ends_with_a_line_of_its_client() -> None:
+def test_read_ends_when_the_same_client_sends_a_line() -> None:
     for profile, is_read in (("sound", True), ("mrc", False)):
         talk = Talk(profile)
         other = talk.dialogue.connect()

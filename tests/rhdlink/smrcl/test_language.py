@@ -191,7 +191,7 @@ def test_operator_precedence_equals_that_of_mrc(text: str, meant: str) -> None:
         (f"{'a' * 80} = 1", 1, "a name can have at most 79 characters; this one has 80"),
     ],
 )
-def test_problem_has_its_column_and_message(text: str, column: int, message: str) -> None:
+def test_syntax_problem_has_a_column_and_a_message(text: str, column: int, message: str) -> None:
     problem = PARSER.parse(text).problem
     if not message:
         assert problem is None

@@ -80,7 +80,7 @@ def host(robot: Told) -> Iterator[Host]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [Told, ToldSmr])
-def test_lockstep_host_gets_the_same_commands_as_a_plugin(kind: type[Told | ToldSmr]) -> None:
+def test_mission_sends_same_commands_over_host_and_plugin_link(kind: type[Told | ToldSmr]) -> None:
     here, there = kind(), kind()
     Mission(SCRIPT, here).run()
     with Host([there], port=0, pacing="lockstep") as host, connect(host.address, access="w") as client:
@@ -200,7 +200,7 @@ def test_ended_process_leaves_the_robot_stopped(host: Host, robot: Told, what: s
 
 
 @pytest.mark.slow
-def test_drive_works_on_a_host(host: Host, robot: Told) -> None:
+def test_drive_moves_a_robot_of_a_host(host: Host, robot: Told) -> None:
     with Drive(host.address) as drive:
         drive.forward(0.2).wait(30.0)
         drive.turn(45).wait(30.0)

@@ -113,7 +113,7 @@ def one_of_each_column() -> list[tuple[str, str, str]]:
 
 @pytest.mark.matrix(9)
 @pytest.mark.parametrize(("firmware", "name", "column"), tried())
-def test_motion_behaves_as_the_table_says(firmware: str, name: str, column: str) -> None:
+def test_motion_ends_or_continues_as_listed_in_the_table(firmware: str, name: str, column: str) -> None:
     is_watched = IS_WHOLE and ROWS[name].becomes(column, firmware) == GOES_ON and firmware == firmwares(name)[0]
     end = undisturbed(firmware, name) if is_watched else None
     with simulated_time(seed=1, limit=300.0) as sim:
@@ -137,7 +137,7 @@ def undisturbed(firmware: str, name: str) -> list[float]:
 @platforms.needs_signals
 @pytest.mark.parametrize(("firmware", "name", "column"), one_of_each_column())
 @pytest.mark.real_time
-def test_real_processes_behave_as_the_table_says(
+def test_real_processes_end_or_continue_as_listed_in_the_table(
     rig: Callable[..., Processes], firmware: str, name: str, column: str
 ) -> None:
     is_alone = column == "silence"

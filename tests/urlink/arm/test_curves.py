@@ -67,7 +67,7 @@ def test_arc_has_constant_speed_and_passes_through_middle_point(
         assert arc.part(arc.pose(part)) == pytest.approx(part, abs=1e-9)
 
 
-def test_positions_beyond_ends_count_as_closer_end() -> None:
+def test_position_beyond_a_curve_end_maps_to_that_end() -> None:
     line = Line([0.0] * 6, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert [line.part([x, 5.0, 0.0]) for x in (-1.0, 0.25, 2.0)] == [0.0, 0.25, 1.0]
     quarter = Arc([1.0, 0, 0, 0, 0, 0], [math.sqrt(0.5), math.sqrt(0.5), 0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0])
@@ -76,7 +76,7 @@ def test_positions_beyond_ends_count_as_closer_end() -> None:
     assert Line([1.0] * 6, [1.0] * 6).part([0.0] * 3) == 0.0
 
 
-def test_fixed_tool_turns_with_arc() -> None:
+def test_tool_orientation_turns_with_the_arc_if_fixed() -> None:
     quarter = Arc(
         [1.0, 0, 0, 0, 0, 0.5], [math.sqrt(0.5), math.sqrt(0.5), 0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0], is_fixed=True
     )

@@ -215,7 +215,7 @@ def test_dissect_fails_without_any_packet(run: Run, tmp_path: Path, data: bytes)
 # -- files ---------------------------------------------------------------------------------------------
 
 
-def test_interface_is_guessed() -> None:
+def test_dissect_detects_the_interface_from_the_bytes() -> None:
     controller = Controller("UR5", "1.8")
     controller.step()
     assert guess_interface(controller.realtime_packet()) == "realtime"
@@ -313,11 +313,11 @@ def _interface(path: Path) -> str:
 
 
 @pytest.mark.captures("ur")
-def test_captures_exist() -> None:
+def test_captured_connections_are_found() -> None:
     assert _CAPTURES
 
 
-def test_dissection_equals_decoded_packet() -> None:
+def test_dissected_values_equal_the_decoded_packet() -> None:
     state = RealtimeState("5.11", q_actual=[1, 2, 3, 4, 5, 6])
     (piece,) = dissect(bytes(state), "realtime", None)
     values = {row.name: row.value for row in piece.rows}

@@ -19,7 +19,7 @@ from linkcore.errors import BadValue, Cancelled, Closed, ConnectFailed, LinkTime
 from linkcore.handle import Lifecycle, Phase
 from linkcore.net.dialogue import Dialogue
 from tests.fakes.line import Desk
-from tests.waiting import until
+from tests.waiting import threads_named, until
 from urlink.command.interpreter import CLEAR_AFTER, _undo_statements
 from urlink.protocol.interpreter import LONGEST_REPLY, WORDS, InterpreterProtocol, parse_reply, statement_line
 from urlink.simulator import Controller, Still
@@ -167,7 +167,7 @@ def test_abandoned_statement_is_undone(
         controller.faults.stall(1.0, "interpreter")
         with pytest.raises(LinkTimeout, match="it might still be executed"):
             interpreter.execute(movej(AWAY, 0.2))
-        assert robot._commanded()._undos.settle(TIMEOUT)
+        until(lambda: not threads_named("undo"), TIMEOUT)
         until(lambda: max(map(abs, controller.arm.setpoint.qd)) == 0.0)
         assert turned(robot) < 1.0
         # Later statements are executed.
@@ -178,7 +178,7 @@ def test_abandoned_statement_is_undone(
 
 @pytest.mark.parametrize("is_over", [False, True])
 @pytest.mark.parametrize("until_done", range(5))
-def test_undo_of_statement_sends_its_commands_while_wanted(is_over: bool, until_done: int) -> None:
+def test_undo_of_statement_sends_commands_until_no_longer_wanted(is_over: bool, until_done: int) -> None:
     """The first command checks that the controller answers; the undo stops when it is no longer wanted.
 
     If the program of the mode was abandoned too, the mode is ended.
@@ -251,7 +251,7 @@ def test_interpreter_raises_when_mode_is_unavailable() -> None:
 
 
 @pytest.mark.slow
-def test_port_replies_to_each_line() -> None:
+def test_interpreter_port_replies_to_each_line() -> None:
     with Controller("UR5e", "5.11", motion=Still()) as controller:
         where = (controller.host, controller.ports["interpreter"])
         with socket.create_connection(where, TIMEOUT) as link, link.makefile("rw", newline="\n") as lines:

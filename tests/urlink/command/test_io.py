@@ -74,7 +74,7 @@ def test_io_rejects_missing_channels_and_invalid_values(robot: ScriptedControlle
     assert robot.sent == []
 
 
-def test_getters_read_both_interfaces(robot: ScriptedController) -> None:
+def test_io_getters_read_primary_and_realtime_states(robot: ScriptedController) -> None:
     io = robot.io
     board = {
         "digital_input_bits": 1 << 3 | 1 << 8 | 1 << 17,

@@ -19,8 +19,6 @@ from linkcore.wire.packet import State
 from tests.fakes.line import FIRMWARE, Desk, Subscriber, fast, slow
 from tests.fakes.packets import packet
 from urlink.command.interlock import Interlock
-from urlink.command.safety_monitor import SafetyMonitor
-from urlink.command.section import Section
 from urlink.errors import NotRunning, SafetyStop
 from urlink.protocol.enums import RobotMode, SafetyMode
 from urlink.protocol.primary.robot_message import SafetyModeMessage
@@ -187,7 +185,7 @@ def test_monitor_subscribes_again_after_connection_gave_up(desk: Monitored, stat
     assert desk.monitor.refusal_to_begin() is None  # an event of the previous subscription is ignored
 
 
-def test_partial_reports_of_primary_interface(desk: Monitored) -> None:
+def test_state_without_robot_mode_does_not_clear_a_violation(desk: Monitored) -> None:
     desk.clear()
     desk.primary.deliver(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
     assert "violation" in str(desk.monitor.refusal_to_begin())
@@ -245,18 +243,20 @@ def test_close_drops_references_to_hooks(desk: Monitored) -> None:
 @pytest.mark.parametrize(
     "ask",
     [
-        SafetyMonitor.require,
-        SafetyMonitor.require_running,
-        lambda monitor: monitor._interlock.enable(monitor.clock()),
+        lambda desk: desk.monitor.require(),
+        lambda desk: desk.monitor.require_running(),
+        lambda desk: desk.interlock.enable(desk.clock()),
     ],
 )
-def test_refusal_is_freed_after_being_caught(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
+def test_refusal_leaves_no_reference_cycle_after_being_caught(
+    desk: Monitored, ask: Callable[[Monitored], None]
+) -> None:
     """The traceback contains the frame that raised the error, so that frame must not refer to the error."""
     caught: list[weakref.ref[LinkError]] = []
     gc.disable()
     try:
         try:
-            ask(desk.monitor)
+            ask(desk)
         except NotRunning as error:
             caught.append(weakref.ref(error))
         assert [each() for each in caught] == [None]
@@ -305,7 +305,7 @@ def test_wait_for_wakes_at_every_change() -> None:
         assert desk.monitor.wait_for(look, 3600.0)
 
 
-def test_timeouts_of_first_and_next_report() -> None:
+def test_monitor_waits_longer_for_first_than_for_next_report() -> None:
     """Two seconds for a first report; if something blocks motion, half a second for every source's next report."""
     desk = Desk(may_wait=True)
     asked: list[tuple[Callable[[Interlock], object], float]] = []
@@ -339,8 +339,11 @@ def test_timeouts_of_first_and_next_report() -> None:
         assert is_settled(desk.interlock)
         desk.primary.deliver(slow())
     asked.clear()
-    desk.monitor._section = Section(lambda: True)
-    desk.monitor.await_news(moves=True)
+    reading = Desk()
+    reading.clear()
+    reading.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
+    reading.monitor.wait_for = wait_for  # type: ignore[method-assign]
+    reading.monitor.await_news(moves=True)
     assert asked == []  # the reader thread does not wait, because it would have to receive the report
 
 

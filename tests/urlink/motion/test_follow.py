@@ -19,6 +19,7 @@ from linkcore.errors import BadAddress, BadValue, Cancelled, ConnectFailed, Conn
 from linkcore.handle import Motion, Phase
 from linkcore.pending_call import PendingCall
 from linkcore.streaming.subscription import Subscription
+from tests import platforms
 from tests.fakes.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
@@ -103,7 +104,7 @@ def test_unknown_link_is_rejected(robot: Rehearsal) -> None:
     assert robot.sent == []
 
 
-def test_state_from_the_past_counts_as_one_cycle(robot: Rehearsal) -> None:
+def test_state_with_earlier_time_counts_as_one_cycle(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH)
     robot.connect()
     way: list[float] = []
@@ -248,7 +249,7 @@ def test_impossible_trajectories_are_rejected(led: Rehearsal) -> None:
     assert led.motion.current is None
 
 
-def test_position_of_moving_arm_is_not_checked_yet(led: Rehearsal) -> None:
+def test_follow_checks_start_position_when_the_arm_is_at_rest(led: Rehearsal) -> None:
     """The previous motion has ended, but the newest state was sent a little before its end."""
     led.q, led.qd = turned(-0.2), [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     led.show()
@@ -388,7 +389,7 @@ def test_leaving_path_raises_tolerance_exceeded(led: Rehearsal) -> None:
     assert last[1] == STOP
 
 
-def test_missing_goal_raises_tolerance_exceeded(led: Rehearsal) -> None:
+def test_arm_that_misses_the_goal_raises_tolerance_exceeded(led: Rehearsal) -> None:
     motion = begun(led, goal_time=0.1)
     while not motion.done:
         led.tick(away=0.02)
@@ -431,6 +432,7 @@ def test_occupied_port_raises_bad_address(rehearsal: Callable[..., Rehearsal], r
     assert other.motion.current is None
 
 
+@platforms.needs_reusable_ports
 def test_fixed_port_serves_consecutive_motions(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
     fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
@@ -445,6 +447,7 @@ def test_fixed_port_serves_consecutive_motions(rehearsal: Callable[..., Rehearsa
     after.cancel()
 
 
+@platforms.needs_reusable_ports
 def test_refused_motion_keeps_port_of_current_motion(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
     fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
@@ -526,7 +529,7 @@ def test_low_bandwidth_starts_at_position_of_arm(robot: Rehearsal) -> None:
     assert "stopj" in robot.sent[-1]
 
 
-def test_invalid_request_raises_program_stopped(robot: Rehearsal) -> None:
+def test_follow_raises_program_stopped_after_an_invalid_request(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH, low_bandwidth=True)
     robot.connect()
     assert robot.link is not None

@@ -152,7 +152,7 @@ def test_old_messages_do_not_feed_watchdog(firmware: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("firmware", ["5.25"])
-def test_torques_move_arm_and_fade(firmware: str) -> None:
+def test_torques_move_the_arm_and_fade_without_messages(firmware: str) -> None:
     bench = Bench(firmware)
     bench.take(force_control.torque(bench.firmware, LINK, friction_compensation=True, watchdog=0.05))
     bench.write_messages([0, 0, 0, 0, 0, 0], 0.05)
@@ -192,7 +192,7 @@ def test_motion_stops_after_distance_without_contact() -> None:
 
 
 @pytest.mark.parametrize("text", ["urlink: contact ", "urlink: contact [1,2]", "urlink: contact [a,b,c,d,e,f]", "else"])
-def test_contact_of_invalid_text_is_none(text: str) -> None:
+def test_invalid_contact_message_gives_no_contact(text: str) -> None:
     assert force_control.contact_of(text) is None
 
 
@@ -214,7 +214,7 @@ def test_programs_compile_with_socket_link(firmware: str) -> None:
         assert body.index(f"  {end}") < body.index("  stopj(4.0)")
 
 
-def test_kept_message_is_repeated_until_muted() -> None:
+def test_kept_message_is_sent_with_each_state_until_muted() -> None:
     dialogue = KeptMessage(lambda link: [])
     state = RealtimeState(Firmware(5, 11))
     assert dialogue.step(b"", state, 0.0) == WAIT_MESSAGE

@@ -45,7 +45,7 @@ def test_gains_and_posture_are_repeated_among_targets() -> None:
 
 
 @pytest.mark.parametrize("has_posture", [False, True])
-def test_only_gains_are_sent_among_targets_without_posture(has_posture: bool) -> None:
+def test_gains_without_posture_are_sent_among_targets(has_posture: bool) -> None:
     """There is no posture before the first target, or if the program does not support one."""
     messages = made(has_posture=has_posture)
     if not has_posture:

@@ -23,6 +23,7 @@ from urlink.errors import ProgramStopped, SafetyStop
 from urlink.motion import Jog
 from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
 from urlink.motion.servo.jog import FULL_SPEED, FrameName, _Holding
+from urlink.motion.servo.linked_program import LinkedProgram
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
@@ -127,12 +128,12 @@ class TestMessages:
 
     @pytest.mark.parametrize("frame", get_args(FrameName))
     @pytest.mark.simulated_time
-    def test_speed_expires_in_every_frame(self, robot: Rehearsal, frame: FrameName) -> None:
+    def test_speed_expires_in_every_frame(self, robot: Rehearsal, dialogues: list[Any], frame: FrameName) -> None:
         with opened(robot, frame, timeout=0.25) as jog:
             jog.move([0.1] * 6)
-            then, state = jog._context.clock(), jog._context.state()
+            then, state = robot.context.clock(), robot.context.state()
             for now, is_held in ((then, True), (then + 0.25, True), (np.nextafter(then + 0.25, 999), False)):
-                speeds = np.array(read_message(jog._dialogue.step(b"", state, now))[0])
+                speeds = np.array(read_message(dialogues[0].step(b"", state, now))[0])
                 # A rotation between frames keeps the length of both halves.
                 lengths = np.linalg.norm(speeds.reshape(2, 3), axis=1)
                 assert lengths == pytest.approx([0.1 * math.sqrt(3) if is_held else 0.0] * 2)
@@ -163,11 +164,11 @@ class TestMessages:
 
 @pytest.mark.simulated_time
 def test_ctrl_c_while_a_block_ends_stops_the_arm(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted() -> None:
+    def interrupted(program: LinkedProgram) -> None:
         raise KeyboardInterrupt
 
     with opened(robot) as jog:
-        monkeypatch.setattr(jog._program, "finish", interrupted)
+        monkeypatch.setattr(LinkedProgram, "finish", interrupted)
         with pytest.raises(KeyboardInterrupt):
             jog.__exit__(None, None, None)
         assert isinstance(jog.error, Cancelled)
@@ -219,7 +220,9 @@ class TestHeldSpeeds:
         ids=["acceleration", "tool", "short"],
     )
     @pytest.mark.real_time
-    def test_some_changes_need_another_program(self, robot: Rehearsal, other: Callable[[Any], Motion]) -> None:
+    def test_speed_call_that_cannot_change_the_motion_preempts_it(
+        self, robot: Rehearsal, other: Callable[[Any], Motion]
+    ) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
         next(answers(robot))
@@ -333,9 +336,11 @@ def test_tool_moves_in_a_straight_line(firmware: Firmware) -> None:
     kinematics = Arm(jogged.model)
     before = kinematics.forward(HOME)
     send_speeds(jogged, [0, 0, -0.1, 0, 0, 0], 0.5)
-    moved = kinematics.forward(jogged.path[-1]) - before
+    after = kinematics.forward(jogged.path[-1])
     # The tool reaches its speed in 0.05 s.
-    assert moved == pytest.approx([0, 0, -0.0475, 0, 0, 0], abs=0.1 * 3 * jogged.period)
+    assert after[:3] - before[:3] == pytest.approx([0, 0, -0.0475], abs=0.1 * 3 * jogged.period)
+    # Compare matrices, because a turn by pi about an axis and about its opposite is the same.
+    assert rotvec_to_matrix(after[3:]) == pytest.approx(rotvec_to_matrix(before[3:]), abs=1e-6)
 
 
 @pytest.mark.simulated_time

@@ -297,7 +297,7 @@ def test_set_point_advanced_in_pause_is_rejected(cell: Callable[[str, str], Cell
         one.path.clear()
         pressed(one, pendant.play)
         time.sleep(0.05)
-        with pytest.raises(BadValue, match="from where the arm is"):
+        with pytest.raises(BadValue, match="from the position of the arm"):
             servo.send([*READY[:5], 0.4])
     assert np.ptp(np.array(one.path)[:, 5]) < REST
 

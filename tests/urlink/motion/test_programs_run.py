@@ -68,7 +68,7 @@ def test_program_follows_streamed_set_points(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_missing_set_point_causes_no_dent(firmware: Firmware) -> None:
+def test_missing_set_point_changes_path_by_less_than_half_a_step(firmware: Firmware) -> None:
     smooth, gappy = streaming(firmware), streaming(firmware)
     for bench in (smooth, gappy):
         for i in range(100):
@@ -94,7 +94,7 @@ def test_program_coasts_at_decreasing_speed(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_coasting_uses_sent_speed_not_differences(firmware: Firmware) -> None:
+def test_program_coasts_at_the_sent_speed(firmware: Firmware) -> None:
     most = links.missable(0.1, firmware.rate)
     late = streaming(firmware, watchdog=0.1)
     targets: list[list[float]] = []
@@ -239,7 +239,7 @@ def test_program_follows_requested_points(firmware: Firmware, is_quintic: bool) 
 
 @pytest.mark.parametrize("is_quintic", [False, True])
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_each_number_of_a_point_is_used(firmware: Firmware, is_quintic: bool) -> None:
+def test_program_uses_speed_and_acceleration_of_each_point(firmware: Firmware, is_quintic: bool) -> None:
     """Points in between have speeds and accelerations in every joint, all of them different."""
     rng = np.random.default_rng(7)
     q = np.tile(HOME, (4, 1)) + 0.1 * rng.uniform(-1, 1, (4, 6))
@@ -258,7 +258,7 @@ def test_each_number_of_a_point_is_used(firmware: Firmware, is_quintic: bool) ->
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> None:
+def test_requested_waypoint_may_arrive_nearly_one_segment_late(firmware: Firmware) -> None:
     bench, server = handing_over(firmware, late=round(0.4 * firmware.rate))
     bench.run(round(5.0 / bench.period), server)
     assert bench.said == []
@@ -277,7 +277,7 @@ def test_missing_waypoint_ends_program_at_rest(firmware: Firmware) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_cut_link_is_noticed_without_pending_waypoint(firmware: Firmware) -> None:
+def test_lost_link_is_noticed_while_no_waypoint_is_requested(firmware: Firmware) -> None:
     slow = Trajectory.from_arrays([0, 10], [turned(0), turned(2)])
     bench, server = handing_over(firmware, slow)
     bench.run(round(5.0 / bench.period), server)

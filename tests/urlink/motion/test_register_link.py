@@ -12,7 +12,8 @@ import pytest
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
-from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
+from urlink.motion.links import register_link
+from urlink.motion.links.messages import LARGEST, STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.motion.links.register_link import SETPOINT_INPUTS, RegisterLink, RegisterPort
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.protocol.firmware import Firmware
@@ -90,14 +91,15 @@ def test_link_writes_all_inputs() -> None:
     assert isinstance(link.absence("nothing came"), ConnectFailed)
 
 
-def test_message_numbers_and_dates_always_fit_a_register() -> None:
+def test_message_numbers_and_dates_always_fit_a_register(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are never 0, because an unwritten register holds 0."""
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))
-    link._count = 0x7FFF_FFFD  # as after 50 days at 500 Hz
-    for _ in range(4):
-        link.send(dated(WAIT_MESSAGE, link._count))
-    assert [package["input_int_register_45"] for package in packages] == [0x7FFF_FFFE, 0x7FFF_FFFF, 1, 2]
+    assert LARGEST == 0x7FFF_FFFF  # reached after 50 days at 500 Hz
+    monkeypatch.setattr(register_link, "LARGEST", 2)
+    for date in range(4):
+        link.send(dated(WAIT_MESSAGE, date))
+    assert [package["input_int_register_45"] for package in packages] == [1, 2, 1, 2]
     link.send(dated(WAIT_MESSAGE, 0x8000_0000))
     assert packages[-1]["input_int_register_44"] == 0x7FFF_FFFF
 
@@ -211,7 +213,7 @@ def test_program_brakes_without_new_messages(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_missing_message_causes_no_dent(firmware: Firmware) -> None:
+def test_missing_message_does_not_disturb_the_path(firmware: Firmware) -> None:
     smooth, gappy = Led(firmware).connect(), Led(firmware).connect()
     for bench in (smooth, gappy):
         for i in range(100):

@@ -186,7 +186,7 @@ def test_arm_stays_on_path_whatever_the_slider_does(cell: Callable[[str, str], C
 
 
 @pytest.mark.slow
-def test_tolerances_count_time_of_trajectory(cell: Callable[[str, str], Cell]) -> None:
+def test_goal_time_counts_in_the_time_of_the_trajectory(cell: Callable[[str, str], Cell]) -> None:
     """At a tenth of the speed, the arm has ten times as long to arrive. At 0, no time passes."""
     one = cell("UR5", "3.15")
     # At the end of a trajectory that stops from full speed, the lag is 15 ms at most.
@@ -222,7 +222,7 @@ def test_arm_leaves_path_if_scaling_is_ignored(cell: Callable[[str, str], Cell])
         one.robot.motion.follow(curve(), scaling="ignore", path_tolerance=0.05).wait(TIMEOUT)
 
 
-def test_low_bandwidth_uses_only_time_of_robot(cell: Callable[[str, str], Cell]) -> None:
+def test_low_bandwidth_rejects_scaling_ignore(cell: Callable[[str, str], Cell]) -> None:
     one = cell("UR5e", "5.11")
     with pytest.raises(LocalError, match="in its own time"):
         one.robot.motion.follow(curve(), low_bandwidth=True, scaling="ignore")

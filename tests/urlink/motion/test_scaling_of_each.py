@@ -193,7 +193,7 @@ def went(way: Callable[[Cell], contextlib.AbstractContextManager[None]], fractio
         one.close()
 
 
-def test_each_motion_is_measured() -> None:
+def test_slider_effect_is_measured_for_each_motion() -> None:
     assert set(EFFECTS) == set(WAYS), f"every motion in EFFECTS needs an entry in WAYS of {__name__}"
 
 
@@ -208,7 +208,7 @@ def test_slider_effect_matches_declaration(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_loop_advancing_at_slider_0_is_rejected() -> None:
+def test_set_points_that_advance_at_slider_0_are_rejected() -> None:
     """The budget counts the time of the program: with the slider at 0, the arm could only jump afterwards."""
     one = Cell("UR5e", "5.11")
     try:

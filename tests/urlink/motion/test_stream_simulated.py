@@ -214,7 +214,7 @@ def test_missing_outputs_end_stream(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_second_producer_is_rejected(connect: Callable[..., Robot]) -> None:
+def test_points_from_a_second_thread_are_rejected(connect: Callable[..., Robot]) -> None:
     robot = connect()
     raised: list[Exception] = []
     with robot.motion.stream() as stream:
@@ -280,7 +280,7 @@ def test_another_motion_ends_stream(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_stream_of_async_robot() -> None:
+def test_async_robot_can_append_points_to_a_stream() -> None:
     async def use() -> None:
         async with urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
             await robot.motion.move_joints(READY, 2.0, 10.0, wait=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -331,7 +332,7 @@ def test_error_describes_invalid_file(tmp_path: Path, held: object, message: str
     if isinstance(held, dict):
         held = {"format": "urlink taught waypoints", "version": 1, "model": None, "waypoints": [], **held}
     file.write_text(json.dumps(held))
-    with pytest.raises(BadValue, match=f"{file}: {message}"):
+    with pytest.raises(BadValue, match=f"{re.escape(str(file))}: {message}"):
         Taught.load(file)
 
 
@@ -349,7 +350,7 @@ def test_impossible_calls_are_rejected(tmp_path: Path) -> None:
     assert len(taught) == 1
     with pytest.raises(BadValue, match="cannot write"):
         taught.save(tmp_path / "none" / "a.json")
-    with pytest.raises(BadValue, match=f"cannot write {tmp_path}"):
+    with pytest.raises(BadValue, match=re.escape(f"cannot write {tmp_path}")):
         taught.save(tmp_path)
     assert list(tmp_path.parent.glob(f".{tmp_path.name}*")) == []
     with pytest.raises(BadValue, match="cannot read"):

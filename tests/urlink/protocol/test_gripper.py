@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LinkError, LinkTimeout, LocalError, PacketError, WrongPeer
 from tests.fakes.clock import Clock
-from tests.waiting import until
+from tests.waiting import threads_named, until
 from urlink.protocol.gripper.client import Gripper, GripperFault, ObjectStatus
 from urlink.protocol.gripper.protocol import READABLE, WRITABLE, GripperProtocol, get_line, set_line, value_of
 from urlink.simulator import Controller
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.simulated_time
 
 @pytest.mark.property
 @given(st.sampled_from(READABLE), st.integers(0, 255), st.sampled_from(["\n", "\r\n", ""]), st.integers(0, 9))
-def test_value_does_not_depend_on_chunking_and_line_end(name: str, value: int, end: str, at: int) -> None:
+def test_gripper_value_does_not_depend_on_chunking_or_line_end(name: str, value: int, end: str, at: int) -> None:
     protocol = GripperProtocol()
     assert protocol.is_in_step
     assert protocol.ask(get_line(name)) == f"GET {name}\n".encode()
@@ -277,11 +277,13 @@ def test_abandoned_command_is_undone_by_stopping_fingers(
     with pytest.raises(LinkTimeout, match="the abandoned command 'gripper' might still"):
         gripper.set(SPE=9)
     replies.update({"SET GTO 0": b"ack\n", "SET SPE 9": b"ack\n"})
-    assert gripper._undos.settle(10.0)
+    until(lambda: not threads_named("undo"))
     gripper.set(SPE=9)
 
 
-def test_replies_without_line_end_and_wrong_replies(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
+def test_replies_without_line_end_are_read_and_wrong_ones_raise(
+    answering: Callable[[dict[str, bytes]], Gripper],
+) -> None:
     gripper = answering({"GET POS": b"POS 12", "GET STA": b"OBJ 3\n", "SET ACT 1": b"no\n", "GET COU": b"COU 5\nmore"})
     assert gripper.position() == 12
     assert gripper.get("COU") == 5
@@ -327,7 +329,7 @@ def test_status_at_rest_has_final_position(
     assert status.position == 75
 
 
-def test_threads_take_turns(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
+def test_gripper_commands_of_threads_are_serialised(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
     gripper = answering({f"GET {name}": f"{name} {at}\n".encode() for at, name in enumerate(READABLE)})
     wrong: list[LinkError | str] = []
 

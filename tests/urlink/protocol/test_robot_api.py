@@ -323,8 +323,9 @@ def test_refused_connection_names_service_setting() -> None:
 
 
 def test_standard_ports_depend_on_firmware() -> None:
-    assert Controller("UR5e", "10.12", ports="standard")._numbers.keys() == PORTS.keys() - {"dashboard"}
-    assert Controller("UR5e", "5.11", ports="standard")._numbers.keys() == PORTS.keys() - {"robot_api"}
+    for firmware, missing in (("10.12", "dashboard"), ("5.11", "robot_api")):
+        with Controller("UR5e", firmware, ports="standard") as controller:
+            assert controller.ports.keys() == PORTS.keys() - {missing}
 
 
 # -- scripted replies ------------------------------------------------------------------------------------

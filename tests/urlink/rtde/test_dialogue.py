@@ -92,13 +92,13 @@ def test_interrupted_open_closes_connection(monkeypatch: pytest.MonkeyPatch) -> 
     desk = ScriptedRtde()
 
     def interrupted(transport: RtdeTransport, dialogue: object) -> None:
-        assert not desk._closed
+        assert not desk.is_closed
         raise KeyboardInterrupt
 
     monkeypatch.setattr(RtdeTransport, "_begin", interrupted)
     with pytest.raises(KeyboardInterrupt):
         RtdeTransport(desk, Requests(("timestamp",))).open(5.0)
-    assert desk._closed
+    assert desk.is_closed
 
 
 def test_missing_optional_variable_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
@@ -262,7 +262,7 @@ def test_transport_disconnects_when_dialogue_fails() -> None:
     transport = RtdeTransport(desk, Requests(("timestamp",)))
     with pytest.raises(NoSuchVariable):
         transport.open(1.0)
-    assert desk._closed
+    assert desk.is_closed
     refused = ScriptedRtde(ConnectFailed("refused"))
     with pytest.raises(ConnectFailed):
         RtdeTransport(refused, Requests(("timestamp",))).open(1.0)

@@ -159,7 +159,7 @@ def test_number_of_tokens_depends_on_firmware(firmware: str, tokens: int) -> Non
     assert StartPlace(None, ()).on(Firmware.parse(firmware)).tokens == 0
 
 
-def test_words_contain_line_of_user_source() -> None:
+def test_error_messages_get_the_line_of_the_user_source() -> None:
     assert wrap("a\nb\nc", "t").words("syntax_error_on_line:4:end:") == "syntax_error_on_line:2:end:"
     assert wrap("a", "t").words("compile_error_name_not_found:a:") == "compile_error_name_not_found:a:"
 

@@ -77,6 +77,7 @@ def test_socket_fails_when_no_server_listens(sockets: ProgramSockets, listener: 
     "host", ["192.0.2.1", "10.0.0.1", "example.com", "", "0.0.0.0", "2130706433", "::1%nowhere", "fe80::1%9", "1.2.3"]
 )
 @pytest.mark.simulated_time
+@platforms.needs_linux
 def test_other_hosts_are_refused_without_a_socket(host: str, sockets: ProgramSockets, listener: socket.socket) -> None:
     before = descriptors()
     sockets.open("s", host, port(listener))
@@ -107,6 +108,7 @@ def test_other_hosts_are_tried_when_the_route_allows_them() -> None:
 
 
 @pytest.mark.real_time
+@platforms.needs_linux
 def test_reopening_a_name_closes_its_previous_socket(sockets: ProgramSockets, listener: socket.socket) -> None:
     before = descriptors()
     with opened(sockets, listener) as first, opened(sockets, listener) as second:
@@ -148,6 +150,7 @@ def test_peer_has_to_wait_when_the_program_never_reads(sockets: ProgramSockets, 
 
 
 @pytest.mark.real_time
+@platforms.needs_linux
 def test_close_all_leaves_no_descriptors_open(listener: socket.socket) -> None:
     before = descriptors()
     sockets = ProgramSockets(refuse_all)

@@ -121,7 +121,7 @@ def test_stream_follows_the_same_path_in_scaled_time() -> None:
         assert np.abs(drift).max() < 1e-4, name
 
 
-def test_stretching_of_the_lag_is_a_parameter() -> None:
+def test_servoj_lag_is_stretched_by_the_slider_if_configured() -> None:
     profile = [1.0] * 400 + [0.0] * 1000
     stretched, _ = streamed(profile)
     straight, _ = streamed(profile, ScalingParameters(servoj_lag_stretches=False))
@@ -208,7 +208,7 @@ def durations(lines: str, scaling: ScalingParameters = _USUAL, firmware: str = "
     while controller.program_name is not None:
         moving.append(any(targets(controller, 1)[0].qd))
     edges = np.flatnonzero(np.diff([0, *moving, 0]))
-    return [controller._state.period * float(count + 1) for count in np.diff(edges)[::2]]
+    return [1.0 / controller.firmware.rate * float(count + 1) for count in np.diff(edges)[::2]]
 
 
 @pytest.mark.parametrize("rest", ["", "  sleep(0.3)\n"])

@@ -32,7 +32,7 @@ from urlink_accept.identification.exercise import Guard
 _FEW = 6
 
 
-def test_all_defects_are_many_and_different() -> None:
+def test_at_least_200_different_defects_can_be_drawn() -> None:
     assert len(set(all_defects())) == len(all_defects()) >= 200
 
 
@@ -51,7 +51,7 @@ def test_drawn_defects_are_found_and_named(tmp_path: Path) -> None:
     assert sum(named) >= 0.8 * _FEW - 1
 
 
-def test_stage_that_moves_does_not_run_on_refuted_positions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_moving_stage_is_skipped_when_positions_are_refuted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.urlog"
     monkeypatch.setattr("urlink_accept.acceptance.stages.refuted_positions", lambda verdicts: "tracking is NOT HELD")
     monkeypatch.setattr(Guard, "__init__", lambda *args: pytest.fail("the stage began"))
@@ -97,7 +97,7 @@ def test_page_begins_with_verdict_and_draws_quantities(listened: Evidence) -> No
 
 
 @pytest.mark.parametrize(("by", "state"), [(0.2, "not tried"), (0.0, "not held")])
-def test_disturbed_step_is_not_tried(listened: Evidence, by: float, state: str) -> None:
+def test_step_is_reported_as_not_tried_after_computer_delay(listened: Evidence, by: float, state: str) -> None:
     evidence = Evidence.__new__(Evidence)
     evidence.__dict__.update(listened.__dict__)
     evidence.__dict__.pop("_delays", None)
@@ -110,7 +110,7 @@ def test_disturbed_step_is_not_tried(listened: Evidence, by: float, state: str) 
     assert ("this computer was busy" in verdict.seen) == (by > 0.0)
 
 
-def test_stage_that_moves_listens_first_when_stage_0_was_not_requested(tmp_path: Path) -> None:
+def test_moving_stage_listens_first_if_stage_0_is_not_requested(tmp_path: Path) -> None:
     """Positions with the wrong sign are planted in the packets of the controller itself."""
     path = tmp_path / "run.urlog"
     with urlink.simulated_time(seed=3), Controller("UR5", "3.15") as controller, pytest.MonkeyPatch.context() as patch:

@@ -41,7 +41,7 @@ def test_fit_recovers_published_arm() -> None:
 def test_fit_rejects_small_motions() -> None:
     _, q, _, _ = motion(rate=10.0)
     q[:, 1:3] = -1.0
-    with pytest.raises(BadValue, match="joints 1, 2 move by less"):
+    with pytest.raises(BadValue, match=r"less than 0\.2 rad: 1, 2"):
         fit_calibration(Arm("UR5e").model, q, Arm("UR5e").forward(q))
 
 

@@ -77,7 +77,7 @@ def test_plan_rejects_positions_beyond_joint_limits() -> None:
 
 
 @pytest.mark.simulated_time
-def test_exercise_needs_planned_start_and_held_switch() -> None:
+def test_exercise_requires_planned_position_and_held_switch() -> None:
     with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
         with urlink.connect(controller.address) as robot:
             planned = plan_from_here(robot)

@@ -69,7 +69,7 @@ def test_joint_at_rest_has_no_estimates() -> None:
     assert found.rotor_inertias[3].is_known
 
 
-def test_missing_currents_leave_moment_estimates() -> None:
+def test_inertia_is_estimated_without_currents() -> None:
     given = columns(np.random.default_rng(3))
     del given["target_current"]
     found = fit_joints(MODEL, given)
@@ -121,7 +121,7 @@ def test_student_widens_for_few_blocks() -> None:
 
 @pytest.mark.parametrize("wait", [0.0, 0.02, 0.05], ids="after {} s".format)
 @pytest.mark.parametrize("speed", [1.0, 0.6], ids="at {}".format)
-def test_start_rate_of_program_that_waits_first(wait: float, speed: float) -> None:
+def test_ramp_rate_is_correct_when_program_waits_before_moving(wait: float, speed: float) -> None:
     """The ramp starts with the program.
 
     Without this rule, a busy computer measured 7.2 instead of 6.25.
@@ -144,7 +144,7 @@ def test_start_rate_of_program_that_waits_first(wait: float, speed: float) -> No
     assert found.low < 6.25 < found.high
 
 
-def test_interval_of_ratio() -> None:
+def test_reciprocal_of_an_estimate_inverts_its_interval() -> None:
     found = of_ratio(Estimate(0.1, 0.08, 0.125))
     assert (found.value, found.low, found.high) == pytest.approx((10.0, 8.0, 12.5))
     assert not of_ratio(Estimate(0.1, -0.1, 0.3)).is_known

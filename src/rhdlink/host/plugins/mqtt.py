@@ -1,10 +1,10 @@
-"""Robots over MQTT: values that DTU's current robots publish to a broker, as RHD variables, and a simulated one.
+"""Robots over MQTT: a plugin for DTU's current robots, which publish values to a broker, and a simulated robot.
 
 Known facts about these robots: they use the broker mosquitto, with topics such as ``robobot/drive/T0/pose``. A payload
-is ASCII, with numbers separated by blanks, and the time first. There is one master, which sends messages to stay the
+is ASCII, with numbers separated by blanks, and the time first. One client is the master, and sends messages to stay the
 master. The robot stops after 2 s without such a message. All other entries in `ROBOBOT` (names of the other topics,
-order and units of values) are assumptions, and marked as such. Therefore it is a table that users can edit
-(`read_topics`).
+order and units of values) are assumptions, and marked as such. Therefore `ROBOBOT` is made from a table that users can
+replace by their own (`read_topics`).
 
 This module needs paho-mqtt (``pip install urlink-robot[mqtt]``), which is imported when a plugin begins. paho uses its
 own thread for each connection; its callbacks here only store payloads in a dictionary.
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-#: Time, in seconds, without a message of its master, after which a robot stops.
+#: Time, in seconds, without a message from the master after which a robot stops.
 MASTER_TIMEOUT = 2.0
 #: Interval, in seconds, between two messages of a master, and between two commands.
 _ALIVE = 0.25
@@ -61,7 +61,7 @@ _DIRECTIONS = ("read", "command", "alive")
 
 @dataclass(frozen=True)
 class MqttTopic:
-    """One line of the table.
+    """Line of the table of topics.
 
     Attributes:
         direction: "read" for data of the robot, "command" for its velocity, "alive" for the message of its master.
@@ -91,7 +91,7 @@ class MqttTopic:
 
 @dataclass(frozen=True)
 class Topics:
-    """The table.
+    """Table of topics.
 
     Attributes:
         pose: Pose of the robot; its values include x, y and heading.
@@ -171,7 +171,7 @@ class MqttStatistics(NamedTuple):
 
 
 class _Broker:
-    """A connection to a broker, which reconnects automatically, and the newest payload of each topic.
+    """Connection to a broker, with the newest payload of each topic. It reconnects automatically.
 
     Raises:
         LocalError: If paho-mqtt is not installed.
@@ -203,7 +203,7 @@ class _Broker:
         if reason.is_failure:
             _log.warning("MQTT broker at %s:%d: connection refused: %s", *self._place, reason)
             return
-        # Subscribe again after each loss: the session is clean, so the broker keeps no subscriptions.
+        # Subscribe again after each lost connection, because the broker keeps no subscriptions of a clean session.
         client.subscribe([(name, 0) for name in self._topics])
 
     def _on_message(self, client: Client, userdata: Any, message: MQTTMessage) -> None:
@@ -251,17 +251,18 @@ def _configured(config: Element, broker: str, port: int, topics: Topics) -> tupl
 
 
 class MqttRobot(VelocityBridge):
-    """A robot behind an MQTT broker, presented to RHD programs (MRC, missions, your own) as a robot that they know.
+    """Plugin for a robot behind an MQTT broker. RHD programs (MRC, missions, your programs) use it like other robots.
 
-    Its pose becomes `transpos` and `rotpos`; `cmdtransvel` and `cmdrotvel` become its command. Each topic that it
-    publishes is a read variable of doubles, with the name from the table::
+    The pose of the robot is converted to `transpos` and `rotpos`, and `cmdtransvel` and `cmdrotvel` are converted to
+    its command. Each topic that the robot publishes becomes a read variable of doubles, with the name from the table::
 
         class Robobot(rhdlink.robots.VelocityOmega):
             pose = rhdlink.Read(rhdlink.Float64, 4)      # time, x, y, heading
 
-    While a program may write, the robot is sent an alive message and its velocity four times a second. When no program
-    may write, or the host ends, it is sent the velocity 0 and nothing more. If that message is lost, the robot stops on
-    its own 2 s later. If no pose has arrived for `timeout` seconds, the velocity 0 is sent until a pose arrives.
+    While a program may write, the plugin sends an alive message and the velocity to the robot four times a second. When
+    no program may write, or when the host ends, the plugin sends the velocity 0 and nothing more. If that message is
+    lost, the robot stops on its own 2 s later. If no pose has arrived for `timeout` seconds, the velocity 0 is sent
+    until a pose arrives.
 
     Args:
         broker: Address of the broker; in an `rhdconfig.xml`, ``broker="..."``.
@@ -353,7 +354,7 @@ class MqttRobot(VelocityBridge):
         if self._broker is None:
             return
         if self._clock() - self._seen > self._timeout:
-            twist = Twist(0.0, 0.0)  # the pose is too old for driving
+            twist = Twist(0.0, 0.0)  # the pose is too old, so the robot must not drive
         self._broker.send(self._topics.command, twist._asdict())
 
     def terminate(self) -> None:
@@ -365,10 +366,10 @@ class MqttRobot(VelocityBridge):
 
 
 class MqttTurtle(Plugin):
-    """A robot in a square world that uses MQTT as DTU's robots do: it publishes its pose, and obeys its master.
+    """Simulated robot in a square world, which publishes its pose and obeys its master over MQTT, as DTU's robots do.
 
     The first client that sends an alive message becomes the master. Messages with the same value are from the same
-    master. 2 s after its last message, the robot stops, and another client can become the master.
+    master. 2 s after the last message of the master, the robot stops, and another client can become the master.
 
     Args:
         broker: Address of the broker; in an `rhdconfig.xml`, ``broker="..."``.

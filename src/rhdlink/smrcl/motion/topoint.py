@@ -3,9 +3,9 @@
 Each piece is driven forward or backward.
 
 Both arcs have the same radius. The first circle touches the start pose on its left or right, and the last circle
-touches the goal in the same way. A common tangent joins the circles, and each arc can go either way round its circle.
-The shortest of all these paths is chosen. A later path replaces the best one only if it is at least 1 mm shorter. So
-the order of the enumeration affects the result, and it is the order of MRC (drivetopoint_generate.c and
+touches the goal in the same way. A common tangent joins the circles, and each arc can follow its circle in either
+direction. The shortest of all these paths is chosen. A later path replaces the best one only if it is at least 1 mm
+shorter. So the order of the enumeration affects the result, and it is the order of MRC (drivetopoint_generate.c and
 drivetopoint_evaluate.c by J. M. Bruun and O. Corradi).
 """
 
@@ -27,7 +27,7 @@ _EXACT, _NEGLIGIBLE = 1e-6, 1e-3
 
 @dataclass(frozen=True)
 class ArcPath:
-    """A path to a pose.
+    """Path to a pose: an arc, a straight piece and an arc.
 
     Attributes:
         first, last: Angles of the arcs in rad; positive if the centre is on the left.
@@ -44,7 +44,7 @@ class ArcPath:
     last_direction: int
 
     def length(self, radius: float) -> float:
-        """Length of the path in m, with arcs of `radius`."""
+        """Return the length of the path in m, with arcs of `radius`."""
         return radius * (abs(self.first) + abs(self.last)) + self.straight
 
     @property
@@ -56,7 +56,7 @@ class ArcPath:
 def choose_path(goal: PlanarPose, radius: float, *, forward_only: bool = False) -> ArcPath | None:
     """Choose the shortest path from the origin to `goal`.
 
-    None if the goal is nan or inf, or if `forward_only` excludes all paths.
+    Return None if the goal is nan or inf, or if `forward_only` excludes all paths.
     """
     best: ArcPath | None = None
     for path in ways(goal, radius):
@@ -177,11 +177,11 @@ _TOLERANCE = 0.0005
 
 
 class NoWay(ValueError):
-    """There is no path to the goal, or every path goes backward."""
+    """Error: there is no path to the goal, or every path goes backward."""
 
 
 class DriveToPoint(ControlledMotion):
-    """Three motions in a row, planned once and driven without checking the goal again.
+    """Motion along an arc, a line and an arc. The path is planned once, and the goal is not checked again.
 
     The motion ends at full speed unless the last piece changes the direction. It ends a few centimetres and degrees
     away from the goal.

@@ -242,7 +242,7 @@ def test_error_in_an_inlined_function_has_its_line(text: str, statement: str, pl
     assert place in line
 
 
-def test_function_without_a_return_value() -> None:
+def test_function_without_return_value_cannot_be_used_in_a_list() -> None:
     assert run(f"{NOTHING}textmsg(nothing(1))\n").notes[0].endswith("textmsg one")
     execution = start(f"{NOTHING}x = [nothing(2)]\n", NotedWorld())
     execution.advance()

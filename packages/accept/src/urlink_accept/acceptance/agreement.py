@@ -1,8 +1,8 @@
 """Checks that compare interfaces: they must report the same quantities in the same cycle of the controller.
 
 Packets of the same cycle are recognised by noisy values that are equal to the last bit, because the clocks of two
-interfaces may start at different times. It is assumed that every controller sends the same bits on both interfaces; the
-test checks this.
+interfaces might have started at different times. It is assumed that every controller sends the same bits on both
+interfaces; the test checks this.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Column = NDArray[np.float64]
 
 
 class _Field(NamedTuple):
-    """One quantity: its names on the real-time interface and in RTDE, and its place in a robot state."""
+    """Names of one quantity on the real-time interface and in RTDE, and its place in a robot state."""
 
     realtime: str
     rtde: str
@@ -95,9 +95,10 @@ RTDE_NAMES = ("timestamp", *(each.rtde for each in _FIELDS), "target_speed_fract
 
 #: Noisy values that identify packets of the same cycle.
 _KEYS = ("q_actual", "I_actual", "qd_actual", "tcp_force", "motor_temperatures", "tool_vector_actual")
-#: Minimum number of pairs for a match to be accepted.
+#: Minimum number of pairs with which a match is accepted.
 _FEWEST = 8
-#: Relative differences by rounding, for 64 and for 32 bits; and the fraction of packets that may differ.
+#: Largest relative differences because of rounding, for numbers of 64 and of 32 bits; and the fraction of packets that
+#: may differ.
 _ROUNDING, _ROUNDING_32, _SOME = 1e-6, 1e-5, 0.02
 
 
@@ -107,7 +108,8 @@ class _Joined(NamedTuple):
     Attributes:
         own: Indices on the real-time interface, shape (n,).
         other: Indices on the other interface, shape (n,).
-        offset: Lead of the clock of the other interface, in s; None if no values show it.
+        offset: Time by which the clock of the other interface is ahead, in s; None if it cannot be found from the
+            values.
     """
 
     own: NDArray[np.intp]
@@ -135,7 +137,7 @@ def _join(evidence: Evidence, which: str) -> _Joined:
 
 
 def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float | None:
-    """Return the lead of the other clock in s, from values that both interfaces have sent."""
+    """Return the time by which the other clock is ahead, in s, computed from values that both interfaces have sent."""
     for each in _FIELDS:
         if each.realtime not in _KEYS:
             continue
@@ -157,7 +159,10 @@ def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float
 
 
 def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
-    """Return the same lead from the smallest delays, if no values change, rounded to a cycle."""
+    """Return the time by which the other clock is ahead, in s, computed from delays, and rounded to a cycle.
+
+    The smallest delays of both interfaces are compared. This method is used if no values change from cycle to cycle.
+    """
     packets: Came = getattr(evidence, which)
     ahead = float((evidence.realtime.arrived - own).min() - (packets.arrived - other).min())
     assert evidence.firmware is not None
@@ -199,7 +204,7 @@ def _agree(evidence: Evidence) -> Measured:
 
 
 def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
-    """Return which interface differs, if a third one decides, and how."""
+    """Return a description of a difference. If a third interface shows which of two is wrong, name the wrong one."""
     each = next((each for each in _FIELDS if each.realtime == name), None)
     odd, first = next(iter(said.items()))
     if each is None or each.primary is None or len(tried) < 2:
@@ -212,7 +217,10 @@ def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
 
 
 def _other_mode(own: Column, other: Column) -> str:
-    """Return how two interfaces differ in a mode, or "". A mode may change one state later on one of them."""
+    """Return a description of the difference of a mode on two interfaces; "" if there is none.
+
+    A mode may change one state later on one of the interfaces.
+    """
     own, other = own.reshape(len(own), -1), other.reshape(len(other), -1)
     before, after = np.vstack([own[:1], own[:-1]]), np.vstack([own[1:], own[-1:]])
     wrong = ~((other == own) | (other == before) | (other == after))
@@ -223,7 +231,10 @@ def _other_mode(own: Column, other: Column) -> str:
 
 
 def _difference(field: str, own: Column, other: Column, rounding: float, rows: Mapping[tuple[str, str], Column]) -> str:
-    """Return how two interfaces differ in a field, or "". `rows` contains the rows of all fields."""
+    """Return a description of the difference of a field on two interfaces; "" if there is none.
+
+    `rows` contains the rows of all fields.
+    """
 
     def same(a: Column, b: Column) -> bool:
         far = np.abs(a - b) > rounding * np.maximum(1.0, np.abs(a))
@@ -246,7 +257,7 @@ def _difference(field: str, own: Column, other: Column, rounding: float, rows: M
 
 
 def likeness(right: Column, wrong: Column) -> str:
-    """Return how `wrong` differs from `right`.
+    """Return a description of the difference of `wrong` from `right`.
 
     >>> likeness(np.array([[1.0, 2.0], [3.0, 5.0]]), np.array([[-1.0, 2.0], [-3.0, 5.0]]))
     'the sign of 1 of 2 components is inverted'

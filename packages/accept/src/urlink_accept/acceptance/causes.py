@@ -1,7 +1,7 @@
 """Likely cause of the requirements that are not held, for the top of the page.
 
-One defect of a controller can break many requirements. The rules are in the order of how far a defect spreads: a rule
-that explains others comes first.
+One defect of a controller can break many requirements. A requirement comes first in the order if the defect that
+breaks it can also break other requirements.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .report import Verdict
 
-#: Requirements in the order in which their result is the likely cause, each with the start of the sentence.
+#: Requirements, sorted so that the most likely cause comes first, and the beginning of the sentence for each on the
+#: page.
 _ORDER: Mapping[str, str] = {
     "ports": "An interface cannot be reached",
     "connects-back": "The controller cannot connect back to this computer",
@@ -59,7 +60,8 @@ _ORDER: Mapping[str, str] = {
     "realtime-jitter": "Packets of the real-time interface arrive in bursts or unevenly",
     "rtde-jitter": "Packets of RTDE arrive in bursts or unevenly",
 }
-#: Joint positions that other requirements depend on. Nothing may move if one of these requirements refutes them.
+#: Fields with joint positions, and requirements about them. If one of these requirements shows that the positions are
+#: wrong, the arm must not move.
 _POSITIONS = ("q_actual", "q_target", "actual_q", "target_q")
 _ABOUT_POSITIONS = frozenset({"tracking", "kinematics", "realtime-bytes", "realtime-size", "clock-forward"})
 _MOST = 3
@@ -77,11 +79,11 @@ def likely_causes(verdicts: Sequence[Verdict]) -> list[str]:
 
 
 def refuted_positions(verdicts: Sequence[Verdict]) -> str:
-    """Return why the joint positions cannot be trusted, or ""."""
+    """Return the reason why the joint positions cannot be trusted; "" if there is none."""
     for each in verdicts:
         if each.state != "not held":
             continue
-        # The name of a field, not the end of another name: tcp_force_q_actual would be another field.
+        # Search for the whole name of a field, not for the end of another name, such as tcp_force_q_actual.
         names = any(re.search(rf"(?<!\w){name}(?!\w)", each.seen) for name in _POSITIONS)
         if each.requirement.name in _ABOUT_POSITIONS or (
             names and each.requirement.name in ("fields-agree", "values-possible", "values-live", "velocities")

@@ -13,7 +13,7 @@ _STEP, _LEAST = 0.01, 0.002
 
 
 class DelayMeter:
-    """Context manager with a thread that wakes up every 10 ms, and reports how late it was.
+    """Context manager with a thread that wakes up every 10 ms, and reports the delay of each wake-up.
 
     A busy computer delays this thread in the same way as the threads that read and send packets.
 

@@ -51,7 +51,7 @@ class Note(NamedTuple):
 
 @dataclass
 class Wire:
-    """One connection, in one direction.
+    """Data of one connection in one direction.
 
     Attributes:
         interface: Name of the interface: "realtime", "primary", ... or "reverse".
@@ -76,14 +76,14 @@ class Came:
     """Packets of one interface, from all connections to it.
 
     Attributes:
-        states: Packets of the class with the values, in the order of their arrival.
+        states: Packets of the class that contains the values, in the order of their arrival.
         arrivals: Monotonic arrival time of each state, in s.
         others: All other packets.
-        sizes: Size of a packet in bytes -> number of packets of this size.
+        sizes: Number of packets of each size. The keys are the sizes in bytes.
         failures: Reasons why packets could not be decoded.
         skipped: Number of bytes that belong to no packet.
         unknown: Number of packets, or parts of packets, of an unknown type.
-        tails: Number of packets, or parts of packets, that end in bytes which no layout explains.
+        tails: Number of packets, or parts of packets, that end with bytes that no layout describes.
         begins: Indices of the first state of each connection.
     """
 
@@ -98,7 +98,7 @@ class Came:
     begins: list[int] = field(default_factory=list)
 
     def column(self, read: Callable[[Any], Any]) -> NDArray[np.float64] | None:
-        """Return the values that `read` returns for the states, one row each; None if a state does not have them."""
+        """Return the values that `read` returns for the states, one row for each state; None if a state lacks them."""
         values = [read(state) for state in self.states]
         if not values or any(value is None for value in values):
             return None
@@ -171,7 +171,7 @@ class Evidence:
         return found[-1].said if found else None
 
     def delay(self, begin: float, end: float) -> float:
-        """Return the longest delay of this computer between two monotonic times, in s.
+        """Return the longest delay of the computer between two monotonic times, in s.
 
         The time for which the step "frozen" suspends this program on purpose does not count.
         """
@@ -200,7 +200,7 @@ class Evidence:
         return [wire for wire in self.wires if wire.interface == interface and not wire.is_sent]
 
     def _alone(self, interface: str) -> list[Wire]:
-        """Return consecutive connections, without those that were opened while another one was open."""
+        """Return the connections that were opened while no other connection to the interface was open."""
         return [wire for wire in self.received(interface) if not wire.is_beside]
 
     @cached_property
@@ -233,7 +233,7 @@ class Evidence:
 
 
 def decoded(evidence: Evidence, wire: Wire, protocol: Any, kind: type) -> Came:
-    """Return the packets of one connection. For RTDE, the protocol is None and follows from the requested names."""
+    """Return the packets of one connection. For RTDE, pass None as the protocol; the requested names determine it."""
     if protocol is not None:
         return _read([(wire, protocol())], kind)
     received = evidence.received("rtde")
@@ -243,7 +243,7 @@ def decoded(evidence: Evidence, wire: Wire, protocol: Any, kind: type) -> Came:
 
 
 def _names(sent: Wire) -> tuple[str, ...]:
-    """Return the outputs that were first requested, and started, on a connection to RTDE."""
+    """Return the names of the first outputs that were requested and started on a connection to RTDE."""
     data, at, is_started = sent.data, 0, False
     names: tuple[str, ...] = ()
     while at + 3 <= len(data):
@@ -251,7 +251,7 @@ def _names(sent: Wire) -> tuple[str, ...]:
         frame = data[at : at + max(size, 3)]
         is_started = is_started or frame[2:3] == b"S"
         if frame[2:3] == b"O" and not names:
-            # Under protocol 2, a frequency precedes the names. Its first byte is not a letter.
+            # In protocol 2, a frequency precedes the names. The first byte of the frequency is not a letter.
             request = decode_request(frame, 1 if frame[3:4].isalpha() else 2)
             assert isinstance(request, OutputsRequest)
             names = split_names(request.names)

@@ -1,4 +1,4 @@
-"""Stage 0: listen to a controller and send queries only. Also the checks of its answers.
+"""Stage 0: listen to a controller, send only queries, and check the answers of the controller.
 
 The answers are the variables of RTDE, and the replies of the dashboard or the Robot API.
 """
@@ -32,7 +32,8 @@ _NOT_ASKED = ("quit", "get serial number")
 _TIMEOUT = 5.0
 #: Interval between checks of the clock, in s.
 _STEP = 0.01
-#: Kinds of evidence for a release in the table of variables that a controller without the variable contradicts.
+#: Kinds of evidence for the first release of a variable. With such evidence, a controller without the variable is
+#: wrong. With other evidence, the table of variables might be wrong.
 _BACKED = ("vendor", "drivers")
 
 
@@ -40,7 +41,7 @@ def listen(robot: Robot, place: RobotAddress, book: Logbook, seconds: float) -> 
     """Listen to every interface for a time, and send queries that change nothing.
 
     Args:
-        robot: Robot that was connected within the logbook.
+        robot: Robot that was connected while the logbook was open.
         place: Address with its ports.
         book: Logbook to write to.
         seconds: Time to listen, in s.
@@ -163,7 +164,7 @@ def _words(evidence: Evidence) -> Measured:
 
 def _dashboard_modes(evidence: Evidence) -> Measured:
     answers = {said["asked"]: said["reply"] for _, _, said in evidence.said("dashboard") if not said["error"]}
-    # Later stages run programs.
+    # Use only states of stage 0, because later stages run programs.
     states = evidence.primary.between(-math.inf, evidence.stage(0)[1]).states
     if not answers or not states or evidence.firmware is None:
         raise NotTried("there is no dashboard, or no robot state")

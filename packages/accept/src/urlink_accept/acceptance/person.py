@@ -47,22 +47,25 @@ DEEDS: Mapping[Deed, str] = {
 
 
 class Person(Protocol):
-    """Person who does what is requested."""
+    """Person who performs the requested actions."""
 
     def does(self, deed: Deed) -> bool:
-        """Request an action, and wait until it is done. Return False if it is not done."""
+        """Request an action, and wait for the person. Return whether the person has done the action."""
 
     def holds(self) -> bool:
-        """Return whether the arm may move, if no digital input shows it."""
+        """Return whether the person holds the dead-man switch, if no digital input shows this."""
 
 
 def is_held_by(person: Person, dead_man: int | None) -> Callable[[RealtimeState], bool]:
-    """Return a condition for states: whether the input of the dead-man switch is on, or the person holds it if None."""
+    """Return a function that takes a state, and returns whether the dead-man switch is held.
+
+    The digital input `dead_man` shows this. If `dead_man` is None, the person reports it.
+    """
     return input_is_on(dead_man) if dead_man is not None else lambda state: person.holds()
 
 
 class Nobody:
-    """Stand-in if no person is present."""
+    """Stand-in for a person, if no person is present."""
 
     def does(self, deed: Deed) -> bool:
         """Return False, because nothing is done."""
@@ -82,12 +85,12 @@ class AtTheTerminal:
         return sys.stdin.readline().strip() == ""
 
     def holds(self) -> bool:
-        """Return False: a terminal does not report that a key is held, so a digital input has to."""
+        """Return False, because a terminal does not report that a key is held. A digital input is needed for this."""
         return False
 
 
 class OfTheSimulator:
-    """Stand-in that acts on a simulated controller."""
+    """Stand-in for a person, which acts on a simulated controller."""
 
     def __init__(self, controller: Controller) -> None:
         self._deeds: dict[Deed, Callable[[], object]] = {
@@ -104,7 +107,7 @@ class OfTheSimulator:
         self._pressed = 0
 
     def does(self, deed: Deed) -> bool:
-        """Do it immediately."""
+        """Do the action immediately, and return True."""
         if deed in self._deeds:
             self._deeds[deed]()
         return True

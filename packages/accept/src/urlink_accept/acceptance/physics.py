@@ -16,13 +16,13 @@ from .arrivals import known_arm, moments
 from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted, how_different
 
-#: Speed in rad/s below which an arm is at rest, and above which its velocities can be judged.
+#: Speed in rad/s below which an arm counts as at rest, and speed in rad/s above which its velocities can be judged.
 _STANDS, _MOVES = 1e-3, 0.02
 #: Moment in Nm above which the current has the direction of the moment despite friction.
 _HEAVY = 5.0
-#: Factor by which the torque constants of an arm differ at most from the table.
+#: Largest factor between the torque constants of an arm and those in the table.
 _CONSTANTS = 1.7
-#: Fraction of the acceleration at rest along the axis of the base of an upright arm.
+#: Smallest fraction of the acceleration at rest that is along the axis of the base, if an arm is upright.
 _UPRIGHT = 0.95
 
 
@@ -58,7 +58,7 @@ def _column(evidence: Evidence, name: str) -> NDArray[np.float64] | None:
 
 
 def _wanted(evidence: Evidence, *names: str) -> list[NDArray[np.float64]]:
-    moments("realtime", evidence.realtime)  # checks that enough packets have arrived
+    moments("realtime", evidence.realtime)  # raises if too few packets have arrived
     found = [_column(evidence, name) for name in names]
     if any(each is None for each in found):
         raise NotTried(f"this firmware does not send {' and '.join(names)}")
@@ -66,7 +66,7 @@ def _wanted(evidence: Evidence, *names: str) -> list[NDArray[np.float64]]:
 
 
 def _stands(evidence: Evidence) -> NDArray[np.bool_]:
-    """Return which packets show an arm that runs and has been at rest for the last tenth of a second."""
+    """Return, for each packet, whether the arm is running and has been at rest for the last 0.1 s."""
     (qd,) = _wanted(evidence, "qd_target")
     running = RobotModeCB2.RUNNING if evidence.firmware is not None and evidence.firmware.is_cb2 else RobotMode.RUNNING
     modes = _column(evidence, "robot_mode")
@@ -136,7 +136,7 @@ def _velocities(evidence: Evidence) -> Measured:
         p, v = _wanted(evidence, position, velocity)
         with np.errstate(divide="ignore", invalid="ignore"):
             derived = (np.diff(p, axis=0) / steps[:, None])[is_next]
-        # The mean of a cycle is between the values at its ends. An arm can brake within a single cycle.
+        # The mean speed in a cycle is between the speeds at its ends. An arm can brake within a single cycle.
         between = np.clip(derived, np.minimum(v[1:], v[:-1])[is_next], np.maximum(v[1:], v[:-1])[is_next])
         for joint in range(6):
             a, b = derived[:, joint], between[:, joint]
@@ -213,7 +213,10 @@ def _gravity(evidence: Evidence) -> Measured:
 def _fitted_payload(
     known: Any, q: NDArray[np.float64], moment: NDArray[np.float64], stands: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mass at the flange that explains the moments best, for firmware that does not report the payload."""
+    """Return the payload that explains the moments best, for firmware that does not report it.
+
+    The masses have the shape (n,), in kg, and the centres of gravity are at the flange, shape (n, 3).
+    """
     at = int(np.flatnonzero(stands)[0])
     empty = Dynamics(known.kinematics).gravity_torque(q[at])
     each = Dynamics(known.kinematics, payload=1.0, payload_cog=(0.0, 0.0, 0.0)).gravity_torque(q[at]) - empty
@@ -221,7 +224,7 @@ def _fitted_payload(
     return np.full(len(q), mass), np.zeros((len(q), 3))
 
 
-#: Largest payload of an arm whose firmware does not report it, in kg.
+#: Largest payload that is fitted if the firmware does not report the payload, in kg.
 _LARGEST_PAYLOAD = 10.0
 
 
@@ -247,7 +250,7 @@ def _currents(evidence: Evidence) -> Measured:
     heavy = np.abs(moment) >= _HEAVY
     if heavy.any():
         slope = float(np.sum(actual[heavy] * current[heavy]) / max(float(np.sum(current[heavy] ** 2)), 1e-12))
-        # Static friction carries up to half of the weight.
+        # Static friction carries up to half of the weight, so the actual current can be much smaller.
         if not 0.4 < slope < _CONSTANTS:
             how = how_different(current, actual)
             how = how if "sign" in how else f"impossible torque constants, {how}"
@@ -257,7 +260,8 @@ def _currents(evidence: Evidence) -> Measured:
     return counted(wrong, f"{tried} joints: {np.round(current, 2).tolist()} A at {np.round(moment, 1).tolist()} Nm")
 
 
-#: Measured quantities with noise of their own on every arm, and quantities of which six equal ones are suspicious.
+#: Measured quantities that have noise on every arm, and quantities that are suspicious if all six joints have the same
+#: value.
 _NOISY, _UNEQUAL = ("q_actual", "I_actual"), ("q_actual", "I_actual", "motor_temperatures", "V_actual")
 #: Duration in s after which a constant measurement is suspicious.
 _CONSTANT = 1.5
@@ -282,7 +286,7 @@ def _alive(evidence: Evidence) -> Measured:
             still.append(name)
         if is_constant and name in _UNEQUAL and not np.ptp(values[0]):
             wrong.append(f"{name}: six identical constants, {values[0, 0]:g}")
-    # A simulated arm without noise has no noise anywhere.
+    # If no measurement has noise, the arm is simulated without noise, and this is not a defect.
     if len(still) < len(_NOISY):
         frozen = (f"{name} is frozen: it never changes, although other measurements have noise" for name in still)
         wrong = [*frozen, *(each for each in wrong if each.partition(":")[0] not in still)]
@@ -364,7 +368,7 @@ def _tcp_speed(evidence: Evidence) -> Measured:
     return counted(wrong, f"equal to the Jacobian times the joint speeds: {', '.join(seen)}")
 
 
-#: Relative difference of two speeds of the TCP above which they are different.
+#: Relative difference of two speeds of the TCP above which they count as different.
 _FRAME = 0.2
 
 
@@ -384,9 +388,9 @@ def _accelerometer(evidence: Evidence) -> Measured:
 
 
 def _upright(evidence: Evidence) -> NDArray[np.float64] | None:
-    """Return the mean acceleration that a tool at rest feels, shape (3,), in m/s²; None if the arm may be tilted.
+    """Return the mean acceleration that a tool at rest measures, shape (3,), in m/s²; None if the arm might be tilted.
 
-    The target moments show that the arm is upright: they are those of the published masses.
+    The arm counts as upright if the target moments agree with the gravity torques of the published masses.
     """
     try:
         stands = _stands(evidence)

@@ -1,4 +1,4 @@
-"""Checks of what the steps with a person and the steps about time show: signals, forces, stops, latency, reconnects."""
+"""Checks of the steps with a person, and of steps that measure times: signals, forces, stops, latency, reconnects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .person import WEIGHT
 from .requirements import Check, Measured, NotTried, counted, how_different
 from .standing import PAUSE
 
-#: Time in s within which every interface must show a signal: two robot states.
+#: Time in s within which every interface must show a signal: the period of two robot states.
 _SHOWN = 0.25
 
 
@@ -45,7 +45,7 @@ def _columns(
 
 
 def _last(packets: Came, read: Callable[[Any], Any], at: float) -> Any:
-    """Return the last value that had arrived at a time; None if there is none."""
+    """Return the last value that arrived before the time `at`; None if there is none."""
     states = packets.between(-math.inf, at).states
     return read(states[-1]) if states else None
 
@@ -148,7 +148,7 @@ def _shown(step: str) -> Check:
                 else:
                     continue
             except PacketError:
-                continue  # another requirement reports it
+                continue  # another requirement reports this error
             tried.append(f"dashboard {asked}")
             if not is_right and not said["problem"]:
                 wrong.append(f"dashboard {asked} answers {said['reply']!r} during the {_DURING[step]}")
@@ -166,7 +166,7 @@ def _latency(evidence: Evidence) -> Measured:
         return Measured(math.inf, said["error"])
     delays = said["delays"]
     if len(delays) < said["tried"]:
-        return Measured(math.inf, f"{said['tried'] - len(delays)} of {said['tried']} texts of programs were lost")
+        return Measured(math.inf, f"{said['tried'] - len(delays)} of {said['tried']} messages of programs were lost")
     return Measured(min(delays), f"{min(delays) * 1e3:.0f} to {max(delays) * 1e3:.0f} ms until a program acts")
 
 

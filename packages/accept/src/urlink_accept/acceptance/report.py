@@ -30,7 +30,7 @@ from .wrist import WRIST_CHECKS
 
 State = Literal["held", "not held", "not tried"]
 
-#: Requirement -> its check.
+#: Checks of the requirements. The keys are the names of the requirements.
 CHECKS: Mapping[str, Check] = {
     **ARRIVALS,
     **AGREEMENT,
@@ -49,10 +49,10 @@ class Verdict:
 
     Attributes:
         requirement: Requirement with its limit.
-        state: Whether it is held.
-        value: Measured value, in the unit of the limit; None if it was not tried.
-        seen: Description of the result, or the reason why it was not tried.
-        contradicts: Refuted parameters, each with the measured value.
+        state: Result: "held", "not held" or "not tried".
+        value: Measured value, in the unit of the limit; None if the requirement was not tried.
+        seen: Description of the result, or the reason why the requirement was not tried.
+        contradicts: Parameters that the result contradicts, each with the measured value.
     """
 
     requirement: Requirement
@@ -83,17 +83,17 @@ def _verdict(
     except NotTried as reason:
         return Verdict(required, "not tried", None, str(reason))
     except BadValue as error:
-        # For example a position that is not a number; another requirement reports it.
+        # The evidence is invalid, for example because a position is not a number. Another requirement reports this.
         return Verdict(required, "not tried", None, f"it cannot be judged: {error}")
     if not found.value <= required.limit and (late := evidence.delay(*_judged(required, evidence))) > HELD_UP:
         return Verdict(
             required, "not tried", None, f"this computer was busy: it was delayed by {late * 1e3:.0f} ms; {found.seen}"
         )
-    # Do not write "greater than": a value that is not a number must not be held.
+    # Compare with <= and not with >, so that a value of NaN is not held.
     return Verdict(required, "held" if found.value <= required.limit else "not held", *found)
 
 
-#: Steps that requirements of the stages 1 and 2 judge, if they do not have the name of the requirement.
+#: Steps that a requirement of stage 1 or 2 judges, if the steps have other names than the requirement.
 _STEPS: Mapping[str, tuple[str, ...]] = {
     "texts": ("sleep",),
     "program-state": ("sleep",),
@@ -132,7 +132,7 @@ def is_accepted(verdicts: Sequence[Verdict]) -> bool:
 def _about(evidence: Evidence, site: Mapping[str, Any], digest: str, address: str) -> Iterator[tuple[str, str]]:
     about, known = evidence.last("about") or {}, evidence.identity
     if "address" in about:
-        # A bundle contains only x for an address of the network.
+        # In a bundle, a network address is overwritten with x.
         yield "address", address or about["address"]
     if "wall" in about:
         yield "date", time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(about["wall"]))
@@ -178,7 +178,7 @@ def _measured(each: Verdict) -> str:
 def as_text(
     evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "", address: str = ""
 ) -> str:
-    """Return the page as text. It depends only on the evidence, the limits, the site and the address."""
+    """Return the page as text. The page depends only on the evidence, the limits, the site and the address."""
     lines = [_TITLE, "=" * len(_TITLE), ""]
     if _is_simulated(evidence):
         lines += [f"{' SIMULATED ARM ':*^{_WIDTH}}", ""]
@@ -217,7 +217,7 @@ figure { margin: 1em 0; } figcaption { font-size: 10pt; }
 def as_html(
     evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "", address: str = ""
 ) -> str:
-    """Return the page as HTML without external resources. It depends only on the arguments."""
+    """Return the page as HTML without external resources. The page depends only on the arguments."""
 
     def cell(text: object) -> str:
         return f"<td>{html.escape(printable(text))}</td>"

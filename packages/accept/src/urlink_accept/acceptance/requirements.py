@@ -1,9 +1,9 @@
 """Requirement files: requirements with their limits, reasons, and the sources of the limits.
 
 The files are TOML, limited to tables, strings, numbers, true and false. Each value is on one line and is written as in
-JSON. `tomllib` can read the files too, but Python 3.10 does not have it. Your own file changes limits by the names of
-the requirements, and describes the cell in a table `site`. Checks of the evidence compare their measurements with the
-limits.
+JSON. `tomllib` can read the files too, but Python 3.10 does not have it. In your own file, you can change the limits of
+requirements that you name, and describe the cell in a table `site`. The checks of the evidence compare measured values
+with the limits.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Requirement:
 
     Attributes:
         name: Name, used in tests, reports and your own files.
-        stage: Stage of the test that tries it.
+        stage: Stage of the test that tries the requirement.
         what: Description of the measured value.
-        limit: Largest value that is held.
+        limit: Largest measured value with which the requirement is held.
         unit: Unit of the limit; "" for a count or a ratio.
         why: Reason for the requirement.
         source: Source of the limit.
@@ -63,7 +63,7 @@ class Measured(NamedTuple):
     Attributes:
         value: Measured value, which is compared with the limit.
         seen: Description of the result.
-        contradicts: Parameters of `urlink.arm.parameters` that the result refutes, each with the measured value.
+        contradicts: Parameters of `urlink.arm.parameters` that the result contradicts, each with the measured value.
     """
 
     value: float
@@ -76,7 +76,7 @@ class NotTried(Exception):
 
 
 def how_different(expected: FloatArray, measured: FloatArray) -> str:
-    """Return the likely way in which a measured vector differs from an expected one, within a fifth.
+    """Return a description of the likely difference of a measured vector from an expected one, within 20 %.
 
     >>> how_different(np.array([1.0, 4.0]), np.array([-1.0, -4.1]))
     'its sign is inverted'
@@ -147,7 +147,7 @@ def written(requirements: Mapping[str, Requirement], site: Mapping[str, Any]) ->
 
 
 def from_file(path: Path) -> tuple[Mapping[str, Requirement], Mapping[str, Any]]:
-    """Return the requirements with the changes of your own file, and its table `site`, empty if the file has none.
+    """Return the requirements with the changes of your own file, and the table `site` of the file, which can be empty.
 
     Raises:
         BadValue: If the file cannot be read, is not a requirement file, or names a requirement that does not exist.
@@ -162,8 +162,8 @@ def from_file(path: Path) -> tuple[Mapping[str, Requirement], Mapping[str, Any]]
     for name, table in tables.items():
         if name not in found:
             raise BadValue(f"{path}: unknown requirement {name!r}; expected one of {', '.join(found)}")
-        if not table.keys() <= set(_OWN):
-            raise BadValue(f"{path}: [{name}] has {', '.join(table)}; your own file can change {', '.join(_OWN)}")
+        if wrong := [key for key in table if key not in _OWN]:
+            raise BadValue(f"{path}: [{name}] sets {', '.join(wrong)}; your own file can set only {', '.join(_OWN)}")
         limit = table.get("limit", 0.0)
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit < math.inf:
             raise BadValue(f"{path}: [{name}] has limit = {limit!r}; expected a number of 0 or more")

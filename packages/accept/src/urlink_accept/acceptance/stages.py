@@ -1,4 +1,4 @@
-"""Run of the test: the stages one after the other, each with consent, with a complete logbook."""
+"""Run of the test. The stages run one after the other, each only with consent, and are recorded in a logbook."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .requirements import requirements
 from .standing import stand
 from .swings import swing
 
-#: Action of each stage, used to ask for consent.
+#: Description of the action of each stage, used to ask for consent.
 STAGES: Mapping[int, str] = {
     0: "only reads: connects to every interface, listens, and sends queries that change nothing",
     1: "moves nothing: sets slider, TCP and payload and restores them, runs programs that sleep",
@@ -35,7 +35,7 @@ STAGES: Mapping[int, str] = {
     "the dead-man switch must be held, and a person must stand at the emergency stop",
 }
 
-#: Usual duration of each stage in s; stage 0 also listens.
+#: Usual duration of each stage, in s. The time to listen is added to stage 0.
 _USUAL: Mapping[int, float] = {0: 1.0, 1: 38.0, 2: 56.0, 3: 62.0}
 
 
@@ -60,7 +60,7 @@ def run(
         path: Path of the logbook, a file that does not exist yet.
         stages: Numbers of the stages, in this order.
         consent: Function that is called before each stage, and before each joint of stage 3, with the number of the
-            stage and its action. It returns the reason why the stage may not run, or "".
+            stage and its action. The function returns the reason why the stage may not run, or "".
         person: Person for actions that no program can do. If None, no person is present; for a simulated arm, a
             stand-in acts immediately.
         dead_man: Number of the digital input that is on while the arm may move in stages 2 and 3.
@@ -72,7 +72,7 @@ def run(
             of the step.
 
     Returns:
-        Texts in the logbook that show its location: the addresses of both sides.
+        Texts in the logbook that reveal the place of the test: the addresses of the robot and of this computer.
 
     Raises:
         BadAddress: If the address is invalid.
@@ -101,7 +101,8 @@ def run(
                 }
                 ended = ""
                 for number in stages:
-                    # The positions decide when the guard stops the arm, so nothing moves if they are wrong.
+                    # The guard uses the positions to decide when to stop the arm, so nothing may move if they are
+                    # wrong.
                     wrong = _wrong_positions(robot, path) if number >= _MOVES else ""
                     refused = wrong or consent(number, STAGES[number]) or ended
                     ended = _run_stage(number, begin[number], refused, book) or ended
@@ -116,11 +117,11 @@ _MOVES, _LISTENED = 2, 3.0
 
 
 def _wrong_positions(robot: Robot, path: Path) -> str:
-    """Return why the evidence so far refutes the joint positions, or ""."""
+    """Return the reason why the joint positions are wrong, according to the evidence so far; "" if there is none."""
     robot.realtime.wait(5.0)
     evidence = Evidence(path)
     if not evidence.said("stage"):
-        # Stage 0 was not requested, so nothing has listened yet.
+        # Stage 0 was not requested, so listen now.
         clock.sleep(_LISTENED)
         evidence = Evidence(path)
         evidence.notes.append(Note(0.0, "stage", {"number": 0}))
@@ -141,7 +142,7 @@ class _Pace:
         self._begun = 0.0
 
     def noted(self, step: str) -> None:
-        """Process the beginning of a step; "stage" begins the next stage."""
+        """Process the beginning of a step. The step "stage" begins the next stage."""
         if step == "stage" and self._left:
             self._stage, self._begun = self._left.pop(0), clock.now()
         if self._stage is None:
@@ -152,7 +153,7 @@ class _Pace:
 
 
 def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbook) -> str:
-    """Run a stage unless it is refused. If it ends early, return this with the reason; otherwise return ""."""
+    """Run a stage unless it is refused. Return a message with the reason if it ends early, otherwise ""."""
     if refused:
         book.note("stage", number=number, refused=refused)
         return ""
@@ -166,7 +167,7 @@ def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbo
 
 
 def _is_loopback(host: str) -> bool:
-    """Whether the controller is on this computer, so that it is a simulator."""
+    """Return whether a host is this computer. A controller on this computer is a simulator."""
     return host == "localhost" or host == "::1" or host.startswith("127.")
 
 

@@ -18,17 +18,18 @@ from .person import Person
 
 #: Texts of the programs of this stage, and sleep time of one program in s.
 BEGIN, END, SLEEP = "urlink accept: begins", "urlink accept: ends", 1.0
-#: Registers to write. Others may use the lower half, and this library uses the last registers.
+#: Registers to write. Other clients might use the lower half, and this library uses the last registers.
 _REGISTER = "input_int_register_46", "input_int_register_22"
 _ECHOES = 10
 #: Maximum time in s for an immediate reaction of the controller; maximum time in s for any reaction.
 _SOON, _LONG = 5.0, 20.0
-#: Time in s without reading by a client.
+#: Time in s for which a client does not read from its connection.
 _SILENT = 2.0
 #: Changes of the slider, the tool and the payload, which are restored later.
 _SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1
 _SHOWS_PAYLOAD, _SHOWS_TCP = Firmware(5, 10), Firmware(3, 2)
-#: Pause between two connections to one interface, number of measured latencies, and time for which a signal is kept.
+#: Pause between two connections to one interface, in s; number of measured latencies; time for which a signal is kept,
+#: in s.
 PAUSE, _LATENCIES, _SWITCHED = 0.5, 5, 0.5
 #: Queries about modes.
 _MODES = ("robotmode", "safetymode", "running")
@@ -37,10 +38,10 @@ Told = Mapping[str, Any]
 
 
 def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> None:
-    """Try all steps that move nothing. Each step notes its result, and no step ends the others.
+    """Try all steps that move nothing. Each step notes its result. A failed step does not prevent later steps.
 
     Args:
-        robot: Robot that was connected within the logbook, in remote control if it has this mode.
+        robot: Robot that was connected while the logbook was open, in remote control if it has this mode.
         place: Address with its ports.
         book: Logbook to write to.
         person: Person who switches to local control.
@@ -72,7 +73,10 @@ def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> N
 
 
 def try_each(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object] = list) -> None:
-    """Note the result or the error of each step. `between` runs after each step; its errors end all steps."""
+    """Run each step, and note its result or error.
+
+    The function `between` runs after each step. An error of `between` ends all steps.
+    """
     for name, step in steps.items():
         book.note(name, event="begin")
         try:
@@ -246,7 +250,7 @@ def _reset(robot: Robot, place: RobotAddress) -> Told:
 
 
 def _silent(place: RobotAddress) -> Told:
-    """Connect without reading."""
+    """Connect to the real-time interface, and do not read from the connection for a time."""
     transport = TcpTransport(place.host, place.ports["realtime"], silence=_SOON)
     transport.open(_SOON)
     try:
@@ -281,13 +285,13 @@ def _reconnect(robot: Robot, place: RobotAddress) -> Told:
 
 
 def _connects_back(robot: Robot) -> Told:
-    """Start a program that streams no set-points, so that it connects to this computer and moves nothing."""
+    """Start a program that connects to this computer. The program gets no set-points, so it moves nothing."""
     with robot.motion.servo():
         return {}
 
 
 def _latency(robot: Robot) -> Told:
-    """Measure how long a text takes from sending it to the message of its first line."""
+    """Measure the time from sending a program to the arrival of the message that its first line sends."""
     delays = []
     for number in range(_LATENCIES):
         heard: list[float] = []

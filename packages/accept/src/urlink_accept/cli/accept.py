@@ -23,7 +23,11 @@ from ..acceptance.requirements import from_file, requirements
     "test a controller and store the evidence",
     *address("?"),
     argument(
-        "--stage", type=int, action="append", choices=list(stages.STAGES), help="run this stage; repeatable (all)"
+        "--stage",
+        type=int,
+        action="append",
+        choices=list(stages.STAGES),
+        help="stage to run; can be repeated (default: all)",
     ),
     argument("--yes", action="store_true", help="consent to the stages given by --stage"),
     argument("--dead-man", type=int, choices=range(8), metavar="N", help="move only while digital input N is on"),
@@ -38,10 +42,10 @@ from ..acceptance.requirements import from_file, requirements
 def run(args: argparse.Namespace) -> int:
     """Test a controller together with this library, and print a page that can be signed.
 
-    Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees, and stage 3 MOVES each joint
-    alone by 17 degrees to either side. Each stage, and each joint of stage 3, needs your consent. --yes gives it for
-    the stages given by --stage; a simulated arm needs none. Each requirement gets a verdict: held, NOT HELD, or not
-    tried, with the reason. The exit status is 0 if all tried requirements are held.
+    Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by a few degrees, and stage 3 MOVES each joint
+    alone by 17 degrees to either side. Each stage, and each joint of stage 3, needs your consent. --yes gives this
+    consent for the stages that --stage names. A simulated arm needs no consent. Each requirement gets a verdict: held,
+    NOT HELD, or not tried, with the reason. The exit status is 0 if all tried requirements are held.
 
     examples:
       urlink accept sim://ur5e

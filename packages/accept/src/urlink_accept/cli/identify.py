@@ -62,8 +62,8 @@ _TABLE = (
 def _exercise(args: argparse.Namespace) -> int:
     """Move each joint slowly about its current position, and then all joints together, for `urlink identify`.
     THE ARM MOVES, for a minute or two. The box of the motion is printed first, and nothing moves before you confirm
-    that this box is free. No part of the arm is faster than 0.25 m/s, and the speed slider slows it down further: try
-    the motion at a low slider, and record it at 100 %.
+    that this box is free. No part of the arm is faster than 0.25 m/s. A speed slider below 100 % slows the arm down
+    further. Try the motion with a low slider first, and record it at 100 %.
 
     Stand at the emergency stop. --dead-man names a digital input that must be on while the arm moves. Ctrl-C stops the
     arm. The motion ends at its start position.
@@ -133,12 +133,13 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
     ),
 )
 def _compare(args: argparse.Namespace) -> int:
-    """Run the motions of a recording on the simulator, and print the differences: for each movement between two rests
-    the additional time of the simulator, and for each quantity the root mean square by joint. The exit status is 1 if
-    a movement differs by more than --tolerance seconds, so the command can serve as a regression test of a cell. It is
-    2 if no movement could be compared.
+    """Run the motions of a recording on the simulator, and print the differences: the additional time of the
+    simulator for each movement between two rests, and the root mean square by joint for each quantity. The exit status
+    is 1 if a movement differs by more than --tolerance seconds, so the command can serve as a regression test of a
+    cell. It is 2 if no movement could be compared.
 
-    A recording does not contain commands, so each movement is run as the movej or movel that fits its targets.
+    A recording does not contain commands. Therefore each movement is run as a movej or movel that fits the recorded
+    targets.
 
     examples:
       urlink compare run.urlog --like arm.json
@@ -155,7 +156,7 @@ def _compare(args: argparse.Namespace) -> int:
         if args.like is not None:
             like = read_arm_file(args.like)
         else:
-            # Identify only the geometry: all other values are those of the model.
+            # Identify only the geometry, and use the values of the model for everything else.
             progress.next("identifying the geometry")
             found = identify(samples, args.model)
             like = ArmFile(found.model, {}, found.calibration, found.tcp)
@@ -194,9 +195,9 @@ def _compare(args: argparse.Namespace) -> int:
 )
 def _identify(args: argparse.Namespace) -> int:
     """Identify an arm from a recording of its motion: calibration, payload, rotor inertias, torque constants,
-    friction, lag, the ramp of programs, noise. Each number is printed with its 95 % confidence interval. If the
-    recording does not show a number, the motion that would show it is named. With the file that --out writes, the
-    simulator behaves like that arm: sim://ur5e?like=arm.json.
+    friction, lag, the ramp of programs, and noise. Each number is printed with its 95 % confidence interval. If a
+    number cannot be found from the recording, the motion that is needed to find it is named. With the file that --out
+    writes, the simulator behaves like that arm: sim://ur5e?like=arm.json.
 
     RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), a table
     of RTDE variables as `urlink rtde --csv` prints it, or a bundle of `urlink accept` (.zip) with its stage 3.

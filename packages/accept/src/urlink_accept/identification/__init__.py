@@ -1,4 +1,4 @@
-"""Identification of an arm from a recording: each number with its interval."""
+"""Identification of an arm from a recording. The results are numbers with their intervals."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ __all__ = ["identify"]
 
 
 def identify(samples: Samples, model: str | None = None) -> ArmFile:
-    """Identify all properties of an arm that the samples show.
+    """Identify the properties of an arm, as far as the samples are enough to find them.
 
     Args:
         samples: Samples of the recording.
-        model: Name of the arm; None for the arm that the recording names.
+        model: Name of the arm model; None for the model that the recording contains.
 
     Raises:
         BadValue: If the model is neither given nor recorded.

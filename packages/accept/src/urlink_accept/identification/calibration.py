@@ -1,9 +1,10 @@
 """Calibration of an arm from joint positions and the poses of its TCP, as a controller computes them.
 
-Six DH parameters are not good coordinates for three joint axes that are parallel within some mrad (see
-`urlink.arm.kinematics.geometry`). Therefore the links are fitted in the parameters of Hayati and Mirmirani, where small
-changes of the arm are small changes of the numbers. The DH table that a controller would send follows from the joint
-axes. Properties that the poses do not show, such as which part of the flange belongs to the tool, stay as published.
+DH parameters are not good coordinates for joint axes that are parallel within a few mrad, and an arm has three such
+axes (see `urlink.arm.kinematics.geometry`). Therefore the links are fitted with the parameters of Hayati and Mirmirani.
+With these parameters, a small change of the arm is a small change of the numbers. The DH table that a controller would
+send is computed from the joint axes. Properties that cannot be found from the poses, such as the boundary between
+flange and tool, keep their published values.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from urlink.tools import FLOATS, ROWS, ArmLink, FloatArray, Geometry, angles, ch
 _FREE = np.array(
     [(1, 1, 1, 1, 0), (1, 1, 0, 1, 1), (1, 1, 0, 1, 1), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0), (1, 1, 1, 1, 0)], dtype=bool
 )
-# Expected difference of a calibration from the published arm, in rad and m. It decides only what the poses do not show.
+# Expected difference of a calibration from the published arm, in rad and m. This prior affects only properties that
+# cannot be found from the poses.
 _PRIOR = np.array([5e-3, 2e-3, 2e-3, 5e-3, 5e-3])
 _PRIOR_TOOL = 1.0
-# Expected error of a pose, in m and rad: for the first steps, during the search from the published arm, and at the end.
+# Expected error of a pose in each step of the search, in m and rad. The expected error is larger in the first steps,
+# because they begin at the published arm.
 _SPREADS = (1e-4, 1e-6, 1e-8, 1e-8, 1e-8)
 _STEP = 1e-6
 # For measured poses: rounds of the search, start values of the tool's length in steps of 0.1 m, and the lever in m at
@@ -44,9 +47,9 @@ class Calibration:
     """Fitted arm.
 
     Attributes:
-        table: DH table as a controller would send it.
+        table: DH table in the form that a controller would send.
         tcp: Pose of the TCP in the flange frame, shape (6,): position in m, rotation vector in rad.
-        rms: Root mean square of the distances from the fitted rows, in m.
+        rms: Root mean square of the distances between the given positions and those of the fitted arm, in m.
     """
 
     table: DhTable
@@ -58,7 +61,7 @@ def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibrati
     """Return the calibration and the TCP that map joint positions to poses.
 
     Args:
-        model: Published arm, where the search starts.
+        model: Published arm, at which the search starts.
         q: Joint positions, shape (n, 6), in rad. Use targets, because the actual positions have noise.
         poses: Poses of the TCP in the base frame, shape (n, 6): position in m, rotation vector in rad.
 
@@ -71,7 +74,7 @@ def fit_calibration(model: Model, q: FloatArray, poses: FloatArray) -> Calibrati
     turned = rotvec_to_matrix(poses[:, 3:])
     published = np.column_stack((model.dh_theta, model.dh_a, model.dh_d, model.dh_alpha, np.zeros(6)))
     start = published.copy()
-    # TCP that the published arm would need in the first row.
+    # TCP with which the published arm would reach the pose of the first row.
     tcp = compose(invert(from_matrix(_flanges(start, q[:1])[0])), poses[0])
     free = np.flatnonzero(_FREE)
     spread = np.concatenate((np.tile(_PRIOR, (6, 1)).ravel()[free], np.full(6, _PRIOR_TOOL)))
@@ -108,7 +111,7 @@ def _check_motion(q: FloatArray) -> None:
     if len(q) < 30 or (moved < _LEAST_MOVED).sum() > 1:
         still = [str(joint) for joint in np.flatnonzero(moved < _LEAST_MOVED)]
         raise BadValue(
-            f"got {len(q)} rows, and the joints {', '.join(still) or 'none'} move by less than {_LEAST_MOVED} rad; "
+            f"got {len(q)} rows; joints that move by less than {_LEAST_MOVED} rad: {', '.join(still) or 'none'}; "
             "expected 30 or more rows, and motion of at least five joints"
         )
 
@@ -230,7 +233,7 @@ def _aligned(
 
 
 def _geometry(links: FloatArray) -> Geometry:
-    """Return the arm with the links of these rows."""
+    """Return the geometry of an arm from the parameters of its links."""
     return Geometry(tuple(ArmLink(*link) for link in links.tolist()), is_nominal=False)
 
 
@@ -240,9 +243,9 @@ def _flanges(links: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def _table(links: FloatArray) -> tuple[DhTable, FloatArray]:
-    """Return the DH table with the same joint axes, and the pose of the old flange in the new one.
+    """Return the DH table of an arm with the same joint axes, and the pose of the old flange in the new flange frame.
 
-    Each frame of a DH table has its x axis along the common normal of two joint axes.
+    In a DH table, the x axis of each frame is along the common normal of two joint axes.
     """
     frames = [rigid.to_matrix(frame) for frame in chain(_geometry(links), FLOATS, (0.0,) * 6)]
     (x, _, z), at = np.eye(3), np.zeros(3)
@@ -260,10 +263,11 @@ def _table(links: FloatArray) -> tuple[DhTable, FloatArray]:
             normal = normal / a if a > 1e-12 else x
         else:
             normal = across / sine
-            # The feet of the common normal are at + d z, and place + e axis.
+            # The common normal meets the two axes at the points `at + d z` and `place + e axis`.
             d = float(np.cross(way, axis) @ across) / sine**2
             a = float(way @ normal)
-        # The normal has two directions. The published table has the direction with a small offset of the joint.
+        # The normal has two possible directions. As in the published table, use the direction with the smaller joint
+        # offset.
         if normal @ frame[:3, 0] < 0.0:
             normal, a = -normal, -a
         theta = float(np.arctan2(np.cross(x, normal) @ z, x @ normal))

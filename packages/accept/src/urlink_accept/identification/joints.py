@@ -1,8 +1,9 @@
 """Fit of payload, rotors, torque constants and friction to the moments and currents of a controller.
 
 The moment of a joint is linear in the inertia of its rotor, and in the mass and the first moments of mass of the
-payload. Its current is linear in the moment and in the two numbers of friction. Therefore both are fitted by least
-squares, in the order in which the controller computes: first its moments, then its currents from the moments.
+payload. The current of a joint is linear in the moment and in the two friction parameters. Therefore moments and
+currents are fitted by least squares. The order is that of the controller, which first computes the moments, and then
+the currents from the moments.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from urlink.tools import FULL_SPEED, JOINTS, Dynamics, Estimate, FloatArray, mot
 
 from .intervals import Fit, blocks_of, fit, within
 
-#: Minimum acceleration in rad/s² for a joint to show its rotor inertia.
+#: Minimum acceleration of a joint, in rad/s², with which its rotor inertia can be found.
 _ACCELERATION = 0.3
-#: Minimum speed in rad/s for a joint to show the growth of its friction.
+#: Minimum speed of a joint, in rad/s, with which the growth of its friction can be found.
 _SPEED = 0.1
-#: Minimum variation of the moment of a joint, in Nm, to show its torque constant.
+#: Minimum variation of the moment of a joint, in Nm, with which its torque constant can be found.
 _MOMENT = 0.05
-#: Largest uncertainty of the mass of a payload, in kg; with a larger one, the motion does not show the payload.
+#: Largest uncertainty of the mass of a payload, in kg. If the uncertainty is larger, the payload counts as unknown.
 _MASS = 0.5
 
 
@@ -39,9 +40,9 @@ class JointFit:
         torque_constants: Torque constants of the six joints, in Nm/A.
         coulomb: Coulomb friction of the six joints, in A.
         viscous: Viscous friction of the six joints, in A s/rad.
-        torque_r2: Fraction of the variance of the torques that the fit explains, in these rows, shape (6,). Unknown
-            numbers are those of the model.
-        current_r2: The same fraction for the currents, shape (6,).
+        torque_r2: Fraction of the variance of the torques that the fit explains, in these rows, shape (6,). The fit
+            uses the values of the model for unknown numbers.
+        current_r2: Fraction of the variance of the currents that the fit explains, shape (6,).
     """
 
     payload: Estimate
@@ -81,7 +82,7 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     if currents is None:
         unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6
         return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6)
-    # In the actual current, stiction hides the friction of a joint at rest.
+    # Use the actual current only in rows with motion, because stiction hides the friction of a joint at rest.
     rows = np.ones(len(q), dtype=bool) if "target_current" in columns else (np.abs(qd) > FULL_SPEED).any(axis=1)
     found = [
         _fit_current(joint, modelled[rows, i], qd[rows, i], currents[rows, i], motors.torque_constants[i], blocks[rows])
@@ -105,7 +106,7 @@ def _fit_moments(
 
     bare = Dynamics(model).torque(q, qd, qdd)
     # Moments per kg at the flange, and per kg m along each axis of the flange. The terms of second order in the
-    # distance are not included; they are the inertia of the payload about the flange.
+    # distance are not included here. These terms are the inertia of the payload about the flange.
     at_flange = with_kg(np.zeros(3)) - bare
     step = 1e-3
     per_way = [(with_kg(step * axis) - with_kg(-step * axis)) / (2.0 * step) for axis in np.eye(3)]
@@ -129,7 +130,7 @@ def _fit_moments(
         cog = first / mass if mass > 1e-3 else np.zeros(3)
         fitted = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0))
         modelled = fitted.torque(q, qd, qdd)
-        # Contribution of the mass at its distance to its first moment, from the previous fit.
+        # Terms of second order in the distance of the mass, from the previous fit.
         linear = bare + shared @ factors[:4] + rotor_columns @ factors[4:]
         second = modelled - linear
         deviation = np.sqrt(np.mean((moments - modelled) ** 2, axis=0))
@@ -170,7 +171,7 @@ def _fit_current(
     ]
     if not known.any():
         return estimates[0], estimates[1], estimates[2]
-    # If the moment hardly varies, use the published torque constant for it.
+    # If the moment hardly varies, use the known torque constant.
     found = fit(every[:, known], current if varies else current - torque / constant, blocks)
     for number, place in enumerate(np.flatnonzero(known)):
         estimates[place] = found.estimate(number)
@@ -194,7 +195,7 @@ def _r2(measured: FloatArray, modelled: FloatArray) -> float:
 
 
 def of_ratio(estimate: Estimate) -> Estimate:
-    """Return the inverse of an estimate, with its interval."""
+    """Return the estimate of the inverse of a number, with its interval."""
     if not estimate.is_known or estimate.low * estimate.high <= 0.0:
         return Estimate.unknown(estimate.needs or "more motion")
     return Estimate(1.0 / estimate.value, 1.0 / estimate.high, 1.0 / estimate.low)

@@ -1,4 +1,4 @@
-"""Columns for identification, from a recording or from a table of RTDE variables with their names."""
+"""Columns for identification, read from a recording or from a table with the names of RTDE variables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from urlink.tools import FloatArray, Progress
 
 from .differentiation import averaged, averaged_acceleration, averaged_speed
 
-#: RTDE name of a column -> its name on the real-time interface.
+#: Names of columns in RTDE, and their names on the real-time interface.
 COLUMNS = {
     "timestamp": "time",
     "target_q": "q_target",
@@ -86,8 +86,8 @@ class Samples(dict[str, FloatArray]):
     Attributes:
         path: Path of the file.
         model: Name of the arm; None if the file does not contain it.
-        arrival: Arrival time of each row by the clock of the recording computer, shape (n,), in s; None if not
-            recorded.
+        arrival: Arrival time of each row according to the clock of the recording computer, shape (n,), in s; None if
+            not recorded.
         derived: Names of the targets that were computed.
         missing: Name of a column that the file does not contain -> what is done without it.
         remarks: Warnings, such as a rate that is too low.
@@ -131,7 +131,7 @@ class Samples(dict[str, FloatArray]):
 
     @property
     def is_rest(self) -> NDArray[np.bool_]:
-        """Whether the targets of all joints are at rest, for each row, shape (n,)."""
+        """For each row, whether the targets of all joints are at rest, shape (n,)."""
         least = _REST if self.derived else 0.0
         return np.asarray(np.abs(self["target_qd"]).max(axis=1) <= least)
 

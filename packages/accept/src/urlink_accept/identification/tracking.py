@@ -20,7 +20,7 @@ _ROWS, _SHORT, _PIECE = 4, 0.08, 1.0
 _APART = 1e-3
 #: Smallest relative error of the rate of one ramp. Number of blocks for the drift of a clock.
 _RATE_ERROR, _CLOCK_BLOCKS = 1e-5, 20
-#: Maximum time in s between two rows that still show a ramp of 0.16 s.
+#: Maximum time between two rows, in s, with which a ramp of 0.16 s can be measured.
 _FINE = 0.05
 
 
@@ -54,7 +54,7 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
 
     Args:
         samples: Samples of the recording.
-        coulomb: Coulomb friction, shape (6,), in A, which identifies stiction.
+        coulomb: Coulomb friction, shape (6,), in A; used to recognise stiction.
     """
     rests, pieces = list(rests_of(samples)), list(_pieces(samples))
     needs = f"rests of {_SETTLING + _SHORT} s and more, at least two"
@@ -87,11 +87,11 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
 
 
 def start_rate(samples: Samples) -> Estimate:
-    """Return the rate in 1/s at which the scaling of a program rises from 0, from movements that start at rest.
+    """Return the rate, in 1/s, at which the speed scaling of a program rises from 0.
 
-    The fastest joint of each movement is used. While a joint accelerates by a, and the time of its program passes at a
-    scaling of s, its speed after the distance x is s √(2 a x), so each row shows s. The ramp begins with the program,
-    which may wait before it moves.
+    The rate is computed from movements that start at rest, with the fastest joint of each movement. If the acceleration
+    of the joint is a and the speed scaling is s, the speed of the joint after the distance x is s √(2 a x). Therefore s
+    can be computed from each row. The ramp begins with the program, but the program might wait before it moves the arm.
     """
     if samples.derived:
         return Estimate.unknown("target_q, target_qd and target_qdd in the recording")
@@ -113,7 +113,7 @@ def start_rate(samples: Samples) -> Estimate:
         return Estimate.unknown("two programs that each begin with a movej over 0.3 rad or more")
     rates_ = np.array(rates)
     middle = float(np.median(rates_))
-    # Half the time step of a ramp's rows is not known better than to a hundredth.
+    # Ramps of a computed target might be equal, but an interval must have a width.
     spread = max(1.4826 * float(np.median(np.abs(rates_ - middle))), _RATE_ERROR * middle)
     half = student(len(rates) - 1) * spread / np.sqrt(len(rates))
     return Estimate(middle, middle - half, middle + half)
@@ -141,7 +141,10 @@ def _rate_of(t: FloatArray, distance: FloatArray, speed: FloatArray, push: Float
 
 
 def clock_drift(samples: Samples) -> Estimate:
-    """Return how much faster the controller's clock is than the computer's clock, as a fraction."""
+    """Return the drift of the controller's clock relative to the computer's clock, as a fraction.
+
+    The drift is positive if the clock of the controller is faster.
+    """
     if samples.arrival is None:
         return Estimate.unknown("arrival times, as recordings contain them")
     arrival, times = samples.arrival - samples.arrival[0], samples["timestamp"] - samples["timestamp"][0]
@@ -153,7 +156,7 @@ def clock_drift(samples: Samples) -> Estimate:
 
 
 def rests_of(samples: Samples) -> Iterator[slice]:
-    """Yield the rows of each rest, without the rows where the arm settles."""
+    """Yield the rows of each rest, without the rows in which the arm settles."""
     times, rest = samples["timestamp"], samples.is_rest
     # If rows were left out, two rests may follow each other.
     places = np.flatnonzero(rest[1:] & rest[:-1] & (np.abs(np.diff(samples["target_q"], axis=0)).max(axis=1) > _APART))
