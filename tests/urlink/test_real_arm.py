@@ -192,7 +192,7 @@ def test_simulated_moves_take_the_logged_time(log: Log) -> None:
 
 @pytest.mark.slow
 def test_identified_intervals_of_parts_of_the_log_overlap() -> None:
-    """The limits are those of `halves`. The widths depend on the draw of the random halves: mean 1.34 to 1.55."""
+    """The limits are those of `halves`. The widths depend on the draw of the random halves: mean 1.35 to 1.55."""
     samples = read_samples(real_captures.folder("real") / "ur3e_rtde.csv")
     found = [agreement(samples, "UR3e", seed) for seed in range(2)]
     assert found[0].compared >= 36
