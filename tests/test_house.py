@@ -43,6 +43,7 @@ AWAITED = {
 THREADS = {
     "linkcore.net.watching",  # waits for the sockets of an event loop that cannot, such as the default loop of Windows
     "linkcore.net.undo",  # undoes abandoned commands, as long as any are pending
+    "rhdlink.mqtt.session",  # keeps the robot's master alive, from the first command until the end of the session
     "linkcore.threads",  # one for the callbacks of each robot, one for each host or server with its own thread
     "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline

@@ -24,7 +24,7 @@ from linkcore.streaming.subscription import Subscription
 from linkcore.text import similar
 from linkcore.threads import Closing, ReentrantEvent, alone
 
-from .address import parse_address
+from .address import MqttAddress, is_mqtt, parse_address, parse_mqtt_address
 from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
 from .recording import RecordedTransport
@@ -67,7 +67,9 @@ def connect(
     """Connect to a robot.
 
     Args:
-        address: Address such as ``"localhost:24902"`` or ``"rhd://smr12"``. The default port is 24902.
+        address: Address such as ``"localhost:24902"`` or ``"rhd://smr12"``. The default port is 24902. The address of a
+            robot with MQTT is ``"mqtt://192.168.0.55"``, ``"mqtt://192.168.0.55:1883"`` or
+            ``"mqtt://192.168.0.55?dialect=2026"``.
         variables: Class that declares the variables of your program. Without it, variables are available by name only.
         access: "r" to read; "w" to be the robot's master, which also writes.
         fallback: "r" accepts read access if the robot already has a master; see `Variables.access`.
@@ -84,6 +86,7 @@ def connect(
     Raises:
         BadAddress: If `address` is not valid.
         BadValue: If another argument is not valid.
+        LocalError: If the address begins with ``mqtt://``, and paho-mqtt is not installed.
         BadRecording: If the file of `record` already exists or cannot be created.
         AccessDenied: If the robot already has a master.
         WrongVariables: If the robot's variables do not match the declared ones. The error lists every difference.
@@ -92,7 +95,7 @@ def connect(
         LinkTimeout: If the robot does not answer in time.
         WrongPeer, PacketError: If the peer is not an RHD server.
     """
-    place = parse_address(address)
+    place = parse_mqtt_address(address) if is_mqtt(address) else parse_address(address)
     if variables is not None and not (isinstance(variables, type) and issubclass(variables, Variables)):
         raise BadValue(f"variables={variables!r}; expected a class that derives from rhdlink.Variables")
     check_choice(access, "access", ("r", "w"))
@@ -103,7 +106,13 @@ def connect(
     if limits is not None and not isinstance(limits, Limits):
         raise BadValue(f"limits={limits!r}; expected rhdlink.variables.Limits(...)")
     robot = cast("R", Variables()) if variables is None else variables()
-    transport: Transport = TcpTransport(place.host, place.port, silence=timeout)
+    transport: Transport
+    if isinstance(place, MqttAddress):
+        from .mqtt.transport import MqttTransport  # only here: most programs need no host
+
+        transport = MqttTransport(place, access=access, fallback=fallback, width=width, silence=timeout)
+    else:
+        transport = TcpTransport(place.host, place.port, silence=timeout)
     robot._connect(
         str(place),
         transport if record is None else RecordedTransport(transport, record),
@@ -418,8 +427,8 @@ class Variables(StrictAttributes, Declarations, Closing):
         """Disconnect, and end the sync thread and every subscription, within `timeout` seconds.
 
         Wait up to 0.7 s until the robot's side has acknowledged the data that the last sync sent. The robot receives no
-        message: its values stay as they were last sent, until it notices that its master has disconnected. Idempotent,
-        from any thread.
+        message: its values stay as they were last sent, until it notices that its master has disconnected. A robot
+        with MQTT is stopped instead, with the commands ``rc 0 0`` and ``stop``. Idempotent, from any thread.
 
         Raises:
             BadRecording: If the disk failed during recording.

@@ -20,7 +20,7 @@ _MOST_UNSOLICITED_WAIT = 0.1
 
 
 class Transport(Protocol):
-    """The transport of a connection: `linkcore.net.transport.TcpTransport`."""
+    """The transport of a connection: `linkcore.net.transport.TcpTransport`, or `rhdlink.mqtt.transport`."""
 
     name: str
 

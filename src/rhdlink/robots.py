@@ -8,10 +8,11 @@ derive a class.
 from __future__ import annotations
 
 from .client import Variables
+from .mqtt.variables import RobobotVariables
 from .variables.declarations import Read, Write
 from .variables.value_types import Int32, Millionths, Scaled
 
-__all__ = ["Ackerman", "Gps", "Smr", "VelocityOmega"]
+__all__ = ["Ackerman", "Gps", "Robobot", "Smr", "VelocityOmega"]
 
 
 class Smr(Variables):
@@ -64,6 +65,10 @@ class VelocityOmega(Variables):
     brake = Read(Int32, optional=True)
     battvoltage = Read(Int32, optional=True)
     errcnt = Read(Int32, optional=True)
+
+
+class Robobot(RobobotVariables, Variables):
+    """A robot of DTU with MQTT, such as the robobot; see `RobobotVariables` for its variables."""
 
 
 class Ackerman(Variables):

@@ -23,6 +23,7 @@ import pytest
 
 import rhdlink.cli
 import urlink.cli
+from tests.mosquitto import needs_broker
 
 pytestmark = pytest.mark.simulated_time
 
@@ -288,6 +289,18 @@ def test_rhd_arc_ends_at_the_computed_pose(tmp_path: Path, options: tuple[str, .
     assert ended[:2] == pytest.approx(should[:2], abs=0.002)
     assert ended[2] == pytest.approx(should[2], abs=0.02)
     assert len(points_of(tmp_path / "arc.svg")) > 50
+
+
+@needs_broker
+@pytest.mark.slow
+@pytest.mark.real_time
+def test_robobot_line_stops_before_the_wall(broker: int) -> None:
+    lines = checked(run_process("robobot_line.py", "--port", str(broker))).splitlines()
+    assert lines[1].startswith("followline")
+    assert float(lines[-2].split()[-1]) == pytest.approx(0.4, abs=0.05)
+    found = re.search(r"x (.*) m, y (.*) m, heading", lines[-1])
+    assert found is not None
+    assert float(found.group(1)) == pytest.approx(5.1, abs=0.1)
 
 
 @pytest.mark.slow

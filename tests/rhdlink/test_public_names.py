@@ -73,9 +73,9 @@ NAMES = [
 
 
 #: This file, as named in the messages.
-HERE = "tests/rhdlink/test_public_names_equal_the_list.py"
+HERE = "tests/rhdlink/test_public_names.py"
 #: Modules with further public names.
-MODULES = ["host", "robots", "smrcl", "variables"]
+MODULES = ["host", "mqtt", "robots", "smrcl", "variables"]
 
 
 def test_public_names_equal_the_list() -> None:

@@ -6,10 +6,14 @@ import argparse
 import math
 
 from linkcore.cli.options import DURATION, argument, command, seconds
+from linkcore.cli.terminal import Interruption
 
-from ..address import PORT
+from ..address import PORT, parse_mqtt_address
 from ..host.host import Host, Pacing
 from ..host.plugins.turtle import SmrTurtle, Turtle
+from ..host.world import World
+from ..mqtt.commands import DIALECTS
+from ..mqtt.simulated import SimulatedRobobot
 from ..wire.decoder import Limits
 from .hosting import serve_until_told, service_arguments, service_options
 from .options import port, tell
@@ -19,7 +23,13 @@ from .turtle_world import WORLD, drawn, world
 @command(
     "turtle",
     "run a simulated robot in a square world",
-    argument("--drive", choices=("velocity", "smr"), default="velocity", help="kind of robot (default: velocity)"),
+    argument(
+        "--drive", choices=("velocity", "smr", "mqtt"), default="velocity", help="kind of robot (default: velocity)"
+    ),
+    argument(
+        "--broker", default="mqtt://localhost", metavar="URL", help="broker of --drive mqtt (default: mqtt://localhost)"
+    ),
+    argument("--dialect", choices=tuple(DIALECTS), default="2026", help="commands of --drive mqtt (default: 2026)"),
     argument(
         "--port", type=port, default=PORT, metavar="P", help=f"listen on port P, 0 for a free port (default: {PORT})"
     ),
@@ -36,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
       --drive velocity   speed and turn rate: cmdtransvel, cmdrotvel; transpos, rotpos
       --drive smr        two wheels: speedl, speedr; encl, encr, irsensor, linesensor
+      --drive mqtt       a robot of DTU with MQTT, on a running broker such as mosquitto
 
     The robot stops when its master leaves, and at walls. With --lockstep, simulated time advances only with requests
     of the master: each run is the same, and as fast as the program sends requests. With --picture, the path is drawn
@@ -45,15 +56,38 @@ def run(args: argparse.Namespace) -> int:
       rhdlink turtle
       rhdlink turtle --drive smr --picture way.svg --duration 60
       rhdlink turtle --port 0 --lockstep
+      rhdlink turtle --drive mqtt --dialect 2025 --floor floor.svg
     """
+    if args.drive == "mqtt":
+        return _run_with_mqtt(args)
     robot = Turtle(world(args)) if args.drive == "velocity" else SmrTurtle(world(args))
     if args.picture is not None:
         drawn(robot.world, args, args.picture)  # raises an error immediately if it cannot be written
     pacing: Pacing = "lockstep" if args.lockstep else "period"
     host = Host([robot], period=args.period, pacing=pacing, **service_arguments(args, Limits()))
     status = serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
-    pose = robot.world.pose
+    _finish(robot.world, args)
+    return status
+
+
+def _finish(world: World, args: argparse.Namespace) -> None:
+    pose = world.pose
     tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
     if args.picture is not None:
-        drawn(robot.world, args, args.picture)
-    return status
+        drawn(world, args, args.picture)
+
+
+def _run_with_mqtt(args: argparse.Namespace) -> int:
+    broker = parse_mqtt_address(args.broker)
+    robot = SimulatedRobobot(broker.host, broker.port, dialect=broker.dialect or args.dialect, world=world(args))
+    if args.picture is not None:
+        drawn(robot.world, args, args.picture)  # raises an error immediately if it cannot be written
+    with Interruption() as interruption:
+        with robot:
+            tell(f"simulated robot with MQTT, commands of {robot.dialect}; Ctrl-C ends it; connect to")
+            print(robot.address, flush=True)
+            interruption.end_after(args.duration)
+            while not robot.wait(0.0) and not interruption.wait(0.1):
+                pass
+        _finish(robot.world, args)
+    return interruption.status

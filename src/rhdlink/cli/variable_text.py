@@ -16,7 +16,7 @@ from linkcore.text import printable
 
 from ..client import Variables
 from ..errors import NotThere
-from ..robots import Ackerman, Gps, Smr, VelocityOmega
+from ..robots import Ackerman, Gps, Robobot, Smr, VelocityOmega
 from ..variables.declarations import Declaration
 from ..variables.snapshot import Update, Variable
 from ..variables.value_types import Bool, Float32, Float64, Int32, Int64, Millionths, Order, UInt32, ValueType
@@ -35,7 +35,7 @@ _MOST_WORDS = 16
 
 def _known() -> dict[tuple[str, str, int], Declaration[Any, Any]]:
     known: dict[tuple[str, str, int], Declaration[Any, Any]] = {}
-    for robot in (Smr, VelocityOmega, Ackerman, Gps):
+    for robot in (Smr, VelocityOmega, Ackerman, Gps, Robobot):
         for declaration in robot.declared().values():
             known.setdefault((declaration.direction, declaration.name, declaration.length), declaration)
     return known

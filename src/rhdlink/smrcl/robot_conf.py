@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from ..host.config import LARGEST, BadConfiguration, Element, parse_xml
+from ..mqtt.variables import RobobotVariables
+from ..variables.value_types import Scaled
 from .motion.control import DriveKind, MotionParameters
 
 _log = logging.getLogger(__name__)
@@ -142,6 +144,20 @@ VELOMEGA = RobotConf(
     left_speed_scale=100000.0,
     right_speed_scale=40000.0,
     motion=_usual_motion(),
+)
+#: A robot of DTU with MQTT. Line sensors are normalised to 0 without reflection and 1000 on white tape, and all numbers
+#: are in the units of `RobobotVariables`, for example ``$dist`` in m.
+ROBOBOT = replace(
+    VELOMEGA,
+    name="robobot",
+    line_white=(1000.0,) * 8,
+    line_black=(0.0,) * 8,
+    scales=tuple(
+        Scale(f"{each.name}[{number}]", gain=each.type.scale)
+        for each in RobobotVariables.declared().values()
+        if isinstance(each.type, Scaled) and each.name not in (*VELOMEGA.reads, *VELOMEGA.writes)
+        for number in range(each.count)
+    ),
 )
 
 

@@ -23,7 +23,7 @@ from ..host.plugin import Plugin, check_methods
 from ..variables.database import Database, TimeStamp
 from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
-from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
+from .robot_conf import ROBOBOT, SMR, VELOMEGA, RobotConf, read_robot_conf
 
 #: Words of variables, by name.
 Words = Mapping[str, Sequence[int]]
@@ -264,10 +264,12 @@ def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLi
     """
     if conf is None:
         conf = VELOMEGA if "cmdtransvel" in link.write else SMR
+        if conf is VELOMEGA and "livn" in link.read:
+            conf = ROBOBOT
         period = getattr(link, "period", conf.period)
         conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
     elif not isinstance(conf, RobotConf):
-        conf = read_robot_conf(conf, robot=link.name.rpartition(":")[0])
+        conf = read_robot_conf(conf, robot=link.name.removeprefix("mqtt://").rpartition(":")[0])
     lacking = [f"there is no read variable {name}" for name in conf.reads if name not in link.read]
     lacking += [f"there is no write variable {name}" for name in conf.writes if name not in link.write]
     if lacking:
