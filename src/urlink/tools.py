@@ -53,7 +53,6 @@ from linkcore.wire.cycles import gaps_of as gaps_of
 from .arm import rigid as rigid
 from .arm.arm_file import (
     MOTORS as MOTORS,
-    SIDES as SIDES,
     ArmFile as ArmFile,
     Estimate as Estimate,
     read_arm_file as read_arm_file,

@@ -1,6 +1,6 @@
 """Arm files: the identified properties of one arm, for the simulator (`sim://ur5e?like=arm.json`).
 
-The file is JSON. Each number has a value and the interval that contains it with a probability of 99 %. If the recording
+The file is JSON. Each number has a value and the interval that contains it with a probability of 95 %. If the recording
 was not enough to find a number, the file names the motion that is needed to find it, and the simulator uses the value
 of the model.
 """
@@ -31,18 +31,14 @@ MOTORS = {
 }
 
 
-#: Number of standard deviations on each side of the mean within which 99 % of a normal distribution lie.
-SIDES = 2.576
-
-
 @dataclasses.dataclass(frozen=True)
 class Estimate:
     """Estimate of one number: its value and interval, or the motion that is needed to find them.
 
     Attributes:
         value: Value of the number; nan if unknown.
-        low: Lower end of the interval that contains the number with a probability of 99 %. Assumes that the residuals
-            of the model are noise.
+        low: Lower end of the interval that contains the number with a probability of 95 %. Assumes that the movements
+            of the recording are typical of the arm.
         high: Upper end of this interval.
         needs: Motion that is needed to find the number; "" if the number is known.
     """
@@ -51,11 +47,6 @@ class Estimate:
     low: float
     high: float
     needs: str = ""
-
-    @classmethod
-    def around(cls, value: float, deviation: float) -> Estimate:
-        """Return an estimate from a value and its standard deviation."""
-        return cls(value, value - SIDES * deviation, value + SIDES * deviation)
 
     @classmethod
     def unknown(cls, needs: str) -> Estimate:

@@ -8,14 +8,16 @@ the currents from the moments.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from urlink.arm.models import Model
-from urlink.tools import FULL_SPEED, JOINTS, SIDES, Dynamics, Estimate, FloatArray, motors_of
+from urlink.tools import FULL_SPEED, JOINTS, Dynamics, Estimate, FloatArray, motors_of
+
+from .intervals import Fit, blocks_of, fit, within
 
 #: Minimum acceleration of a joint, in rad/s², with which its rotor inertia can be found.
 _ACCELERATION = 0.3
@@ -59,13 +61,23 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     Args:
         model: Model of the arm.
         columns: Columns by their RTDE names, shape (n, 6) each: target_q, target_qd, target_qdd, target_moment and
-            target_current. Instead of target_current, actual_current can be used.
+            target_current. Instead of target_current, actual_current can be used. Without target_moment, the moments
+            are those of the model with the columns payload and payload_cog, if they exist, and with its rotors.
     """
+    blocks = blocks_of(np.asarray(~columns["target_qd"].any(axis=1)))
     q, qd, qdd = (columns[f"target_{name}"] for name in ("q", "qd", "qdd"))
     motors = motors_of(model)
-    moments = columns["target_moment"]
-    payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, moments)
-    torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
+    if "target_moment" in columns:
+        moments = columns["target_moment"]
+        payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, moments, blocks)
+        torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
+    else:
+        needed = Estimate.unknown("target_moment in the recording")
+        payload, cog, rotors, torque_r2 = needed, (needed,) * 3, (needed,) * 6, (np.nan,) * 6
+        mass = float(np.median(columns["payload"])) if "payload" in columns else 0.0
+        at = np.median(columns["payload_cog"], axis=0) if "payload_cog" in columns else np.zeros(3)
+        carried = Dynamics(model, payload=mass, payload_cog=at, rotors=motors.rotor_inertias)
+        modelled = carried.torque(q, qd, qdd)
     currents = columns.get("target_current", columns.get("actual_current"))
     if currents is None:
         unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6
@@ -73,7 +85,7 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     # Use the actual current only in rows with motion, because stiction hides the friction of a joint at rest.
     rows = np.ones(len(q), dtype=bool) if "target_current" in columns else (np.abs(qd) > FULL_SPEED).any(axis=1)
     found = [
-        _fit_current(joint, modelled[rows, i], qd[rows, i], currents[rows, i], motors.torque_constants[i])
+        _fit_current(joint, modelled[rows, i], qd[rows, i], currents[rows, i], motors.torque_constants[i], blocks[rows])
         for i, joint in enumerate(JOINTS)
     ]
     constants, coulomb, viscous = (tuple(each[part] for each in found) for part in range(3))
@@ -87,7 +99,7 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
 
 
 def _fit_moments(
-    model: Model, q: FloatArray, qd: FloatArray, qdd: FloatArray, moments: FloatArray
+    model: Model, q: FloatArray, qd: FloatArray, qdd: FloatArray, moments: FloatArray, blocks: NDArray[np.int_]
 ) -> tuple[Estimate, tuple[Estimate, ...], tuple[Estimate, ...], FloatArray]:
     def with_kg(at: FloatArray) -> FloatArray:
         return Dynamics(model, payload=1.0, payload_cog=at).torque(q, qd, qdd)
@@ -101,20 +113,19 @@ def _fit_moments(
     moved = np.abs(qdd).max(axis=0) >= _ACCELERATION
     shared = np.stack([at_flange, *per_way], axis=-1)
     rotor_columns = qdd[:, :, np.newaxis] * np.eye(6)
-    factors = np.zeros(10)
+    # A joint that hardly accelerates has the published rotor.
+    factors = np.concatenate((np.zeros(4), np.where(moved, 0.0, motors_of(model).rotor_inertias)))
+    resting = rotor_columns @ factors[4:]
     modelled = bare
     weight = np.ones(6)
     known = np.concatenate((np.ones(4, dtype=bool), moved))
-    covariance = np.zeros((10, 10))
+    last = Fit(factors, factors[np.newaxis], 1, np.ones(10, dtype=bool))
     second = np.zeros_like(bare)
     for _ in range(4):
         whole = np.concatenate((shared, rotor_columns), axis=-1)[:, :, known] * weight[:, np.newaxis]
-        wanted = (moments - bare - second) * weight
-        # Order the rows by joint, so that correlation of the residuals of neighbouring rows can be detected.
-        stacked, target = np.swapaxes(whole, 0, 1).reshape(-1, int(known.sum())), wanted.T.ravel()
-        found, spread, _ = fit(stacked, target)
-        factors[known] = found
-        covariance[np.ix_(known, known)] = spread
+        wanted = (moments - bare - resting - second) * weight
+        last = fit(whole.reshape(-1, int(known.sum())), wanted.ravel(), np.repeat(blocks, 6))
+        factors[known] = last.factors
         mass, first = factors[0], factors[1:4]
         cog = first / mass if mass > 1e-3 else np.zeros(3)
         fitted = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0))
@@ -124,27 +135,30 @@ def _fit_moments(
         second = modelled - linear
         deviation = np.sqrt(np.mean((moments - modelled) ** 2, axis=0))
         weight = 1.0 / np.maximum(deviation, max(deviation.max() * 1e-3, 1e-12))
-    deviations = np.sqrt(np.diag(covariance))
-    estimates = list(map(Estimate.around, factors.tolist(), deviations.tolist()))
-    payload, of_rotors = estimates[0], estimates[4:]
+    payload = last.estimate(0)
     centre: tuple[Estimate, ...]
-    if deviations[0] * SIDES > _MASS:
+    if not payload.is_known or payload.high - payload.value > _MASS:
         needs = "postures in which the weight of the tool turns the wrists differently"
         payload, centre = Estimate.unknown(needs), (Estimate.unknown(needs),) * 3
     elif factors[0] < 0.05:
         centre = (Estimate.unknown("a payload"),) * 3
     else:
-        place, unsure = factors[1:4] / factors[0], deviations[1:4] / factors[0]
-        centre = tuple(map(Estimate.around, place.tolist(), unsure.tolist()))
+        masses = np.maximum(last.halves[:, 0], 1e-3)
+        centre = tuple(
+            within(factors[axis] / factors[0], last.halves[:, axis] / masses, last.blocks) for axis in (1, 2, 3)
+        )
+    numbers = np.cumsum(known) - 1
     rotors = tuple(
-        found if has_moved else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
-        for joint, found, has_moved in zip(JOINTS, of_rotors, moved, strict=True)
+        last.estimate(numbers[4 + i])
+        if moved[i]
+        else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
+        for i, joint in enumerate(JOINTS)
     )
     return payload, centre, rotors, modelled
 
 
 def _fit_current(
-    joint: str, torque: FloatArray, qd: FloatArray, current: FloatArray, constant: float
+    joint: str, torque: FloatArray, qd: FloatArray, current: FloatArray, constant: float, blocks: NDArray[np.int_]
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Fit the torque constant, Coulomb friction and viscous friction of one joint."""
     rubs, speeds_up, varies = np.abs(qd).max() > 2.0 * FULL_SPEED, np.abs(qd).max() > _SPEED, np.ptp(torque) > _MOMENT
@@ -158,9 +172,9 @@ def _fit_current(
     if not known.any():
         return estimates[0], estimates[1], estimates[2]
     # If the moment hardly varies, use the known torque constant.
-    factors, covariance, _ = fit(every[:, known], current if varies else current - torque / constant)
-    for place, value, deviation in zip(np.flatnonzero(known), factors, np.sqrt(np.diag(covariance)), strict=True):
-        estimates[place] = Estimate.around(float(value), float(deviation))
+    found = fit(every[:, known], current if varies else current - torque / constant, blocks)
+    for number, place in enumerate(np.flatnonzero(known)):
+        estimates[place] = found.estimate(number)
     return of_ratio(estimates[0]), estimates[1], estimates[2]
 
 
@@ -173,35 +187,11 @@ def _saturated(qd: FloatArray) -> FloatArray:
 
 
 def _r2(measured: FloatArray, modelled: FloatArray) -> float:
+    # Rounding is not a variation.
+    if np.ptp(measured) <= 1e-6:
+        return float("nan")
     total = float(((measured - measured.mean()) ** 2).sum())
-    return 1.0 - float(((measured - modelled) ** 2).sum()) / total if total > 0.0 else float("nan")
-
-
-def fit(columns: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit by least squares; return the factors of the columns, their covariance, and the residual of each row.
-
-    The residuals are seldom white noise. If neighbouring residuals are correlated, only some of the rows are
-    independent, and the covariance is enlarged accordingly.
-
-    Args:
-        columns: Columns in the order of time, shape (n, k).
-        measured: Measured values, shape (n,).
-    """
-    # Scale the columns to about the same length, so that the products in a k by k matrix have enough digits.
-    lengths = np.sqrt((columns**2).sum(axis=0))
-    lengths[lengths == 0.0] = 1.0
-    scaled = columns / lengths
-    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-    factors = inverse @ (scaled.T @ measured) / lengths
-    left = measured - columns @ factors
-    n, k = columns.shape
-    variance = float(left @ left) / max(n - k, 1)
-    total = float(left @ left)
-    alike = float(left[1:] @ left[:-1]) / total if total > 0.0 else 0.0
-    alike = min(max(alike, 0.0), 0.99)
-    widened = (1.0 + alike) / (1.0 - alike) if alike > 2.0 / math.sqrt(n) else 1.0
-    covariance = widened * variance * inverse / np.outer(lengths, lengths)
-    return np.asarray(factors, dtype=np.float64), np.asarray(covariance, dtype=np.float64), left
+    return 1.0 - float(((measured - modelled) ** 2).sum()) / total
 
 
 def of_ratio(estimate: Estimate) -> Estimate:
