@@ -264,8 +264,6 @@ class Run:
 
     def _settle(self) -> None:
         """Watch the arm until nothing can move it: for twice `BRAKING`, or until everything is at rest and idle."""
-        # contextlib of CPython 3.13.0 leaves a suppressed exception in a cycle with its frames, which refer to a group.
-        gc.collect()
         until = self.sim.now + 2 * BRAKING
         quiet = 0
         while self.sim.now < until and quiet < QUIET:
