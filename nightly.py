@@ -57,7 +57,8 @@ def windows(session: nox.Session) -> None:
     """Run the tests on Windows' CPython under Wine. Run it after changing sockets, waits or clocks. It needs root."""
     lab = str(Path(session.create_tmp()).resolve() / "wine")
     session.run("python", ".ci/wine.py", "install", lab)
-    chosen = session.posargs or ["-m", "not slow", "tests"]
+    doctests = ("--doctest-modules", "--doctest-glob=*.md", "--ignore=docs/conf.py")
+    chosen = session.posargs or ["-m", "not slow", *doctests, *TESTED, "src", "docs", "README.md"]
     plugins = ("-p", "no:cacheprovider", "-p", "pytest_urlink")
     session.run("python", ".ci/wine.py", "run", lab, "-u", "-m", "pytest", "-q", *plugins, *chosen)
 
