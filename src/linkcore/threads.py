@@ -6,6 +6,7 @@
   is held, and the robot does not wait. So a callback may command the robot, wait for a motion, close the robot, be slow
   or raise. A slow callback delays only the callbacks after it.
 - `MadeOnce` holds an object that several threads may make at its first use.
+- `Newest` holds the newest values of one thread, and any thread can copy them.
 - `Closing` is a base class of context managers that close themselves at the end of their block.
 - `Runnable` is a server that runs once, either in the thread that calls `run`, or in a dedicated thread from `start` to
   `close`.
@@ -164,6 +165,31 @@ class MadeOnce(Generic[T]):
     def take(self) -> T | None:
         """Remove and return the object; the next use makes another one."""
         return self._made.pop(None, None)
+
+
+class Newest(Generic[T]):
+    """The newest values of a series. One thread adds values, and any thread can copy them.
+
+    Unlike a `deque`, a list can be copied while another thread adds to it, even without the global interpreter lock.
+
+    Args:
+        count: Largest number of values that are copied.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._values: list[T] = []
+
+    def add(self, value: T) -> None:
+        """Add a value at the end."""
+        self._values.append(value)
+        # Not with every value, because the remaining values are moved each time.
+        if len(self._values) >= 2 * self._count:
+            del self._values[: -self._count]
+
+    def copy(self) -> list[T]:
+        """Return the newest values, the newest last."""
+        return self._values[-self._count :]
 
 
 class CallbackThread:

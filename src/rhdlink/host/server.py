@@ -16,6 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from linkcore.net.loop import Connection, Handler, SelectorLoop
+from linkcore.threads import Newest
 
 from .service import Client, Service
 
@@ -47,8 +48,8 @@ class TickSchedule:
         self.skipped = 0
         self.worst = 0.0
         self._period = period
-        # The thread of the host adds to this list, and other threads copy it in one step.
-        self._late: list[float] = []
+        # The thread of the host adds the delays.
+        self._late: Newest[float] = Newest(_REMEMBERED)
 
     def advance(self) -> float:
         """Advance to the next tick, and return the time when it is due."""
@@ -62,9 +63,7 @@ class TickSchedule:
     def came(self, now: float) -> None:
         """Record that the tick has come."""
         late = now - self.due
-        self._late.append(late)
-        if len(self._late) >= 2 * _REMEMBERED:
-            del self._late[:-_REMEMBERED]
+        self._late.add(late)
         self.worst = max(self.worst, late)
         if late > self._period:
             periods = int(late / self._period)
@@ -74,7 +73,7 @@ class TickSchedule:
 
     def lateness(self) -> tuple[float, float]:
         """Return the median and the 99th percentile of the last 4096 delays, in seconds. Callable from any thread."""
-        late = self._late[-_REMEMBERED:]
+        late = self._late.copy()
         if not late:
             return 0.0, 0.0
         median, p99 = np.percentile(late, (50, 99)).tolist()

@@ -12,7 +12,7 @@ from linkcore.errors import BadValue
 from linkcore.handle import Handle, Lifecycle, waited
 from linkcore.names import StrictAttributes
 from linkcore.pending_call import starts_motion
-from linkcore.threads import CallbackThread
+from linkcore.threads import CallbackThread, Newest
 
 from .channel import CommandChannel
 from .programs import Programs
@@ -29,7 +29,7 @@ class Program(Handle):
     def __init__(self, life: Lifecycle) -> None:
         super().__init__(life)
         # The reader of the primary interface adds lines, and other threads copy the list in one step.
-        self._texts: list[str] = []
+        self._texts: Newest[str] = Newest(_TEXTS)
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -38,16 +38,14 @@ class Program(Handle):
         A controller does not report which program sent a line, so the lines of a `sec` that runs at the same time are
         included.
         """
-        return tuple(self._texts[-_TEXTS:])
+        return tuple(self._texts.copy())
 
     def _receiver(self, callbacks: CallbackThread, on_text: Callable[[str], object] | None) -> Callable[[str], object]:
         """Return the function that receives these lines. It refers only to the lines, not to the program."""
         texts = self._texts
 
         def receive(text: str) -> None:
-            texts.append(text)
-            if len(texts) >= 2 * _TEXTS:
-                del texts[:-_TEXTS]
+            texts.add(text)
             if on_text is not None:
                 callbacks.call(on_text, text)
 

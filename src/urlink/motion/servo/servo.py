@@ -9,6 +9,7 @@ import numpy as np
 
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
+from linkcore.threads import Newest
 
 from ...arm.vectors import JOINTS, Numbers
 from ...command.program_time import ProgramTimer, reported_scaling
@@ -147,8 +148,8 @@ class Servo(BlockMotion):
         self._began: float  # time at which the first set-point was sent
         self._sent_at: float
         self._count = self._late = 0
-        # Between set-points, in s. The thread in the block adds to this list, and other threads copy it in one step.
-        self._intervals: list[float] = []
+        # Between set-points, in s. The thread in the block adds them.
+        self._intervals: Newest[float] = Newest(_REMEMBERED)
         self._model = model
         self._limit = SpeedLimit(servoing.speeds, 1.0 / rate)
         self._cycle = cycle
@@ -294,9 +295,7 @@ class Servo(BlockMotion):
             interval = now - self._sent_at
             # Counted first, so that there are never more intervals than set-points in `stats`.
             self._count += 1
-            self._intervals.append(interval)
-            if len(self._intervals) >= 2 * _REMEMBERED:
-                del self._intervals[:-_REMEMBERED]
+            self._intervals.add(interval)
             if interval * self.rate > 1.5:
                 self._late += 1
         self._last, self._sent_at = values, now
@@ -318,7 +317,7 @@ class Servo(BlockMotion):
 
         The deviations are those of the last 50000 intervals.
         """
-        intervals = np.array(self._intervals[-_REMEMBERED:])
+        intervals = np.array(self._intervals.copy())
         if not intervals.size:
             return ServoStatistics(self._count, 0.0, 0.0, 0.0, 0.0, self._late)
         deviations = np.abs(intervals - 1.0 / self.rate)
