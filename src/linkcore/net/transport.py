@@ -37,6 +37,7 @@ from ..clock import Stamp
 from ..errors import ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError, unraised
 from ..pending_call import check_wanted, interruptible
 from ..process import HomeProcess
+from ..threads import MadeOnce
 
 if sys.platform == "linux":
     import fcntl
@@ -132,7 +133,7 @@ class TcpTransport:
         self._socket: socket.socket | None = None
         # The same socket, until one thread removes it in one step to close it. Two threads that closed a descriptor at
         # the same time could close the descriptor of another connection.
-        self._owned: list[socket.socket] = []
+        self._owned: MadeOnce[socket.socket] = MadeOnce()
         self._receive_timeout = silence  # current timeout of the socket
 
     def another(self) -> TcpTransport:
@@ -176,7 +177,7 @@ class TcpTransport:
             raise mapped(error, self.name, self.silence, otherwise) from error
         self._receive_timeout = self.silence
         owned = connection if _witness is None else _witness(self, connection)
-        self._owned.append(owned)
+        self._owned.keep(owned)
         self._socket = owned
         _connections.add(self)
 
@@ -323,9 +324,8 @@ class TcpTransport:
         Wakes threads that receive or send.
         """
         self._socket = None
-        try:
-            connection = self._owned.pop()
-        except IndexError:  # it is not connected, or another thread closes it
+        connection = self._owned.take()
+        if connection is None:  # it is not connected, or another thread closes it
             return
         # Do not use SHUT_RDWR. It would append the end of the stream to the bytes that must be discarded, and deliver
         # both.
@@ -396,8 +396,9 @@ def _leave_to_parent() -> None:
     """
     for transport in list(_connections):
         transport._socket = None
-        while transport._owned:
-            transport._owned.pop().close()
+        connection = transport._owned.take()
+        if connection is not None:
+            connection.close()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork

@@ -73,7 +73,7 @@ class SilenceMonitor:
         watch = _Watch(seconds, hook)
         with self._changing:
             self._watches = (*self._watches, watch)
-            self._plan()
+        self._plan()
 
         def remove() -> None:
             with self._changing:
@@ -88,8 +88,7 @@ class SilenceMonitor:
         self.last = now
         self._quiet = self._unconfirmed = 0.0
         self.is_quiet = False
-        with self._changing:
-            self._plan()
+        self._plan()
 
     def timed_out(self) -> None:
         """Record that the kernel has waited for `wait` seconds, and that nothing has arrived.
@@ -101,8 +100,7 @@ class SilenceMonitor:
             self.is_quiet = True
             self._quiet += self.wait
             self._tell(self._quiet, "nothing was received")
-            with self._changing:
-                self._plan()
+            self._plan()
 
     def no_packet(self, now: float) -> None:
         """Record that bytes arrived at `now` which do not complete a packet.
@@ -129,9 +127,10 @@ class SilenceMonitor:
             raise LinkTimeout(f"{self._name}: {what} for {self.limit:g} s")
 
     def _plan(self) -> None:
-        """Compute `wait`. The caller holds the lock."""
-        limits = [watch.seconds for watch in self._watches]
-        if self.limit is not None:
-            limits.append(self.limit)
-        left = [limit - self._quiet for limit in limits]
-        self.wait = min((seconds for seconds in left if seconds > _ROUNDING), default=None)
+        """Compute `wait`."""
+        with self._changing:
+            limits = [watch.seconds for watch in self._watches]
+            if self.limit is not None:
+                limits.append(self.limit)
+            left = [limit - self._quiet for limit in limits]
+            self.wait = min((seconds for seconds in left if seconds > _ROUNDING), default=None)
