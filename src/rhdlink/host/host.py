@@ -24,11 +24,10 @@ from linkcore.threads import Runnable
 
 from ..address import Address
 from ..variables.database import Database, TimeStamp
-from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from ..wire.decoder import Limits
 from .config import Configuration, Element, read_config
-from .plugin import Plugin, check_methods
+from .plugin import Plugin, check_methods, initialise
 from .server import Server, TickSchedule
 from .service import Resend, Service
 
@@ -332,12 +331,8 @@ class Host(StrictAttributes, Runnable):
         self._schedule = TickSchedule(self.period, clock.now())
 
     def _init(self, plugin: Plugin) -> None:
-        plugin.name = plugin.name or type(plugin).__name__.lower()
-        plugin.host = self
         try:
-            create_variables(type(plugin), self.database)
-            bind(plugin, self.database)
-            plugin.init(self._configs.get(id(plugin), Element(plugin.name)))
+            initialise(plugin, self, self._configs.get(id(plugin)))
         except Exception as error:
             # The plugin has not begun, so it is not terminated either: only the plugin itself knows what it opened.
             if plugin.is_critical:

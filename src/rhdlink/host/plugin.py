@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from linkcore.errors import BadValue
 
 from ..variables.database import Database
-from ..variables.declarations import Declaration, Declarations, refuse_hiding
+from ..variables.declarations import Declaration, Declarations, bind, create_variables, refuse_hiding
 from .config import Element
 
 #: Methods that a host calls.
@@ -116,6 +116,21 @@ class Plugin(Declarations):
         """
         table, identity = self._place(declaration)
         return bool(table.updated[identity])
+
+
+def initialise(plugin: Plugin, host: PluginHost, config: Element | None = None) -> None:
+    """Create the variables of a plugin in the database of its host, and call `init`.
+
+    Args:
+        plugin: Plugin; it gets its default name if it has none.
+        host: Object that runs the plugin.
+        config: Element of the plugin in a configuration; None for an empty element.
+    """
+    plugin.name = plugin.name or type(plugin).__name__.lower()
+    plugin.host = host
+    create_variables(type(plugin), host.database)
+    bind(plugin, host.database)
+    plugin.init(Element(plugin.name) if config is None else config)
 
 
 def check_methods(plugin: Plugin) -> None:

@@ -16,11 +16,9 @@ from linkcore.threads import ReentrantEvent
 
 from ..address import MqttAddress
 from ..errors import AccessDenied
-from ..host.config import Element
-from ..host.plugin import Plugin
+from ..host.plugin import Plugin, initialise
 from ..host.service import Service
 from ..variables.database import Database
-from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from ..wire.messages import encode_access
 from .commands import find_dialect
@@ -48,11 +46,7 @@ class _HostedRobot:
         self._plugin = plugin
         self._access = access
         self.database.read.add("tick")
-        plugin.host = self
-        plugin.name = "mqtt"
-        create_variables(type(plugin), self.database)
-        bind(plugin, self.database)
-        plugin.init(Element(plugin.name))
+        initialise(plugin, self)
         plugin.update_values()
         self._service = Service(self.database, clients=1, width=width)
         client = self._service.connect("client")

@@ -18,10 +18,8 @@ from linkcore.errors import BadValue, Closed
 
 from ..client import Variables, connect
 from ..errors import AccessDenied, WrongVariables
-from ..host.config import Element
-from ..host.plugin import Plugin, check_methods
+from ..host.plugin import Plugin, check_methods, initialise
 from ..variables.database import Database, TimeStamp
-from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from .robot_conf import ROBOBOT, SMR, VELOMEGA, RobotConf, read_robot_conf
 
@@ -154,11 +152,7 @@ class PluginLink:
         self._now = TimeStamp(0, 0)
         self.database.read.clock = self.database.write.clock = lambda: self._now
         for plugin in self._plugins:
-            plugin.name = plugin.name or type(plugin).__name__.lower()
-            plugin.host = self
-            create_variables(type(plugin), self.database)
-            bind(plugin, self.database)
-            plugin.init(Element(plugin.name))
+            initialise(plugin, self)
         self._running = list(reversed(self._plugins))
         table = self.database.read
         self.read = {row.name: row.length for row in table}
@@ -263,9 +257,12 @@ def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLi
         WrongVariables: If the robot lacks variables that the configuration needs. The error lists all of them.
     """
     if conf is None:
-        conf = VELOMEGA if "cmdtransvel" in link.write else SMR
-        if conf is VELOMEGA and "livn" in link.read:
+        if "cmdtransvel" not in link.write:
+            conf = SMR
+        elif "livn" in link.read:
             conf = ROBOBOT
+        else:
+            conf = VELOMEGA
         period = getattr(link, "period", conf.period)
         conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
     elif not isinstance(conf, RobotConf):
