@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from typing import NamedTuple
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from linkcore.errors import BadAddress
 
@@ -59,16 +59,8 @@ def parse_address(text: object) -> Address:
         more = "; to play a recording, use `rhdlink replay`" if isinstance(text, os.PathLike) else ""
         raise BadAddress(f"invalid address {text!r}; {example}{more}")
     stripped = text.strip()
-    if not stripped or any(character.isspace() or not character.isprintable() for character in stripped):
-        raise BadAddress(f"invalid address {text!r}; {example}")
-    try:
-        parts = urlsplit(stripped if "://" in stripped else f"rhd://{stripped}")
-        host, port = parts.hostname, parts.port
-    except ValueError as error:  # an unclosed bracket, or a port that is not a number from 1 to 65535
-        raise BadAddress(f"invalid address {text!r}: {error}; {example}") from None
-    if parts.scheme != "rhd":
-        raise BadAddress(f"unknown scheme {parts.scheme!r} in address {text!r}; expected 'rhd' or 'mqtt'")
-    if not host or "@" in parts.netloc or parts.path not in ("", "/") or parts.query or parts.fragment or port == 0:
+    parts, host, port = _split(text, stripped if "://" in stripped else f"rhd://{stripped}", "rhd", example)
+    if parts.query:
         raise BadAddress(f"invalid address {text!r}; {example}")
     return Address(host, PORT if port is None else port)
 
@@ -90,17 +82,39 @@ def parse_mqtt_address(text: str) -> MqttAddress:
     '2026'
     """
     example = "expected mqtt://HOST, mqtt://HOST:PORT or mqtt://HOST?dialect=2026"
-    stripped = text.strip()
-    if not is_mqtt(stripped) or any(each.isspace() or not each.isprintable() for each in stripped):
+    if not is_mqtt(text):
         raise BadAddress(f"invalid address {text!r}; {example}")
+    parts, host, port = _split(text, text.strip(), "mqtt", example)
     try:
-        parts = urlsplit(stripped)
-        host, port = parts.hostname, parts.port
         options = dict(parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True)) if parts.query else {}
     except ValueError as error:
         raise BadAddress(f"invalid address {text!r}: {error}; {example}") from None
-    if not host or "@" in parts.netloc or parts.path not in ("", "/") or parts.fragment or port == 0:
-        raise BadAddress(f"invalid address {text!r}; {example}")
     if options.keys() - {"dialect"}:
         raise BadAddress(f"unknown option in address {text!r}; the only option is dialect; {example}")
     return MqttAddress(host, MQTT_PORT if port is None else port, options.get("dialect"))
+
+
+def _split(text: str, url: str, scheme: str, example: str) -> tuple[SplitResult, str, int | None]:
+    """Return the parts of a URL, with its host and port, after checking them.
+
+    Args:
+        text: Address as it was passed, for the messages.
+        url: The same address with a scheme.
+        scheme: Expected scheme.
+        example: Expected form, for the messages.
+
+    Raises:
+        BadAddress: If the URL has another scheme, no host, an invalid port, or parts that no address has.
+    """
+    if any(character.isspace() or not character.isprintable() for character in url):
+        raise BadAddress(f"invalid address {text!r}; {example}")
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError as error:  # an unclosed bracket, or a port that is not a number from 1 to 65535
+        raise BadAddress(f"invalid address {text!r}: {error}; {example}") from None
+    if parts.scheme != scheme:
+        raise BadAddress(f"unknown scheme {parts.scheme!r} in address {text!r}; expected 'rhd' or 'mqtt'")
+    if not host or "@" in parts.netloc or parts.path not in ("", "/") or parts.fragment or port == 0:
+        raise BadAddress(f"invalid address {text!r}; {example}")
+    return parts, host, port

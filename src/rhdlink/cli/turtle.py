@@ -15,7 +15,7 @@ from ..host.world import World
 from ..mqtt.commands import DIALECTS
 from ..mqtt.simulated import SimulatedRobobot
 from ..wire.decoder import Limits
-from .hosting import serve_until_told, service_arguments, service_options
+from .hosting import run_until_told, serve_until_told, service_arguments, service_options
 from .options import port, tell
 from .turtle_world import WORLD, drawn, world
 
@@ -58,36 +58,27 @@ def run(args: argparse.Namespace) -> int:
       rhdlink turtle --port 0 --lockstep
       rhdlink turtle --drive mqtt --dialect 2025 --floor floor.svg
     """
-    if args.drive == "mqtt":
-        return _run_with_mqtt(args)
-    robot = Turtle(world(args)) if args.drive == "velocity" else SmrTurtle(world(args))
+    floor = world(args)
     if args.picture is not None:
-        drawn(robot.world, args, args.picture)  # raises an error immediately if it cannot be written
-    pacing: Pacing = "lockstep" if args.lockstep else "period"
-    host = Host([robot], period=args.period, pacing=pacing, **service_arguments(args, Limits()))
-    status = serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
-    _finish(robot.world, args)
+        drawn(floor, args, args.picture)  # raises an error immediately if it cannot be written
+    status = _run_with_mqtt(args, floor) if args.drive == "mqtt" else _run_with_rhd(args, floor)
+    pose = floor.pose
+    tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
+    if args.picture is not None:
+        drawn(floor, args, args.picture)
     return status
 
 
-def _finish(world: World, args: argparse.Namespace) -> None:
-    pose = world.pose
-    tell(f"ended at x {pose.x:.3f} m, y {pose.y:.3f} m, heading {math.degrees(pose.theta):.1f} deg")
-    if args.picture is not None:
-        drawn(world, args, args.picture)
+def _run_with_rhd(args: argparse.Namespace, floor: World) -> int:
+    robot = Turtle(floor) if args.drive == "velocity" else SmrTurtle(floor)
+    pacing: Pacing = "lockstep" if args.lockstep else "period"
+    host = Host([robot], period=args.period, pacing=pacing, **service_arguments(args, Limits()))
+    return serve_until_told(host, f"turtle, driven by {args.drive}", args.duration)
 
 
-def _run_with_mqtt(args: argparse.Namespace) -> int:
+def _run_with_mqtt(args: argparse.Namespace, floor: World) -> int:
     broker = parse_mqtt_address(args.broker)
-    robot = SimulatedRobobot(broker.host, broker.port, dialect=broker.dialect or args.dialect, world=world(args))
-    if args.picture is not None:
-        drawn(robot.world, args, args.picture)  # raises an error immediately if it cannot be written
+    robot = SimulatedRobobot(broker.host, broker.port, dialect=broker.dialect or args.dialect, world=floor)
     with Interruption() as interruption:
-        with robot:
-            tell(f"simulated robot with MQTT, commands of {robot.dialect}; Ctrl-C ends it; connect to")
-            print(robot.address, flush=True)
-            interruption.end_after(args.duration)
-            while not robot.wait(0.0) and not interruption.wait(0.1):
-                pass
-        _finish(robot.world, args)
+        run_until_told(robot, f"simulated robot with MQTT, commands of {robot.dialect}", args.duration, interruption)
     return interruption.status
