@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 # nox runs this file from its own folder, but does not look for modules there.
 sys.path.insert(0, str(Path(__file__).parent))
 
-from noxfile import COMPILED, EXTRAS, PARALLEL, TESTED, group, install, slow, tests
+from noxfile import COMPILED, DOCTESTS, EXAMPLES, EXTRAS, PARALLEL, TESTED, group, install, slow, tests
 
 nox.needs_version = ">=2025.2.9"
 nox.options.sessions = [
@@ -57,8 +57,7 @@ def windows(session: nox.Session) -> None:
     """Run the tests on Windows' CPython under Wine. Run it after changing sockets, waits or clocks. It needs root."""
     lab = str(Path(session.create_tmp()).resolve() / "wine")
     session.run("python", ".ci/wine.py", "install", lab)
-    doctests = ("--doctest-modules", "--doctest-glob=*.md", "--ignore=docs/conf.py")
-    chosen = session.posargs or ["-m", "not slow", *doctests, *TESTED, "src", "docs", "README.md"]
+    chosen = session.posargs or [*DOCTESTS, "-m", "not slow", *TESTED, *EXAMPLES]
     plugins = ("-p", "no:cacheprovider", "-p", "pytest_urlink")
     session.run("python", ".ci/wine.py", "run", lab, "-u", "-m", "pytest", "-q", *plugins, *chosen)
 
