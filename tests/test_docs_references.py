@@ -102,7 +102,7 @@ def test_types_of_arguments_are_short(signatures: Any) -> None:
     assert signatures.types_of(poses.compose)["return"].__name__ == "NDArray"
 
 
-def test_page_describes_each_short_type(signatures: Any) -> None:
+def test_api_page_describes_each_type_of_the_signatures(signatures: Any) -> None:
     page = (DOCS / "api.md").read_text(encoding="utf-8")
     heading, _, rest = page.partition("## Types in signatures\n")[2].partition("```{toctree}")
     assert rest

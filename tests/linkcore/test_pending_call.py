@@ -50,7 +50,10 @@ class Arm:
 
     @starts_motion
     def orders(self, stops: bool = False) -> tuple[int, int]:
-        """Return the orders of this call and of a nested one; if `stops`, this thread stops the robot in between."""
+        """Return the order numbers of this call and of a nested call.
+
+        If `stops`, this thread stops the robot between the two calls.
+        """
         call = current_call()
         assert call is not None
         if stops:
@@ -108,7 +111,7 @@ def test_order_increases_from_call_to_call(arm: Arm) -> None:
     assert first < stop < second
 
 
-def test_nested_call_has_the_order_of_the_outer_call(arm: Arm) -> None:
+def test_nested_call_has_the_order_number_of_the_outer_call(arm: Arm) -> None:
     outer, inner = arm.orders()
     assert outer == inner
 

@@ -132,7 +132,7 @@ def test_move_does_not_change_type_errors_without_a_hint() -> None:
 
 
 @pytest.mark.simulated_time
-def test_error_of_setting_names_the_alternative() -> None:
+def test_error_of_assignment_names_the_alternative() -> None:
     with urlink.connect("sim://") as robot:
         held: Any = robot
         for part, name, hint in (

@@ -779,7 +779,9 @@ def test_host_defaults_suit_the_original_clients() -> None:
         ("synchronized", '<mode value="synchronized"/>', "lockstep", False),
     ],
 )
-def test_scheduler_and_mode_of_a_file_set_the_pacing(kind: str, mode: str, pacing: str, synchronized: bool) -> None:
+def test_scheduler_and_server_mode_in_a_file_set_the_pacing(
+    kind: str, mode: str, pacing: str, synchronized: bool
+) -> None:
     text = f'<rhd><scheduler><type value="{kind}"/></scheduler><server>{mode}</server></rhd>'
     host = Host.from_config(parse_config(text))
     assert (host._pacing, host._synchronized) == (pacing, synchronized)

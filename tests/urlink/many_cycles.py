@@ -80,7 +80,7 @@ def of_the_client(garbage: list[object]) -> list[object]:
 
 
 def left() -> collections.Counter[str]:
-    """Collect all garbage, and count the objects of the client by type that only the collector found."""
+    """Collect all garbage. Count, by type, the objects of the client that only the collector could free."""
     gc.set_debug(gc.DEBUG_SAVEALL)
     try:
         gc.collect()

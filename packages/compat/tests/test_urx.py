@@ -151,7 +151,7 @@ def test_poses_are_math3d_transforms(controller: Controller, monkeypatch: pytest
             robot.set_pose(pose, command="movej")
 
 
-def test_get_pose_names_missing_math3d(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_of_get_pose_says_that_math3d_is_missing(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "math3d", None)
     with urx.Robot(controller.address) as robot, pytest.raises(LocalError, match="math3d is not installed"):
         robot.get_pose()

@@ -82,7 +82,7 @@ def test_clock_conversions_are_correct_within_the_bound(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["none", "uniform", "exponential"])
-def test_clock_bound_is_about_half_of_the_round_trip(kind: str) -> None:
+def test_clock_error_bound_is_about_half_of_the_round_trip(kind: str) -> None:
     wire = Wire(1, DELAYS[kind])
     wire.connect()
     wire.run(30.0)

@@ -137,7 +137,7 @@ def undisturbed(firmware: str, name: str) -> list[float]:
 @platforms.needs_signals
 @pytest.mark.parametrize(("firmware", "name", "column"), one_of_each_column())
 @pytest.mark.real_time
-def test_real_processes_end_or_continue_as_listed_in_the_table(
+def test_motion_of_real_processes_ends_or_continues_as_listed(
     rig: Callable[..., Processes], firmware: str, name: str, column: str
 ) -> None:
     is_alone = column == "silence"

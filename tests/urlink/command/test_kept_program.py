@@ -277,7 +277,7 @@ def test_reader_thread_does_not_wait_if_send_buffer_is_full() -> None:
     assert desk.stops == 1
 
 
-def test_kept_program_replaced_before_its_stop_is_not_stopped() -> None:
+def test_no_stop_is_sent_after_the_kept_program_was_replaced() -> None:
     """Another thread sends the next motion between the state and the stop."""
     desk = Programming()
     stopped(desk)

@@ -214,7 +214,7 @@ def test_group_points_are_checked_again_after_concurrent_clear(streams: Streams)
 
 
 @pytest.mark.parametrize(("ends", "is_refused"), [(1.0 + 0.9e-6, False), (1.0 + 1.1e-6, True)])
-def test_points_of_all_arms_end_together(streams: Streams, ends: float, is_refused: bool) -> None:
+def test_points_that_end_at_different_times_are_rejected(streams: Streams, ends: float, is_refused: bool) -> None:
     calls: list[Callable[[], object]] = [
         lambda: streams.append([1.0], [ends]),
         lambda: streams.replace(0.1, [1.0], [ends]),

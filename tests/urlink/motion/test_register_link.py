@@ -91,7 +91,7 @@ def test_link_writes_all_inputs() -> None:
     assert isinstance(link.absence("nothing came"), ConnectFailed)
 
 
-def test_message_numbers_and_dates_always_fit_a_register(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_message_numbers_and_cycle_counts_fit_a_register(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are never 0, because an unwritten register holds 0."""
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))

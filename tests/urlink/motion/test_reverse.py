@@ -33,7 +33,7 @@ def is_up(link: ReverseLink) -> bool:
     return link.poll(has_begun=False)
 
 
-def test_link_listens_at_free_port_on_route_to_robot(link: ReverseLink) -> None:
+def test_link_listens_at_the_interface_that_reaches_the_robot(link: ReverseLink) -> None:
     host, port, _ = link.endpoint
     assert host == "127.0.0.1"
     assert port > 1023

@@ -130,7 +130,7 @@ def test_recording_contains_the_recipe(tmp_path: Path) -> None:
         assert robot.rtde.outputs("actual_q").wait().actual_q.shape == (6,)
 
 
-def test_recording_without_rtde_raises(tmp_path: Path) -> None:
+def test_replay_without_rtde_raises_for_outputs(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     with urlink.connect("sim://ur5e?firmware=5.4") as robot, robot.record(path, ["realtime"]):
         robot.realtime.wait()

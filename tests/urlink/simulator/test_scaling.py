@@ -223,7 +223,7 @@ def test_later_moves_from_rest_have_a_shorter_ramp(rest: str) -> None:
 
 
 @pytest.mark.parametrize("firmware", ["5.11", "5.25"])
-def test_later_moves_last_as_long_as_on_the_vendor_simulator(firmware: str) -> None:
+def test_next_moves_take_as_long_as_on_the_vendor_simulator(firmware: str) -> None:
     # The limits come from the tests of the UR Client Library. Its executor sends one move after the other to a running
     # program. It checks every 0.1 s whether the move has ended. movej lasts more than 1.4 s (1.45 to 1.65 s in earlier
     # releases) and movel 0.65 to 0.85 s. A move with a time lasts up to 0.1 s longer than this time; the exception is a

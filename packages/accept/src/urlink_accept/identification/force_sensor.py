@@ -1,7 +1,7 @@
 """Offset of the force sensor, and the payload that the controller does not know.
 
-At rest, a sensor shows its own offset, which turns with the tool, and the weight of what the controller does not know
-as payload, which always points down. Rests with the tool in different directions separate the two.
+At rest, a sensor shows its own offset, which turns with the tool. It also shows the weight of the payload that the
+controller does not know, which always points down. Rests with the tool in different directions separate the two.
 """
 
 from __future__ import annotations

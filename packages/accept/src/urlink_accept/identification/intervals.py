@@ -21,7 +21,7 @@ from urlink.tools import Estimate, FloatArray
 _MOST_BLOCKS, _EQUAL_BLOCKS = 24, 12
 #: Smallest number of movements that are used as blocks. Number of random halves and their complements.
 _LEAST_MOVEMENTS, _PAIRS = 8, 200
-#: Smallest share of a half in what is known about a factor.
+#: Smallest share of a half in the information about a factor.
 _LEAST_SHARE = 0.05
 #: Relative size of an eigenvalue that is rounding. Part of a factor in such a direction that makes it unknown.
 _RANK, _HIDDEN = 1e-10, 1e-3
@@ -105,7 +105,7 @@ def fit(columns: FloatArray, measured: FloatArray, blocks: NDArray[np.int_]) -> 
     chosen = np.concatenate((np.ones((1, len(parts)), dtype=bool), first, ~first)).astype(np.float64)
     inverses = np.linalg.pinv(np.einsum("hb,bij->hij", chosen, squares), hermitian=True)
     factors = np.einsum("hij,hj->hi", inverses, chosen @ sides) / lengths
-    # Share of each block in what is known about each factor. A half without that motion says nothing about the factor.
+    # Share of each block in the information about each factor. A half without that motion says nothing about it.
     whole = inverses[0]
     shares = np.einsum("ij,bjk,ki->bi", whole, squares, whole) / np.maximum(np.diag(whole), 1e-300)
     factors[1:] = np.where(chosen[1:] @ shares < _LEAST_SHARE, factors[0], factors[1:])
