@@ -30,11 +30,10 @@ from .session.robot_clock import RobotClock
 from .session.source import Source, networked, recorded
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from typing_extensions import Self
 
     from linkcore.recording.recorder import Recorder
-
-    from numpy.typing import ArrayLike
 
     from .arm.kinematics import Arm
     from .arm.payload import MeasuredPayload

@@ -260,9 +260,7 @@ def fit_currents(
     wander = float(np.sqrt(fitted.variance)) * float(friction.mean())
     nothing = [Estimate.unknown("a force sensor in the wrist")] * 6
     free = fitted.free, fitted.free
-    return _measured(
-        unset, covariance, free, set_payload, nothing, "currents", len(rests), (wander, wander), gravity
-    )
+    return _measured(unset, covariance, free, set_payload, nothing, "currents", len(rests), (wander, wander), gravity)
 
 
 class _Fit:
@@ -277,7 +275,7 @@ class _Fit:
 
     def __init__(self, columns: FloatArray, measured: FloatArray) -> None:
         rows, values = columns.reshape(-1, columns.shape[2]), measured.ravel()
-        self.shape: FloatArray = np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True)
+        self.shape: FloatArray = np.asarray(np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True), np.float64)
         self.factors: FloatArray = self.shape @ rows.T @ values
         self.free = max(len(values) - int(np.linalg.matrix_rank(rows)), 1)
         self.variance = float(((values - rows @ self.factors) ** 2).sum()) / self.free

@@ -346,4 +346,3 @@ class PayloadMeasurement(StrictAttributes):
 def _angle(first: FloatArray, second: FloatArray) -> float:
     cosine = float(first @ second) / float(np.linalg.norm(first) * np.linalg.norm(second))
     return math.acos(min(max(cosine, -1.0), 1.0))
-

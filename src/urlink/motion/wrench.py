@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,43 +27,29 @@ from ..arm.vectors import FloatArray, Numbers
 from ..protocol.realtime.packets import RealtimeState
 from .moves.path import shown_tcp
 
-#: Names of frames of a wrench.
-WrenchFrame = Literal["tcp", "base"]
 # Longest time in s of a software zero.
 _LONGEST_ZERO = 60.0
 
 
-class Wrench(StrictAttributes):
+class Wrench(NamedTuple):
     """Wrench on the tool in one state, in N and Nm. It is what the surroundings exert on the tool.
 
     Attributes:
-        state: State from which the wrench was computed.
+        force: Compensated force along the axes of the frame: x, y, z, in N.
+        torque: Compensated torque about the origin of the frame ("base": about the TCP): x, y, z, in Nm.
         frame: Frame of the wrench: "tcp", "base", or a pose in the base frame; see `Robot.wrench`.
+        state: State from which the wrench was computed.
     """
 
-    __slots__ = ("_values", "frame", "state")
-
-    def __init__(
-        self, state: RealtimeState, frame: str | tuple[float, ...], values: tuple[float, float, float, float, float, float]
-    ) -> None:
-        self.state = state
-        self.frame = frame
-        self._values = values
+    force: tuple[float, float, float]
+    torque: tuple[float, float, float]
+    frame: str | tuple[float, ...]
+    state: RealtimeState
 
     @property
     def values(self) -> FloatArray:
         """Compensated force and torque along the axes of the frame, shape (6,), in N and Nm."""
-        return np.array(self._values)
-
-    @property
-    def force(self) -> tuple[float, float, float]:
-        """Compensated force along the axes of the frame: x, y, z, in N."""
-        return self._values[:3]
-
-    @property
-    def torque(self) -> tuple[float, float, float]:
-        """Compensated torque about the origin of the frame ("base": about the TCP): x, y, z, in Nm."""
-        return self._values[3:]
+        return np.array((*self.force, *self.torque))
 
     @property
     def raw(self) -> FloatArray:
@@ -71,7 +57,7 @@ class Wrench(StrictAttributes):
         return self.state.tcp_force
 
     def __repr__(self) -> str:
-        x, y, z, rx, ry, rz = self._values
+        (x, y, z), (rx, ry, rz) = self.force, self.torque
         name = self.frame if isinstance(self.frame, str) else "frame"
         return f"<Wrench {name}: {x:.2f} {y:.2f} {z:.2f} N, {rx:.3f} {ry:.3f} {rz:.3f} Nm>"
 
@@ -99,6 +85,7 @@ class WrenchStream(StrictAttributes):
             raise BadValue("the payload was measured without a force sensor, so the offset of the sensor is unknown")
         self.payload = payload
         self._realtime = realtime
+        self._arm = arm
         self._frame: str | tuple[float, ...]
         # Rotation and position of a given frame in the base frame.
         self._given: rigid.Rigid[float] | None = None
@@ -118,7 +105,7 @@ class WrenchStream(StrictAttributes):
         self._down = tuple(-each for each in payload.gravity)
         self._turn = turn
         # Last payload that a state has shown, and the weight that it leaves: mass in kg, first moment about the TCP.
-        self._shown: tuple[float | None, bytes] | None = None
+        self._shown: tuple[float, bytes] | None = None
         self._left = self._weight(payload.set_payload)
 
     @property
@@ -154,48 +141,41 @@ class WrenchStream(StrictAttributes):
 
     def compensate(self, state: RealtimeState) -> Wrench:
         """Return the wrench of a state, for example in a callback of `robot.realtime`."""
-        mass_shown = state.payload_mass
-        if mass_shown is not None:
-            cog = state.payload_cog
-            shown = mass_shown, b"" if cog is None else cog.tobytes()
+        known, cog = state.payload_mass, state.payload_cog
+        if known is not None and cog is not None:
+            shown = known, cog.tobytes()
             if shown != self._shown:
-                x, y, z = (0.0, 0.0, 0.0) if cog is None else cog.tolist()
-                self._left, self._shown = self._weight((mass_shown, x, y, z)), shown
-        pose = state.tool_vector_actual.tolist()
-        r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = rigid.from_pose(pose)
-        fx, fy, fz, tx, ty, tz = state.tcp_force.tolist()
+                x, y, z = cog.tolist()
+                self._left, self._shown = self._weight((known, x, y, z)), shown
+        r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = rigid.from_pose(state.tool_vector_actual.tolist())
+        ux, uy, uz, vx, vy, vz = state.tcp_force.tolist()
         ox, oy, oz, ax, ay, az = self._offset
-        mass, mx, my, mz = self._left
+        mass, sx, sy, sz = self._left
         gx, gy, gz = self._down
-        # First moment of the weight that the controller does not know, along the axes of the base.
-        sx = r00 * mx + r01 * my + r02 * mz
-        sy = r10 * mx + r11 * my + r12 * mz
-        sz = r20 * mx + r21 * my + r22 * mz
-        fx -= r00 * ox + r01 * oy + r02 * oz + mass * gx
-        fy -= r10 * ox + r11 * oy + r12 * oz + mass * gy
-        fz -= r20 * ox + r21 * oy + r22 * oz + mass * gz
-        tx -= r00 * ax + r01 * ay + r02 * az + sy * gz - sz * gy
-        ty -= r10 * ax + r11 * ay + r12 * az + sz * gx - sx * gz
-        tz -= r20 * ax + r21 * ay + r22 * az + sx * gy - sy * gx
-        if self._given is not None:
-            r00, r01, r02, r10, r11, r12, r20, r21, r22, qx, qy, qz = self._given
-            px, py, pz = px - qx, py - qy, pz - qz
-            tx += py * fz - pz * fy
-            ty += pz * fx - px * fz
-            tz += px * fy - py * fx
-        elif self._frame == "base":
-            return Wrench(state, "base", (fx, fy, fz, tx, ty, tz))
+        # Gravity, force and torque along the axes of the TCP.
+        hx = r00 * gx + r10 * gy + r20 * gz
+        hy = r01 * gx + r11 * gy + r21 * gz
+        hz = r02 * gx + r12 * gy + r22 * gz
+        fx = r00 * ux + r10 * uy + r20 * uz - ox - mass * hx
+        fy = r01 * ux + r11 * uy + r21 * uz - oy - mass * hy
+        fz = r02 * ux + r12 * uy + r22 * uz - oz - mass * hz
+        tx = r00 * vx + r10 * vy + r20 * vz - ax - sy * hz + sz * hy
+        ty = r01 * vx + r11 * vy + r21 * vz - ay - sz * hx + sx * hz
+        tz = r02 * vx + r12 * vy + r22 * vz - az - sx * hy + sy * hx
+        if self._frame == "tcp":
+            return Wrench((fx, fy, fz), (tx, ty, tz), "tcp", state)
+        ux, uy, uz = (r00 * fx + r01 * fy + r02 * fz, r10 * fx + r11 * fy + r12 * fz, r20 * fx + r21 * fy + r22 * fz)
+        vx, vy, vz = (r00 * tx + r01 * ty + r02 * tz, r10 * tx + r11 * ty + r12 * tz, r20 * tx + r21 * ty + r22 * tz)
+        if self._given is None:
+            return Wrench((ux, uy, uz), (vx, vy, vz), "base", state)
+        r00, r01, r02, r10, r11, r12, r20, r21, r22, qx, qy, qz = self._given
+        px, py, pz = px - qx, py - qy, pz - qz
+        vx, vy, vz = vx + py * uz - pz * uy, vy + pz * ux - px * uz, vz + px * uy - py * ux
         return Wrench(
-            state,
+            (r00 * ux + r10 * uy + r20 * uz, r01 * ux + r11 * uy + r21 * uz, r02 * ux + r12 * uy + r22 * uz),
+            (r00 * vx + r10 * vy + r20 * vz, r01 * vx + r11 * vy + r21 * vz, r02 * vx + r12 * vy + r22 * vz),
             self._frame,
-            (
-                r00 * fx + r10 * fy + r20 * fz,
-                r01 * fx + r11 * fy + r21 * fz,
-                r02 * fx + r12 * fy + r22 * fz,
-                r00 * tx + r10 * ty + r20 * tz,
-                r01 * tx + r11 * ty + r21 * tz,
-                r02 * tx + r12 * ty + r22 * tz,
-            ),
+            state,
         )
 
     def zero(self, duration: float = 0.5) -> None:
@@ -212,33 +192,17 @@ class WrenchStream(StrictAttributes):
             LinkTimeout, RemoteError, LocalError, Closed: See `Feed.wait_until`.
         """
         seconds = check_number(duration, "duration", 0.01, _LONGEST_ZERO, "s")
-        found: list[list[float]] = []
-        begun: list[float] = []
+        tool = WrenchStream(self._realtime, self._arm, self.payload)
+        tool._offset = self._offset
+        found: list[Wrench] = []
 
-        def is_complete(state: RealtimeState) -> bool:
-            if not begun:
-                begun.append(state.time)
-            turn = rotvec_to_matrix(state.tool_vector_actual[3:]).T
-            left = self._along_base(state)
-            found.append([*(turn @ left[:3]).tolist(), *(turn @ left[3:]).tolist()])
-            return state.time - begun[0] >= seconds
+        def is_complete(wrench: Wrench) -> bool:
+            found.append(wrench)
+            return wrench.state.time - found[0].state.time >= seconds
 
-        self._realtime.wait_until(is_complete, seconds + 5.0)
-        mean = np.mean(found, axis=0).tolist()
-        self._offset = tuple(a + b for a, b in zip(self._offset, mean, strict=True))
-
-    def _along_base(self, state: RealtimeState) -> FloatArray:
-        """Return the compensated wrench along the axes of the base, about the TCP, shape (6,)."""
-        wrench = self.compensate(state).values
-        if self._frame == "base":
-            return wrench
-        if self._given is None:
-            turn = rotvec_to_matrix(state.tool_vector_actual[3:])
-            return np.concatenate((turn @ wrench[:3], turn @ wrench[3:]))
-        turn = np.array(self._given[:9]).reshape(3, 3)
-        force, torque = turn @ wrench[:3], turn @ wrench[3:]
-        lever = state.tool_vector_actual[:3] - np.array(self._given[9:])
-        return np.concatenate((force, torque - np.cross(lever, force)))
+        tool.wait_until(is_complete, seconds + 5.0)
+        mean = np.mean([each.values for each in found], axis=0)
+        self._offset = tuple((np.array(self._offset) + mean).tolist())
 
     def _weight(self, shown: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
         """Return the weight that the controller does not subtract: mass, and first moment about the TCP in its axes."""

@@ -104,9 +104,7 @@ def measured(seed: int, run: int, postures: int) -> tuple[MeasuredPayload, Float
     mass, centre = rng.uniform(0.5, 5.0), rng.uniform((-0.05, -0.05, 0.0), (0.05, 0.05, 0.15))
     known = (rng.uniform(0.0, 3.0), 0.0, 0.0, 0.05) if rng.random() < 0.5 else (0.0, 0.0, 0.0, 0.0)
     tcp = np.array([0.0, 0.0, rng.uniform(0.0, 0.2), 0.0, 0.0, rng.uniform(-1.0, 1.0)])
-    limits = WristLimits(
-        START, np.full(3, rng.uniform(0.8, 1.6)), np.full(3, -np.inf), np.full(3, np.inf), tcp
-    )
+    limits = WristLimits(START, np.full(3, rng.uniform(0.8, 1.6)), np.full(3, -np.inf), np.full(3, np.inf), tcp)
     unset = mass - known[0], mass * centre - known[0] * np.array(known[1:])
     rests = planted(arm, plan(arm, limits, postures), tcp, unset, drawn_errors(rng), rng)
     return fit_sensor(arm, rests, tcp, known), np.array([mass, *centre])
