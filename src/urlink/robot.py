@@ -591,8 +591,8 @@ class Robot(StrictAttributes, Closing):
         """Return a stream of the wrench on the tool, without the weight of the payload and the offset of the sensor.
 
         The wrench is what the surroundings exert on the tool, in N and Nm. The raw wrench is next to it. If the payload
-        on the controller changes (`set_payload`), the stream follows it on firmware 5.10 or later. After `set_tcp`, make
-        a new stream. After the sensor was zeroed, call `zero` of the stream.
+        on the controller changes (`set_payload`), the stream follows it on firmware 5.10 or later. After `set_tcp`,
+        make a new stream. After the sensor was zeroed, call `zero` of the stream.
 
         Args:
             payload: Result of `measure_payload` or `measure_payload_by_hand` on an arm with a force sensor.

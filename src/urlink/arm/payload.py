@@ -57,14 +57,15 @@ _CONSTANTS = 0.06
 class MeasuredPayload:
     """Measured payload, and offset of the force sensor.
 
-    The intervals of mass and centre hold together: in 95 % of the measurements, all four numbers are in their intervals.
-    A centre is unknown if the mass might be zero.
+    The intervals of mass and centre hold together: in 95 % of the measurements, all four numbers are in their
+    intervals. A centre is unknown if the mass might be zero.
 
     Attributes:
         mass: Mass at the flange, in kg.
         cog: Centre of gravity in the flange frame: x, y, z, in m.
         force_offset: Offset of the force sensor at the end of the measurement, six numbers, in N and Nm, along the axes
-            of the flange, and about its origin. The numbers are unknown without a sensor. Zeroing the sensor changes it.
+            of the flange, and about its origin. The numbers are unknown without a sensor. Zeroing the sensor changes
+            the offset.
         source: "sensor" for a wrist sensor, "currents" for the currents of the joints.
         postures: Number of postures.
         wander: Root mean square of the deviations between the rests and the fit, in N and Nm. Both are joint torques in

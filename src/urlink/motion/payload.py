@@ -215,9 +215,10 @@ class PayloadMeasurement(StrictAttributes):
         if may_move is not True:
             swept = np.concatenate([way(a, b) for a, b in itertools.pairwise([*planned, limits.start])])
             tool = self._arm.forward(swept, tcp)[:, :3]
+            low, high = (np.round(each, 3).tolist() for each in (tool.min(axis=0), tool.max(axis=0)))
             raise BadValue(
-                f"missing consent; measure_payload moves the wrist joints, and the TCP from {np.round(tool.min(axis=0), 3).tolist()} to "
-                f"{np.round(tool.max(axis=0), 3).tolist()} m in the base frame; pass may_move=True if this is free"
+                f"missing consent; measure_payload moves the wrist joints, and the TCP from {low} to {high} m in the "
+                "base frame; pass may_move=True if this space is free"
             )
         known = self._known(state)
         rests = []

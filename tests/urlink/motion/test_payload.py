@@ -152,11 +152,12 @@ def test_negative_mass_is_rejected() -> None:
 def test_fit_names_the_undetermined_quantity(wrists: tuple[float, ...], message: str, fit: str) -> None:
     steps = np.linspace(-1.0, 1.0, 8)[:, np.newaxis] * np.array([0.0, 0.0, 0.0, *wrists])
     rests = planted(ARM, list(START + steps), TCP, (2.0, np.zeros(3)), NO_ERRORS, np.random.default_rng(1))
+    fits = {
+        "sensor": lambda: fit_sensor(ARM, rests, TCP, (0.0, 0.0, 0.0, 0.0)),
+        "currents": lambda: fit_currents(ARM, rests, (0.0, 0.0, 0.0, 0.0)),
+    }
     with pytest.raises(BadValue, match=message):
-        if fit == "sensor":
-            fit_sensor(ARM, rests, TCP, (0.0, 0.0, 0.0, 0.0))
-        else:
-            fit_currents(ARM, rests, (0.0, 0.0, 0.0, 0.0))
+        fits[fit]()
 
 
 # -- the plan --------------------------------------------------------------------------------------
@@ -215,7 +216,7 @@ def test_measures_and_sets_the_payload_within_limits(arm: tuple[Controller, Robo
     seen: list[urlink.RealtimeState] = []
     start = robot.realtime.wait()
     at = start.tool_vector_actual[:3]
-    box = np.array([at - (0.14, 0.14, 0.02), at + (0.14, 0.14, 0.25)])
+    box = np.array([at - np.array([0.14, 0.14, 0.02]), at + np.array([0.14, 0.14, 0.25])])
 
     def wander(number: int) -> None:
         controller.push([*rng.normal(0.0, 0.5, 3), *rng.normal(0.0, 0.05, 3)])
