@@ -559,7 +559,7 @@ class Robot(StrictAttributes, Closing):
             Cancelled, SafetyStop, NotRunning: See `measure_payload`.
         """
         measurement = self._payload_measurement(postures, rest, set_payload, gravity, timeout, on_posture)
-        return measurement.by_hand(self.freedrive(watchdog=watchdog, link=link), posture_timeout)
+        return measurement.by_hand(lambda: self.freedrive(watchdog=watchdog, link=link), posture_timeout)
 
     def _payload_measurement(
         self,

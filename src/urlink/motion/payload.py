@@ -258,7 +258,7 @@ class PayloadMeasurement(StrictAttributes):
     # -- by hand -------------------------------------------------------------------------------------
 
     @starts_motion
-    def by_hand(self, freedrive: Freedrive, posture_timeout: float) -> MeasuredPayload:
+    def by_hand(self, make_freedrive: Callable[[], Freedrive], posture_timeout: float) -> MeasuredPayload:
         """Read the postures that a person chooses in freedrive; see `Robot.measure_payload_by_hand`."""
         if not self._has_sensor:
             raise LocalError(
@@ -275,6 +275,8 @@ class PayloadMeasurement(StrictAttributes):
         def is_new(state: RealtimeState) -> bool:
             down = gravity_in(self._arm, state.q_actual[np.newaxis], self._gravity)[0]
             return all(_angle(down, each) > _NEW for each in seen)
+
+        freedrive = make_freedrive()
 
         def check() -> None:
             if freedrive.error is not None:
