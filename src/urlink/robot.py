@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from .motion import Freedrive, Motions
     from .motion.control import Control
     from .motion.motions import LinkName
-    from .motion.payload import PayloadMeasurement
+    from .motion.payload_measurement import PayloadMeasurement
     from .motion.teaching import TaughtPoint, Teaching
     from .motion.wrench import WrenchStream
     from .protocol.dashboard.client import Dashboard
@@ -570,7 +570,7 @@ class Robot(StrictAttributes, Closing):
         timeout: float,
         on_posture: Callable[[int], object] | None,
     ) -> PayloadMeasurement:
-        from .motion.payload import PayloadMeasurement
+        from .motion.payload_measurement import PayloadMeasurement
 
         arm = self.kinematics
         return PayloadMeasurement(

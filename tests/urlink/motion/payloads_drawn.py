@@ -19,7 +19,7 @@ from urlink.arm.kinematics import Arm
 from urlink.arm.payload import MeasuredPayload, Rest, fit_sensor, gravity_in
 from urlink.arm.poses import rotvec_to_matrix
 from urlink.arm.vectors import FloatArray
-from urlink.motion.payload import WristLimits, plan
+from urlink.motion.payload_measurement import WristLimits, plan
 
 #: Number of states of one rest, and time from rest to rest, in s.
 STATES, PERIOD = 500, 5.0

@@ -20,8 +20,8 @@ from urlink.arm.arm_file import Estimate
 from urlink.arm.kinematics import Arm
 from urlink.arm.payload import POSTURES, Rest, fit_currents, fit_sensor, gravity_in
 from urlink.arm.vectors import FloatArray
-from urlink.motion import payload as measuring
-from urlink.motion.payload import WristLimits, plan, way
+from urlink.motion import payload_measurement as measuring
+from urlink.motion.payload_measurement import WristLimits, plan, way
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
 
