@@ -11,10 +11,12 @@ of the torque is assumed to be a tenth of that of the force, in Nm. Drift (up to
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from urlink.arm.arm_file import Estimate
 from urlink.arm.kinematics import Arm
 from urlink.arm.payload import MeasuredPayload, Rest, fit_sensor, gravity_in
 from urlink.arm.poses import rotvec_to_matrix
@@ -108,6 +110,19 @@ def measured(seed: int, run: int, postures: int) -> tuple[MeasuredPayload, Float
     unset = mass - known[0], mass * centre - known[0] * np.array(known[1:])
     rests = planted(arm, plan(arm, limits, postures), tcp, unset, drawn_errors(rng), rng)
     return fit_sensor(arm, rests, tcp, known), np.array([mass, *centre])
+
+
+def exact_payload(mass: float, centre: Sequence[float], offset: Sequence[float] = (0.0,) * 6) -> MeasuredPayload:
+    """Return a payload as if it was measured without errors."""
+
+    def exact(value: float) -> Estimate:
+        return Estimate(value, value, value)
+
+    x, y, z = map(exact, centre)
+    none = (0.0, 0.0, 0.0, 0.0)
+    return MeasuredPayload(
+        exact(mass), (x, y, z), tuple(map(exact, offset)), "sensor", 6, (0.0, 0.0), none, (0.0, 0.0, 9.82)
+    )
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ import urlink
 from linkcore.errors import BadValue
 from tests.waiting import until
 from urlink import poses
-from urlink.arm.arm_file import Estimate
-from urlink.motion import MeasuredPayload
 from urlink.robot import Robot
 from urlink.simulator import Controller, Still
+
+from .payloads_drawn import exact_payload
 
 pytestmark = pytest.mark.simulated_time
 
@@ -25,16 +25,6 @@ TCP = [0.01, 0.02, 0.1, 0.0, 0.3, 0.5]
 FRAME = [0.3, -0.2, 0.1, 0.4, -0.2, 1.0]
 #: Largest differences by the noise of the simulated sensor, in N and Nm.
 NEAR = np.array([1.5] * 3 + [0.06] * 3)
-
-
-def payload(mass: float, centre: tuple[float, ...], offset: tuple[float, ...] = (0.0,) * 6) -> MeasuredPayload:
-    def exact(value: float) -> Estimate:
-        return Estimate(value, value, value)
-
-    x, y, z = map(exact, centre)
-    return MeasuredPayload(
-        exact(mass), (x, y, z), tuple(map(exact, offset)), "sensor", 6, (0.0, 0.0), (0.0,) * 4, (0.0, 0.0, 9.82)
-    )
 
 
 @pytest.fixture
@@ -61,7 +51,7 @@ def expected(state: urlink.RealtimeState, frame: str | list[float]) -> np.ndarra
 @pytest.mark.parametrize("frame", ["tcp", "base", FRAME])
 def test_wrench_is_the_push_in_each_frame(arm: tuple[Controller, Robot], frame: str | list[float]) -> None:
     _, robot = arm
-    wrench = robot.wrench(payload(MASS, CENTRE), frame).wait()
+    wrench = robot.wrench(exact_payload(MASS, CENTRE), frame).wait()
     assert (abs(wrench.values - expected(wrench.state, frame)) < NEAR * (1.0 if frame != FRAME else 5.0)).all()
     # The raw wrench still has the weight.
     assert wrench.raw[2] == pytest.approx(PUSH[2] - 9.82 * MASS, abs=1.5)
@@ -75,8 +65,8 @@ def test_wrench_subtracts_the_offset_that_turns_with_the_flange(
     _, robot = arm
     offset = np.array([5.0, -20.0, 70.0, 0.5, -0.4, 0.3])
     state = robot.realtime.wait()
-    plain = robot.wrench(payload(MASS, CENTRE), frame).compensate(state).values
-    less = robot.wrench(payload(MASS, CENTRE, tuple(offset)), frame).compensate(state).values
+    plain = robot.wrench(exact_payload(MASS, CENTRE), frame).compensate(state).values
+    less = robot.wrench(exact_payload(MASS, CENTRE, tuple(offset)), frame).compensate(state).values
     flange = robot.kinematics.forward(state.q_actual)
     turn = poses.rotvec_to_matrix(flange[3:])
     force, torque = turn @ offset[:3], turn @ offset[3:]
@@ -88,7 +78,7 @@ def test_wrench_subtracts_the_offset_that_turns_with_the_flange(
 
 def test_wrench_follows_the_payload_of_the_controller(arm: tuple[Controller, Robot]) -> None:
     _, robot = arm
-    stream = robot.wrench(payload(MASS, CENTRE), "base")
+    stream = robot.wrench(exact_payload(MASS, CENTRE), "base")
     for mass, centre in ((MASS, CENTRE), (0.7, (0.0, 0.0, 0.1))):
         robot.set_payload(mass, centre)
         wrench = stream.wait_until(lambda wrench, mass=mass: wrench.state.payload_mass == pytest.approx(mass))  # type: ignore[misc]
@@ -98,7 +88,7 @@ def test_wrench_follows_the_payload_of_the_controller(arm: tuple[Controller, Rob
 def test_zero_removes_what_acts_now(arm: tuple[Controller, Robot]) -> None:
     _, robot = arm
     for frame in ("tcp", "base", FRAME):
-        stream = robot.wrench(payload(MASS, CENTRE), frame)
+        stream = robot.wrench(exact_payload(MASS, CENTRE), frame)
         stream.zero(0.2)
         assert (abs(stream.wait().values) < NEAR * (1.0 if frame != FRAME else 5.0)).all()
     with pytest.raises(BadValue, match="duration"):
@@ -107,7 +97,7 @@ def test_zero_removes_what_acts_now(arm: tuple[Controller, Robot]) -> None:
 
 def test_iteration_and_latest_give_wrenches(arm: tuple[Controller, Robot]) -> None:
     _, robot = arm
-    stream = robot.wrench(payload(MASS, CENTRE))
+    stream = robot.wrench(exact_payload(MASS, CENTRE))
     for wrench in stream:
         assert wrench.frame == "tcp"
         break
@@ -122,7 +112,7 @@ def test_iteration_and_latest_give_wrenches(arm: tuple[Controller, Robot]) -> No
 )
 def test_wrench_rejects_unknown_frames(arm: tuple[Controller, Robot], frame: str | list[float], message: str) -> None:
     with pytest.raises(BadValue, match=message):
-        arm[1].wrench(payload(MASS, CENTRE), frame)
+        arm[1].wrench(exact_payload(MASS, CENTRE), frame)
 
 
 def test_wrench_rejects_a_payload_that_was_not_measured(arm: tuple[Controller, Robot]) -> None:
