@@ -50,7 +50,7 @@ _WEAK = 0.4
 # without the direction that changes most. Turns by 20 degrees about one axis, and about two axes, have these values.
 _TURNED = 0.06
 # Relative uncertainty of the torque constants (Nm/A) of a joint: robots of one model differ by some percent.
-_CONSTANTS = 0.06
+_CONSTANTS = 0.04
 
 
 @dataclass(frozen=True)
@@ -253,15 +253,33 @@ def fit_currents(
     own = np.tile(np.eye(6), (len(rests), 1, 1))
     columns = np.concatenate((own, of_mass[:, :, np.newaxis], of_moment), axis=2)
     torque = constants * np.array([each.unset_currents for each in rests])
-    fitted = _Fit(columns / friction[:, np.newaxis], torque / friction)
-    covariance = fitted.shape[6:, 6:] * fitted.variance
-    unset = fitted.factors[6:]
+    scaled, values = columns / friction[:, np.newaxis], torque / friction
+    fitted = _Fit(scaled, values)
     _check_strong(float(fitted.shape[6, 6]) / 100.0, np.diag(fitted.shape)[7:] / 100.0)
-    covariance = covariance + np.diag((_CONSTANTS * unset / 2.0) ** 2)
-    wander = float(np.sqrt(fitted.variance)) * float(friction.mean())
+    # Joints that move have another friction after each motion. So the group with the larger deviations counts.
+    squares = fitted.deviations(scaled, values).reshape(-1, 2, 3).transpose(1, 0, 2).reshape(2, -1) ** 2
+    free = max(fitted.free // 2, 1)
+    variance = float(squares.sum(axis=1).max()) / free
+    covariance = fitted.shape * variance
+    for joint in range(6):
+        wrong = np.zeros_like(values)
+        wrong[:, joint] = _CONSTANTS * values[:, joint]
+        change = fitted.shape @ scaled.reshape(-1, 10).T @ wrong.ravel()
+        covariance = covariance + np.outer(change, change)
+    wander = float(np.sqrt(variance)) * float(friction.mean())
     nothing = [Estimate.unknown("a force sensor in the wrist")] * 6
-    free = fitted.free, fitted.free
-    return _measured(unset, covariance, free, set_payload, nothing, "currents", len(rests), (wander, wander), gravity)
+    unset = fitted.factors[6:]
+    return _measured(
+        unset,
+        covariance[6:, 6:],
+        (free, free),
+        set_payload,
+        nothing,
+        "currents",
+        len(rests),
+        (wander, wander),
+        gravity,
+    )
 
 
 class _Fit:
@@ -279,7 +297,12 @@ class _Fit:
         self.shape: FloatArray = np.asarray(np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True), np.float64)
         self.factors: FloatArray = self.shape @ rows.T @ values
         self.free = max(len(values) - int(np.linalg.matrix_rank(rows)), 1)
-        self.variance = float(((values - rows @ self.factors) ** 2).sum()) / self.free
+        self.variance = float((self.deviations(columns, measured) ** 2).sum()) / self.free
+
+    def deviations(self, columns: FloatArray, measured: FloatArray) -> FloatArray:
+        """Return the deviations of the measured numbers from the fit, in the shape of `measured`."""
+        found: FloatArray = measured - columns @ self.factors
+        return found
 
 
 def _check_strong(mass: float, moments: FloatArray) -> None:
