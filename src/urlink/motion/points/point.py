@@ -200,9 +200,9 @@ def reached(point: Point, arm: Arm, tcp: FloatArray) -> FloatArray:
             "the current TCP reaches the taught pose only in another configuration of the arm than the taught one; "
             "teach the point again"
         )
-    q = same[0]  # the solutions are in the order of their largest joint motion
+    nearest = same[0]  # the solutions are in the order of their largest joint motion
     low, high = arm.position_limits.T
-    q = np.where(q > high, q - math.tau, np.where(q < low, q + math.tau, q))
+    q = six(np.where(nearest > high, nearest - math.tau, np.where(nearest < low, nearest + math.tau, nearest)), "q")
     arm.model.check_joints(q)
     return q
 

@@ -188,9 +188,7 @@ else:
 def check_name(name: object) -> None:
     """Raise `BadValue` unless `name` can be the name of a point."""
     if not isinstance(name, str) or not name.isprintable() or not 0 < len(name) <= _LONGEST or name != name.strip():
-        raise BadValue(
-            f"point name {name!r}; expected 1 to {_LONGEST} printable characters without blanks at the ends"
-        )
+        raise BadValue(f"point name {name!r}; expected 1 to {_LONGEST} printable characters without blanks at the ends")
 
 
 # -- format ------------------------------------------------------------------------------------------

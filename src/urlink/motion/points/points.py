@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import ItemsView, Iterator, KeysView, Mapping, ValuesView
 from datetime import datetime, timezone
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +14,15 @@ from linkcore.errors import BadValue
 from linkcore.names import StrictAttributes
 from linkcore.streaming.stream import Stream
 
-from ...arm.kinematics import Arm
+from ...arm.vectors import FloatArray
 from ...protocol.realtime.packets import RealtimeState
 from ...session.identity import KnownIdentity
 from ..moves.path import shown_tcp
 from .point import Point, PointCheck, check_taught_on, difference, has_changed, reached
 from .point_file import PointFile, check_name
-from .program_file import read_waypoints
+
+if TYPE_CHECKING:
+    from ...arm.kinematics import Arm
 
 
 class Points(StrictAttributes, Mapping[str, Point]):
@@ -83,9 +86,9 @@ class Points(StrictAttributes, Mapping[str, Point]):
         arm, state = self._arm_and_state()
         received = state.received or Stamp.now()
         point = Point(
-            q=state.q_actual,
-            pose=state.tool_vector_actual,
-            tcp=shown_tcp(arm, state),
+            q=_rounded(state.q_actual),
+            pose=_rounded(state.tool_vector_actual),
+            tcp=_rounded(shown_tcp(arm, state)),
             model=arm.model.name,
             date=datetime.fromtimestamp(received.wall, timezone.utc).replace(microsecond=0),
         )
@@ -130,6 +133,8 @@ class Points(StrictAttributes, Mapping[str, Point]):
                 arm model, or if a point exists and `replace` is False. Nothing is imported.
             LocalError: See `teach`.
         """
+        from .program_file import read_waypoints  # imported here, because it needs an XML parser
+
         points = read_waypoints(path, self._who.identity.kinematics.model)
         self._file.add(points, replace=replace)
         return points
@@ -162,6 +167,11 @@ class Points(StrictAttributes, Mapping[str, Point]):
 
     def __repr__(self) -> str:
         return f"<Points of {self._file.path}>"
+
+
+def _rounded(row: FloatArray) -> FloatArray:
+    """Return numbers without the digits below a nanometre, which only make the file harder to read."""
+    return row.round(9) + 0.0  # turns -0.0 into 0.0
 
 
 def checked(name: str, point: Point, arm: Arm, state: RealtimeState) -> PointCheck:
