@@ -14,7 +14,8 @@ from ..command.interpreter import Interpreter, InterpreterState
 from ..command.io import IO
 from ..command.safety import Safety
 from ..command.scripts import Scripts
-from ..motion import Motions, Point, Points, PointStream, Teaching
+from ..motion import Motions, Points, PointStream, Teaching
+from ..motion.points.point import Point
 from ..protocol.dashboard.client import Dashboard
 from ..protocol.gripper.client import Gripper
 from ..protocol.rtde.recipes import Outputs

@@ -2,7 +2,7 @@
 
 from .motions import Motions
 from .moves.path import PathMotion, Waypoint
-from .points.point import Point, PointCheck
+from .points.point import PointCheck
 from .points.points import Points
 from .servo.following import TrajectoryFeedback
 from .servo.force_control import Contact, ContactMotion, ForceMode, Freedrive, Torque
@@ -22,7 +22,6 @@ __all__ = [
     "Jog",
     "Motions",
     "PathMotion",
-    "Point",
     "PointCheck",
     "PointStream",
     "Points",

@@ -1,12 +1,12 @@
 """Waypoints of a program file of PolyScope (.urp): XML, compressed with gzip.
 
-The vendor does not document the format. An employee of the vendor has published a description of the elements. One
-waypoint that a UR10e has saved is public, with its joint positions, its kinematics and the pose that PolyScope wrote
-into the script of the same program. The pose that this module computes from the other numbers agrees with the written
-pose to 1e-12. The TCP of this waypoint is zero, so the meaning of other TCPs is assumed from their name and order.
+The vendor does not document the format. One waypoint that a UR10e has saved is public (notes.md in the repository
+pharmbio/robotlab), together with the pose that PolyScope wrote into the script of the same program. The pose that this
+module computes from the joint positions and the kinematics of the waypoint agrees with the written pose to 1e-12. The
+TCP of this waypoint is zero. The meaning of other TCPs is assumed from the name of the element.
 
-Programs of CB3 controllers before the element ``JointAngles``, and installation files, are not read: no file with known
-poses is public.
+Programs without the element ``JointAngles`` and installations are not read, because no such file with known poses is
+public.
 """
 
 from __future__ import annotations
