@@ -146,22 +146,21 @@ class PointFile:
     def _locked(self) -> Iterator[None]:
         """Exclude other processes and threads that change the file."""
         target = self.path.resolve()
-        try:
-            # The lock file remains, because removing it could let two processes lock two different files.
-            number = os.open(target.with_name(f".{target.name}.lock"), os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError as error:
-            raise LocalError(f"cannot lock {self.path}: {error.strerror or error}") from error
-        try:
-            until = clock.now() + _LOCK_TIMEOUT
-            while not _try_lock(number):
-                if clock.now() >= until:
-                    raise LocalError(
-                        f"another program has kept {self.path} locked for {_LOCK_TIMEOUT:g} s; nothing was changed"
-                    )
-                clock.sleep(_RETRY)
+        with contextlib.ExitStack() as opened:
+            try:
+                # The lock file remains, because removing it could let two processes lock two different files.
+                number = os.open(target.with_name(f".{target.name}.lock"), os.O_RDWR | os.O_CREAT, 0o666)
+                opened.callback(os.close, number)  # releases the lock
+                until = clock.now() + _LOCK_TIMEOUT
+                while not _try_lock(number):
+                    if clock.now() >= until:
+                        raise LocalError(
+                            f"another program has kept {self.path} locked for {_LOCK_TIMEOUT:g} s; nothing was changed"
+                        )
+                    clock.sleep(_RETRY)
+            except OSError as error:
+                raise LocalError(f"cannot lock {self.path}: {error.strerror or error}") from error
             yield
-        finally:
-            os.close(number)  # releases the lock
 
 
 if sys.platform == "win32":

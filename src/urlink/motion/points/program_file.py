@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 from linkcore.errors import BadValue
 from linkcore.text import printable
 
+from ...arm.bounds import TOOL_LENGTH, check_pose
 from ...arm.kinematics import Arm, DhTable
 from ...arm.models import Model
 from ...arm.vectors import FloatArray, six
@@ -104,7 +105,8 @@ def _waypoints(root: ElementTree.Element, model: Model, date: datetime) -> dict[
 
 
 def _point(position: ElementTree.Element, model: Model, date: datetime) -> Point:
-    q, tcp = _row(position, "JointAngles", "angles"), _row(position, "TCPOffset", "pose")
+    q = _row(position, "JointAngles", "angles")
+    tcp = check_pose(_row(position, "TCPOffset", "pose"), "TCPOffset", TOOL_LENGTH)
     return Point(q, _arm(position, model).forward(q, tcp), tcp, model.name, date)
 
 
