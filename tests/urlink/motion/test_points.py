@@ -171,7 +171,7 @@ def test_connect_refuses_an_invalid_points_file(points: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.simulated_time
 def test_points_are_taught_found_and_moved_to(robot: Robot, tmp_path: Path) -> None:
-    robot.set_tcp(LONGER)
+    robot.set_tcp(LONGER.tolist())
     start = robot.realtime.wait()
     point = robot.points.teach("start")
     assert point.q == pytest.approx(start.q_actual, abs=1e-3)
@@ -202,7 +202,7 @@ def test_points_are_taught_found_and_moved_to(robot: Robot, tmp_path: Path) -> N
 @pytest.mark.simulated_time
 def test_moves_after_a_tcp_change_need_keep(robot: Robot) -> None:
     point = robot.points.teach("start")
-    robot.set_tcp(LONGER)
+    robot.set_tcp(LONGER.tolist())
     for move in (robot.motion.move_joints, robot.motion.move_linear):
         with pytest.raises(BadValue, match=r"the TCP has changed by 100\.0 mm"):
             move(point)
@@ -239,7 +239,7 @@ def test_check_reports_each_verdict(robot: Robot) -> None:
     robot.points.add("changed", taught())
     robot.points.add("far", taught([0.0, -math.pi / 2, 0.01, -math.pi / 2, -1.5, 0.0], [0.0, 0.0, 0.6, 0.0, 0.0, 0.0]))
     robot.points.add("other", taught(model="UR3e"))
-    robot.set_tcp(LONGER)
+    robot.set_tcp(LONGER.tolist())
     checks = {check.name: check for check in robot.points.check_all()}
     assert {name: check.verdict for name, check in checks.items()} == {
         "same": "unchanged",
