@@ -19,7 +19,7 @@ from ...protocol.realtime.packets import RealtimeState
 from ...session.identity import KnownIdentity
 from ..moves.path import shown_tcp
 from .point import Point, PointCheck, check_taught_on, difference, has_changed, reached
-from .point_file import PointFile, check_name
+from .point_file import PointFile
 
 if TYPE_CHECKING:
     from ...arm.kinematics import Arm
@@ -82,7 +82,6 @@ class Points(StrictAttributes, Mapping[str, Point]):
             LocalError: If the controller does not report a known arm, or if the file cannot be locked or written.
             RemoteError: If no state arrives.
         """
-        check_name(name)
         arm, state = self._arm_and_state()
         received = state.received or Stamp.now()
         point = Point(
