@@ -151,7 +151,7 @@ def test_failed_put_leaves_the_old_file(
 
 def test_late_call_raises_link_timeout(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     async def wait(*arguments: object) -> None:
-        await asyncio.sleep(60)
+        await asyncio.sleep(5)
 
     async def late(files: ControllerFiles) -> None:
         files._timeout = 0.05
@@ -184,6 +184,9 @@ def test_known_hosts_are_accepted(
     public = " ".join((keys / "host.pub").read_text().split()[:2])
     (tmp_path / ".ssh" / "known_hosts").write_text(f"[127.0.0.1]:{server.port} {public}\n")
     assert len(with_files(server, lambda files: files.ls(), host_key=None)) == 4
+    # A given fingerprint counts more than the file.
+    with pytest.raises(UnknownHostKey, match="but expected SHA256:other"):
+        with_files(server, lambda files: files.ls(), host_key="SHA256:other")
 
 
 def test_wrong_key_is_denied(server: Server, keys: Path) -> None:
