@@ -246,7 +246,8 @@ async def connect(
         raise BadValue(f"host_key={host_key!r}; expected a fingerprint such as 'SHA256:...'")
     # An empty tuple stands for the default: the keys of this user, and the file known_hosts.
     keys: list[asyncssh.SSHKey] | tuple[()] = () if key is None else [_private_key(key)]
-    trusted: bytes | tuple[()] = () if host_key is None else b""
+    # No trusted keys, certificates or revoked keys: only `Client` decides. An empty value would stand for known_hosts.
+    trusted: tuple[()] | tuple[list[str], list[str], list[str]] = () if host_key is None else ([], [], [])
     seen: list[str] = []
 
     class Client(asyncssh.SSHClient):
