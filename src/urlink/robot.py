@@ -231,7 +231,8 @@ class Robot(StrictAttributes, Closing):
         self._make_control = control
         self._control: MadeOnce[Control] = MadeOnce()
         self._refusal = refusal
-        self._points = points
+        self._points_path = points
+        self._points: MadeOnce[Points] = MadeOnce()
         self._source = source
         self._who = KnownIdentity(source.ask, known)
         # Changed in single steps, so that a signal handler always sees a consistent dict.
@@ -586,15 +587,18 @@ class Robot(StrictAttributes, Closing):
         Raises:
             LocalError: If `connect` got no file.
         """
-        if self._points is None:
+        if self._points_path is None:
             raise LocalError(
                 f"no file for points was given; connect with points=, as in urlink.connect({self.address!r}, "
                 "points='cell.json')"
             )
+        known = self._points.made
+        if known is not None:
+            return known
         from .motion.points.point_file import PointFile
         from .motion.points.points import Points
 
-        return Points(PointFile(self._points), self.realtime, self._who)
+        return self._points.keep(Points(PointFile(self._points_path), self.realtime, self._who))
 
     def zero_force_sensor(self) -> None:
         """Zero the force sensor: the current force at the TCP becomes zero. Firmware 3.0 or later.

@@ -122,6 +122,18 @@ def test_date_with_suffix_z_is_read() -> None:
     assert parse(content({"bin": entries(date="2026-03-01T12:00:00Z")}))["bin"].date == DATE
 
 
+def test_change_by_another_program_is_read(tmp_path: Path) -> None:
+    mine, other = PointFile(tmp_path / "cell.json"), PointFile(tmp_path / "cell.json")
+    mine.add({"bin": POINT}, replace=False)
+    points = mine.read()
+    points.clear()
+    assert mine.read() == {"bin": POINT}
+    other.add({"new": POINT}, replace=False)
+    assert list(mine.read()) == ["bin", "new"]
+    mine.path.unlink()
+    assert mine.read() == {}
+
+
 def test_missing_file_has_no_points(tmp_path: Path) -> None:
     assert PointFile(tmp_path / "none.json").read() == {}
 

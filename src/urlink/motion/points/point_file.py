@@ -53,6 +53,9 @@ class PointFile:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
+        #: Content of the file at the last reading, and its points; replaced in one step. Comparing the content is
+        #: faster than checking all points, which takes 0.1 ms for each of them.
+        self._last: tuple[bytes, dict[str, Point]] = b"", {}
 
     def read(self) -> dict[str, Point]:
         """Return all points by name, in the order of the file.
@@ -67,10 +70,14 @@ class PointFile:
             return {}
         except OSError as error:
             raise BadValue(f"cannot read {self.path}: {error.strerror or error}") from error
-        try:
-            return parse(text)
-        except BadValue as error:
-            raise BadValue(f"{self.path}: {error}") from None
+        known, points = self._last
+        if text != known or not text:
+            try:
+                points = parse(text)
+            except BadValue as error:
+                raise BadValue(f"{self.path}: {error}") from None
+            self._last = text, points
+        return dict(points)
 
     def point(self, name: str) -> Point:
         """Return the point with this name.
