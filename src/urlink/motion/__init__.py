@@ -3,6 +3,8 @@
 from ..arm.payload import MeasuredPayload
 from .motions import Motions
 from .moves.path import PathMotion, Waypoint
+from .points.point import PointCheck
+from .points.points import Points
 from .servo.following import TrajectoryFeedback
 from .servo.force_control import Contact, ContactMotion, ForceMode, Freedrive, Torque
 from .servo.impedance import Impedance
@@ -23,7 +25,9 @@ __all__ = [
     "MeasuredPayload",
     "Motions",
     "PathMotion",
+    "PointCheck",
     "PointStream",
+    "Points",
     "PosePoint",
     "Servo",
     "ServoStatistics",
