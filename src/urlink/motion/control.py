@@ -108,7 +108,14 @@ class Control:
             known, api_port = lambda: who.identity.firmware, ports.get("robot_api")
             dashboard_port, on_stop = ports.get("dashboard"), monitor.overtake
             return Dashboard(
-                host, dashboard_port, known, api_port=api_port, timeout=timeout, undos=undos, on_stop=on_stop
+                host,
+                dashboard_port,
+                known,
+                api_port=api_port,
+                timeout=timeout,
+                undos=undos,
+                on_stop=on_stop,
+                on_send=keeper("dashboard"),
             )
 
         def is_remote() -> bool | None:
@@ -127,10 +134,20 @@ class Control:
         setting_channel = SettingChannel(channel, slow, section, inputs)
         self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place)
         self.interpreters = Interpreters(
-            host, ports.get("interpreter"), programs, channel, callbacks, lambda: who.identity.firmware, undos, timeout
+            host,
+            ports.get("interpreter"),
+            programs,
+            channel,
+            callbacks,
+            lambda: who.identity.firmware,
+            undos,
+            timeout,
+            keeper("interpreter"),
         )
         self.io = IO(self.settings, primary, realtime)
-        reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
+        reverse = ReversePort(
+            host, options.reverse_host, options.reverse_port, options.reverse_peer, sent=keeper("program")
+        )
         registers = RegisterPort(lambda names: rtde().inputs(*names), timeout, SETPOINT_INPUTS, RegisterLink)
         links = PointLinks(lambda *names: rtde().outputs(*names))
         points = RegisterPort(lambda names: rtde().inputs(*names), timeout, POINT_INPUTS, links)
