@@ -50,13 +50,17 @@ _TORQUE, _CLEAR_TORQUE = 0.12, 0.4
 #: that the weight of the mass must explain.
 _MASS, _CLEAR_MASS, _EXPLAINED = 0.8, 2.0, 0.8
 #: Distance between shoulder and wrist, as a fraction of the length of both arm links, from which the arm is stretched.
-_STRETCHED, _CLEARLY_STRETCHED = 0.975, 0.995
+_STRETCHED, _CLEARLY_STRETCHED = 0.93, 0.98
+#: Speed of the elbow in rad/s from which it counts as straightening.
+_STRAIGHTENING = 0.2
+#: The same fractions as `_STRETCHED` for a fast elbow while the tool moves more slowly than `_SLOW_TOOL`, in m/s.
+_STRETCHING, _SLOW_TOOL = (0.91, 0.96), 0.6
 #: Distance of a joint from the end of its range, in rad, that counts as close.
 _CLOSE = 0.06
 #: Sine of the angle of wrist 2 below which the wrist is close to singular, and clearly singular.
 _WRIST, _CLEAR_WRIST = 0.2, 0.05
 #: Horizontal distance of the wrist from the axis of the base in m, in addition to the offset of the arm, that is close.
-_SHOULDER, _CLEAR_SHOULDER = 0.06, 0.02
+_SHOULDER, _CLEAR_SHOULDER = 0.1, 0.02
 #: Acceleration as a multiple of the limit of the joint that no target should have, and one that is a clear sign.
 _SUDDEN, _CLEARLY_SUDDEN = 1.5, 4.0
 #: Maximum joint speeds in rad/s if the model is unknown: those of most e-Series arms.
@@ -545,12 +549,19 @@ def _posture(observed: _Observed) -> list[_Sign]:
     signs = []
     speeds = observed.speeds
     fast = 0.0 if speeds is None else float(np.nanmax(np.abs(speeds[observed.onset]) / observed.max_speed))
+    turning = 0.0 if speeds is None else float(np.nanmax(np.abs(speeds[observed.onset][:, 0]) / observed.max_speed[0]))
     wrists = 0.0 if speeds is None else float(np.nanmax(np.abs(speeds[observed.onset][:, [3, 5]])))
     tool = observed.rows("tcp_speed_target")
     tool_speed = None if tool is None else float(np.nanmax(np.linalg.norm(tool[observed.onset][:, :3], axis=1)))
     model = observed.model or MODELS["UR5e"]
     outer = _outer(model, q)
     share = _share(outer, _STRETCHED, _CLEARLY_STRETCHED)
+    if speeds is not None:
+        straightening = float(np.nanmax(-np.sign(q[2]) * speeds[observed.onset][:, 2]))
+        if straightening < _STRAIGHTENING:
+            share *= 0.5  # the elbow is not what limits the motion
+        elif straightening > 0.5 * float(observed.max_speed[2]) and tool_speed is not None and tool_speed < _SLOW_TOOL:
+            share = max(share, _share(outer, *_STRETCHING))  # a slow tool needs a fast elbow
     if share:
         text = f"the arm was stretched to {100 * outer:.1f} % of its length"
         signs.append(_Sign("reach", 0.85 * share, text, text, None, outer, 1.0, "of the length"))
@@ -570,8 +581,9 @@ def _posture(observed: _Observed) -> list[_Sign]:
         signs.append(_Sign("singularity", 0.9 * share * urgent, text, text, 4, sine, _WRIST, "(sine)"))
     distance = _beside_axis(model, q)
     share = _share(_SHOULDER - distance, 0.0, _SHOULDER - _CLEAR_SHOULDER)
-    if share and fast > 0.2 and (tool_speed is None or tool_speed > 0.0):
+    if share and turning > 0.2:
         text = f"the wrist was {distance:.3f} m from the axis of the base, above or below the shoulder"
+        urgent = max(_share(turning, 0.25, 0.6), 0.25)
         signs.append(_Sign("singularity", 0.9 * share * urgent, text, text, 0))
     return signs
 
