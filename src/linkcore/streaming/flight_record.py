@@ -6,7 +6,9 @@ few hundred instructions for each packet. The bytes are decoded when an explanat
 
 from __future__ import annotations
 
+import math
 import threading
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -59,7 +61,7 @@ class FlightRecord:
         self._batched = 0
 
     def batch(self, count: int) -> None:
-        """Count the bytes of a chunk that is not one packet, and remove the oldest chunks if there are too many bytes."""
+        """Count the bytes of a chunk that is not one packet. If there are too many, remove the oldest chunks."""
         self._batched += count
         if self._batched < _CHECKED_AFTER:
             return
@@ -76,6 +78,10 @@ class FlightRecord:
     @property
     def chunks(self) -> Sequence[Received]:
         """Copy of the record, with the oldest chunk first. Any thread may read it."""
+        return [Received(time, data) for data, time in zip(*self.since(-math.inf), strict=False)]
+
+    def since(self, begin: float) -> tuple[list[bytes], list[float]]:
+        """Return the chunks that arrived at `begin` or later, and their times. Any thread may call this."""
         entries: list[bytes | float] = []
         for _ in range(_TRIES):
             try:
@@ -85,7 +91,9 @@ class FlightRecord:
                 continue
         if entries and not isinstance(entries[0], bytes):  # copied while the oldest chunk was being replaced
             del entries[0]
-        return [Received(time, data) for data, time in zip(entries[::2], entries[1::2], strict=False)]  # type: ignore[arg-type]
+        data, times = entries[::2], entries[1::2]
+        first = bisect_left(times, begin)  # type: ignore[type-var]
+        return data[first:], times[first:]  # type: ignore[return-value]
 
 
 class Sent(NamedTuple):
