@@ -34,7 +34,8 @@ class StopCause:
         remedy: What to do, as a sentence.
         joint: Name of the joint; None if the cause is not a matter of one joint.
         value: Value of the quantity that exceeded its limit; None if it is unknown.
-        limit: Limit of this quantity; None if it is unknown.
+        limit: Limit of this quantity, or its largest normal value if the controller's limit is not published; None if
+            both are unknown.
         unit: Unit of both.
     """
 

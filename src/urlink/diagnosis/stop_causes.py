@@ -66,6 +66,8 @@ _SUDDEN, _CLEARLY_SUDDEN = 1.5, 4.0
 #: Maximum joint speeds in rad/s if the model is unknown: those of most e-Series arms.
 _SPEEDS = np.full(6, np.pi)
 _SETPOINT = struct.Struct(">13i")
+#: Beginning of the text with which urlink permits a program to start.
+_PERMISSION = b"sec urlink_permission"
 #: Time in which the start of one program and the end of another belong together, in s.
 _TOGETHER = 0.3
 
@@ -386,7 +388,11 @@ class _Observed:
         if running:
             said.append(f"the program {running[-1]!r}")
         before = [each for each in self.near.sent if each.time <= self.at + self.step]
-        texts = [each for each in before if each.channel in ("primary", "dashboard", "interpreter")]
+        texts = [
+            each
+            for each in before
+            if each.channel in ("primary", "dashboard", "interpreter") and not each.data.startswith(_PERMISSION)
+        ]
         if texts:
             words = texts[-1].data.decode("utf-8", "replace").strip().splitlines() or [""]
             said.append(f"{self.at - texts[-1].time:.2f} s before, to {texts[-1].channel}: {words[0][:60]!r}")
