@@ -247,15 +247,15 @@ def _panel(curves: StopCurves, top: float, *, is_last: bool) -> list[str]:
         )
         parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.3"/>')
         at = top + 10 + 17 * number
-        parts.append(f'<line x1="{_LEFT + _PANEL + 8}" x2="{_LEFT + _PANEL + 26}" y1="{at}" y2="{at}" stroke="{colour}"/>')
+        parts.append(
+            f'<line x1="{_LEFT + _PANEL + 8}" x2="{_LEFT + _PANEL + 26}" y1="{at}" y2="{at}" stroke="{colour}"/>'
+        )
         parts.append(f'<text x="{_LEFT + _PANEL + 31}" y="{at + 4}">{escape(label)}</text>')
     parts.append(f'<line x1="{x(0.0):.1f}" x2="{x(0.0):.1f}" y1="{top}" y2="{top + _HEIGHT}" stroke="red"/>')
     for time in (first, 0.5 * first, 0.0):
         parts.append(f'<text x="{x(time):.1f}" y="{top + _HEIGHT + 13}" text-anchor="middle">{time:.2f}</text>')
     if is_last:
-        parts.append(
-            f'<text x="{_LEFT + _PANEL + 8}" y="{top + _HEIGHT + 13}">s; the stop is at 0</text>'
-        )
+        parts.append(f'<text x="{_LEFT + _PANEL + 8}" y="{top + _HEIGHT + 13}">s; the stop is at 0</text>')
     return parts
 
 

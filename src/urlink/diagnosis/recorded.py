@@ -28,9 +28,7 @@ def record_of(tables: Mapping[str, Table], model: str | None, *, is_cb2: bool) -
         model: Name of the arm; None if it is unknown.
         is_cb2: Whether the robot modes are those of CB2.
     """
-    record = StopRecord(
-        np.empty(0), {}, model=None if model is None else MODELS.get(model), is_cb2=is_cb2
-    )
+    record = StopRecord(np.empty(0), {}, model=None if model is None else MODELS.get(model), is_cb2=is_cb2)
     for stream in _STREAMS:
         if stream in tables and len(tables[stream]):
             record.time, record.columns = _columns(tables[stream], stream)

@@ -41,7 +41,7 @@ _BASE = (1.5, 0.25)
 #: Longest time from the stop to the report with its code, and from the report to the stop, in s.
 _REPORT_AFTER, _REPORT_BEFORE = 1.0, 0.5
 #: Deviation of a joint, in rad: largest normal one, and one that is a clear sign.
-_DEVIATION, _CLEAR_DEVIATION = 0.008, 0.03
+_DEVIATION, _CLEAR_DEVIATION = 0.003, 0.02
 #: Change of the force at the tool, in N: largest normal one, and one that is a clear sign.
 _FORCE, _CLEAR_FORCE = 25.0, 80.0
 #: Change of the external torque of a joint as a fraction of the maximum torque: largest normal one, and a clear sign.
@@ -141,6 +141,8 @@ def explain_mode(record: StopRecord, mode: SafetyMode, at: float, *, had_begun: 
 
 
 def _kind(mode: SafetyMode) -> str:
+    if mode is SafetyMode.UNDEFINED:
+        return "stop (inferred: no column contains the safety mode)"
     name = mode.name.replace("_", " ").lower()
     return name if "stop" in name or name in ("violation", "fault") else f"safety mode {name}"
 
@@ -384,7 +386,9 @@ class _Observed:
         scaling = self.near.columns.get("speed_scaling")
         if scaling is not None and scaling.ndim == 1 and len(known := scaling[self.onset]) and np.isfinite(known[0]):
             said.append(f"a speed scaling of {100 * float(known[0]):.0f} %")
-        running = [each.text for each in self.near.keys or () if each.title.endswith("STARTED") and each.time <= self.at]
+        running = [
+            each.text for each in self.near.keys or () if each.title.endswith("STARTED") and each.time <= self.at
+        ]
         if running:
             said.append(f"the program {running[-1]!r}")
         before = [each for each in self.near.sent if each.time <= self.at + self.step]
@@ -398,7 +402,9 @@ class _Observed:
             said.append(f"{self.at - texts[-1].time:.2f} s before, to {texts[-1].channel}: {words[0][:60]!r}")
         setpoints = [each for each in before if each.channel == "program" and self.at - each.time < 1.0]
         if setpoints:
-            said.append(f"{len(setpoints)} set-points in the last second, the last {self.at - setpoints[-1].time:.3f} s before")
+            said.append(
+                f"{len(setpoints)} set-points in the last second, the last {self.at - setpoints[-1].time:.3f} s before"
+            )
         return tuple(said)
 
     def curves(self, code: Code | None) -> tuple[StopCurves, ...]:
@@ -414,7 +420,9 @@ class _Observed:
             ("force at the tool", "N", self.rows("tcp_force"), ("x", "y", "z"), None),
         ]
         return tuple(
-            StopCurves(name, unit, tuple(labels), time, tuple(map(tuple, values[rows].T[: len(labels)].tolist())), limit)
+            StopCurves(
+                name, unit, tuple(labels), time, tuple(map(tuple, values[rows].T[: len(labels)].tolist())), limit
+            )
             for name, unit, values, labels, limit in shown
             if values is not None
         )

@@ -18,7 +18,7 @@ from linkcore.wire.framing import PacketProtocol
 
 from ..arm.models import Model
 from ..arm.vectors import FloatArray
-from ..protocol.enums import RobotModeCB2, SafetyMode
+from ..protocol.enums import ProgramState, RobotModeCB2, SafetyMode
 from ..protocol.primary.robot_message import KeyMessage, RobotCommMessage
 from ..protocol.realtime.packets import RealtimeState
 
@@ -58,7 +58,10 @@ _MODES_CB2 = {
     RobotModeCB2.FATAL_ERROR: SafetyMode.FAULT,
     RobotModeCB2.SAFEGUARD_STOP: SafetyMode.SAFEGUARD_STOP,
 }
-_NOT_STOPPED = (0, SafetyMode.NORMAL, SafetyMode.REDUCED)
+#: Safety modes that are not a stop, and the number for an unknown mode.
+_GOOD = np.array([0, SafetyMode.NORMAL, SafetyMode.REDUCED], dtype=np.float64)
+#: For inferred stops: time before the row in s, speed in rad/s that counts as moving, deviation in rad that counts as far.
+_MOVED, _MOVING, _FAR = 0.15, 0.02, 0.03
 
 
 class Report(NamedTuple):
@@ -133,36 +136,61 @@ class StopRecord:
     @property
     def safety(self) -> FloatArray | None:
         """Safety mode of each row, as a number, 0 if it is unknown; None if no column contains it."""
-        known = self.columns
+        every = self._safety_columns
+        # Logs can contain a column that is not updated, beside one that is.
+        return next((each for each in every if (~np.isin(each, _GOOD)).any()), every[0] if every else None)
+
+    @property
+    def _safety_columns(self) -> list[FloatArray]:
+        known, found = self.columns, []
         for name in ("safety_status", "safety_mode"):
             column = known.get(name)
             if column is not None and column.ndim == 1 and np.isfinite(column).any():
-                return np.nan_to_num(column)
+                found.append(np.nan_to_num(column))
         bits = known.get("safety_status_bits")
         if bits is not None and bits.ndim == 1:
             modes = np.where(np.isfinite(bits), float(SafetyMode.NORMAL), 0.0)
             whole = np.nan_to_num(bits).astype(np.int64)
             for bit, mode in reversed(_BITS.items()):
                 modes = np.where((whole >> bit) & 1 == 1, float(mode), modes)
-            return modes
+            found.append(modes)
         if self.is_cb2 and "robot_mode" in known:
             robot = known["robot_mode"]
             modes = np.where(np.isfinite(robot), float(SafetyMode.NORMAL), 0.0)
             for robot_mode, mode in _MODES_CB2.items():
                 modes = np.where(robot == robot_mode, float(mode), modes)
-            return modes
-        return None
+            found.append(modes)
+        return found
 
     @property
     def stops(self) -> list[StopMoment]:
-        """Rows in which a safety stop begins."""
+        """Rows in which a safety stop begins. If no column contains the safety mode, stops are inferred."""
         modes = self.safety
-        if modes is None or not len(modes):
+        if modes is None:
+            return self._inferred
+        if not len(modes):
             return []
-        stopped = ~np.isin(modes, np.array(_NOT_STOPPED, dtype=np.float64))
+        stopped = ~np.isin(modes, _GOOD)
         begins = (np.flatnonzero(stopped[1:] & ~stopped[:-1]) + 1).tolist()
         found = [StopMoment(row, SafetyMode(int(modes[row]))) for row in begins]
         return [StopMoment(0, SafetyMode(int(modes[0])), had_begun=True), *found] if stopped[0] else found
+
+    @property
+    def _inferred(self) -> list[StopMoment]:
+        """Rows in which the program stops while the arm moves, or in which a joint begins to leave its target far."""
+        known, rows = self.columns, []
+        state, speeds = known.get("program_state"), known.get("qd_target", known.get("qd_actual"))
+        if state is not None and state.ndim == 1 and speeds is not None and speeds.ndim == 2 and len(state) > 1:
+            is_playing = state == ProgramState.PLAYING
+            for row in (np.flatnonzero(is_playing[:-1] & ~is_playing[1:]) + 1).tolist():
+                before = speeds[np.searchsorted(self.time, self.time[row] - _MOVED) : row]
+                if len(before) and np.nanmax(np.abs(before), initial=0.0) > _MOVING:
+                    rows.append(row)
+        target, actual = known.get("q_target"), known.get("q_actual")
+        if not rows and target is not None and actual is not None and target.shape == actual.shape and len(target) > 1:
+            is_far = np.nan_to_num(np.abs(actual - target)).reshape(len(target), -1).max(axis=1) > _FAR
+            rows = (np.flatnonzero(is_far[1:] & ~is_far[:-1]) + 1).tolist()
+        return [StopMoment(row, SafetyMode.UNDEFINED) for row in rows]
 
     def between(self, begin: float, end: float) -> StopRecord:
         """Return the rows and messages from `begin` to `end`, in s."""

@@ -305,9 +305,7 @@ class ControllerState:
         is_standing = self.arm.is_standing or self.by_hand is not None
         self.modes.advance(seconds, is_standing, self.source.is_program, self.is_paused)
 
-    def stop_protectively(
-        self, reason: str, *, by_program: bool = False, code: tuple[int, int] | None = None
-    ) -> None:
+    def stop_protectively(self, reason: str, *, by_program: bool = False, code: tuple[int, int] | None = None) -> None:
         """Make a protective stop.
 
         Args:

@@ -256,7 +256,9 @@ def reach(scene: Scene) -> bool:
         scene.begin(q, f"speedj({_list(qd)}, 1.0, 5.0)")
         return scene.wait_for_stop()
     pose = scene.arm.forward(q)
-    out = np.array([math.cos(q[0]), math.sin(q[0]), 0.0]) * float(np.sign(pose[0] * math.cos(q[0]) + pose[1] * math.sin(q[0])))
+    out = np.array([math.cos(q[0]), math.sin(q[0]), 0.0]) * float(
+        np.sign(pose[0] * math.cos(q[0]) + pose[1] * math.sin(q[0]))
+    )
     out[2] = draw(-0.2, 0.5)
     if scene.chance.random() < 0.5:
         end = pose.copy()

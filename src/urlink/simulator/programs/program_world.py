@@ -222,7 +222,9 @@ class ProgramWorld:
             return
         state = self._state
         if not self._drive.yields and state.arm.force_sensor.weight > _UNKNOWN_FORCE:
-            state.stop_protectively("freedrive cannot begin with a load that differs from the payload", code=_WRONG_LOAD)
+            state.stop_protectively(
+                "freedrive cannot begin with a load that differs from the payload", code=_WRONG_LOAD
+            )
             return
         self._drive.freedrive(axes, frame)
 
