@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ _BARS = " ▁▂▃▄▅▆▇█"
 _WIDTH = 60
 #: Colours of the curves, distinguishable also without red and green.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-#: Sizes of the picture in pixels: width of the curves, height of a panel, space on the left, for the legend, and between.
+#: Sizes in the picture in pixels: width and height of a panel, space on the left, for the legend, and between panels.
 _PANEL, _HEIGHT, _LEFT, _LEGEND, _GAP = 560, 130, 64, 110, 34
 
 
@@ -264,4 +265,4 @@ def _thinned(values: Sequence[float], most: int) -> list[float]:
     if len(values) <= most:
         return list(values)
     edges = [round(number * len(values) / most) for number in range(most + 1)]
-    return [max(values[begin:end], key=abs) for begin, end in zip(edges, edges[1:], strict=False)]
+    return [max(values[begin:end], key=abs) for begin, end in itertools.pairwise(edges)]

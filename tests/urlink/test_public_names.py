@@ -73,6 +73,9 @@ NAMES = [
     "Scripts",
     "Simulation",
     "StatementDiscarded",
+    "StopCause",
+    "StopCurves",
+    "StopExplanation",
     "Stream",
     "Subscription",
     "Table",
@@ -165,7 +168,7 @@ SURFACES = {
         set_analog_out set_configurable_digital_out set_digital_out set_flag set_tool_communication
         set_tool_digital_out set_tool_voltage tool_analog_in tool_digital_in tool_digital_out tool_voltage
         wait_configurable_digital_in wait_digital_in wait_tool_digital_in""",
-    "robot.safety": """cause enable is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
+    "robot.safety": """cause enable explain is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
         wait_until_clear""",
     "robot.dashboard": """add_to_log brake_release clear_operational_mode close close_popup close_safety_popup
         download_program generate_flight_report generate_support_file is_in_remote_control is_program_saved load
@@ -281,6 +284,7 @@ DEFAULTS = {
     "robot.io.wait_digital_in": "on=True, timeout=5.0",
     "robot.io.wait_tool_digital_in": "on=True, timeout=5.0",
     "robot.script.run": "wait=False, detached=False, on_text=None",
+    "robot.safety.explain": "timeout=1.0",
     "robot.safety.wait_enabled": "timeout=60.0",
     "robot.safety.wait_until_clear": "timeout=60.0",
 }

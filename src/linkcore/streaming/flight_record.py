@@ -92,7 +92,7 @@ class FlightRecord:
         if entries and not isinstance(entries[0], bytes):  # copied while the oldest chunk was being replaced
             del entries[0]
         data, times = entries[::2], entries[1::2]
-        first = bisect_left(times, begin)  # type: ignore[type-var]
+        first = bisect_left(times, begin)
         return data[first:], times[first:]  # type: ignore[return-value]
 
 

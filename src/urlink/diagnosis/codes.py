@@ -1,12 +1,12 @@
 """Codes with which a controller reports a stop, such as C153A1, from the table `codes.tsv`.
 
 The meaning of the codes is from the vendor's list of error codes (version 40.121.0), which UR Client Library contains
-as `error_codes.h`. The texts are our own words. The vendor's service note names C153 and C157 as the most frequent codes
-of protective stops. Code 403 is not in that part of the list that was read; a thread of the vendor's forum describes it
-(16142).
+as `error_codes.h`. The texts are our own words. The vendor's service note names C153 and C157 as the most frequent
+codes of protective stops. Code 403 is not in the part of the list that was read. A thread of the vendor's forum
+describes it (16142).
 
-An argument names a joint, or selects one of several meanings. A row with the argument "joint" is valid for the arguments
-0 to 5. The arguments 6 to 11 of C173 and C174 name the same joints.
+An argument names a joint, or selects one of several meanings. A row with the argument "joint" is valid for the
+arguments 0 to 5. The arguments 6 to 11 of C173 and C174 name the same joints.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def _rows() -> dict[tuple[int, str], tuple[str, str, Evidence]]:
     for line in _TABLE.read_text(encoding="utf-8").splitlines()[1:]:
         code, arguments, cause, text, evidence = line.split("\t")
         assert evidence in _SOURCES, f"{code}: unknown kind of evidence {evidence!r}"
-        rows[int(code), arguments] = cause, text, evidence  # type: ignore[assignment]
+        rows[int(code), arguments] = cause, text, evidence
     return rows
 
 

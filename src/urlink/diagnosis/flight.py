@@ -137,7 +137,7 @@ class FlightRecorder:
         )
 
     def explain(self) -> StopExplanation | None:
-        """Return the explanation of the last stop, or of a program that another client stopped; None if none stopped."""
+        """Return the explanation of the last stop, or of a program that another client stopped; None without a stop."""
         if self.last is not None:
             return self.last.explain()
         found = self._guarded(lambda: self._explained(self.data(float("-inf"))))

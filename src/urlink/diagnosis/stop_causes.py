@@ -10,6 +10,7 @@ read, and smaller than the values in simulated stops.
 
 from __future__ import annotations
 
+import itertools
 import struct
 import warnings
 from collections.abc import Callable, Sequence
@@ -98,7 +99,7 @@ _REMEDIES = {
     "fieldbus": "reconnect the fieldbus",
     "joint speed": "lower the speed, or give the motion more time",
     "joint torque": "lower the acceleration, and check the payload setting",
-    "position deviation": "check payload, centre of gravity, acceleration and the joint itself; nothing touched the tool",
+    "position deviation": "check payload, centre of gravity, acceleration and the joint; the data show no contact",
     "program request": "read the program that called protective_stop()",
     "reach": "choose targets inside the workspace; a stretched arm or a joint near its end cannot continue",
     "safeguard": "close the gate, or release the device at the safeguard input; then let the program continue",
@@ -642,7 +643,7 @@ def _sudden_sent(observed: _Observed) -> list[_Sign]:
         if _is_setpoint(each) and -0.4 <= each.time - observed.at <= 0.02
     ]
     worst: tuple[float, int, float] | None = None
-    for (before, old), (after, new) in zip(points, points[1:], strict=False):
+    for (before, old), (after, new) in itertools.pairwise(points):
         seconds = max(after - before, observed.step)
         ratios = np.abs(new - old) / (seconds * observed.max_speed)
         joint = int(np.argmax(ratios))

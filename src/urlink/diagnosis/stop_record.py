@@ -60,7 +60,7 @@ _MODES_CB2 = {
 }
 #: Safety modes that are not a stop, and the number for an unknown mode.
 _GOOD = np.array([0, SafetyMode.NORMAL, SafetyMode.REDUCED], dtype=np.float64)
-#: For inferred stops: time before the row in s, speed in rad/s that counts as moving, deviation in rad that counts as far.
+#: For inferred stops: time before the row in s, speed in rad/s of a moving arm, and deviation in rad that is far.
 _MOVED, _MOVING, _FAR = 0.15, 0.02, 0.03
 
 

@@ -143,11 +143,12 @@ def _moving(scene: Scene) -> None:
     other = [a + draw(-0.5, 0.5) for a in q]
     a, v = draw(0.8, 3.0), draw(0.4, 1.2)
     if scene.chance.random() < 0.5:
-        body = f"while True:\n  movej({_list(other)}, a={a:.3f}, v={v:.3f})\n  movej({_list(q)}, a={a:.3f}, v={v:.3f})\nend"
+        there, back = (f"movej({_list(each)}, a={a:.3f}, v={v:.3f})" for each in (other, q))
     else:
         up = scene.arm.forward(q).copy()
         up[2] += draw(0.03, 0.1)
-        body = f"while True:\n  movel(p{_list(up)}, a=0.5, v=0.1)\n  movel(p{_list(scene.arm.forward(q))}, a=0.5, v=0.1)\nend"
+        there, back = (f"movel(p{_list(each)}, a=0.5, v=0.1)" for each in (up, scene.arm.forward(q)))
+    body = f"while True:\n  {there}\n  {back}\nend"
     scene.begin(q, body)
     scene.wait(draw(0.5, 2.0))
 

@@ -213,7 +213,7 @@ class Faults(StrictAttributes):
 
     @_listed(_joint, "the joint, 0 to 5")
     def drag(self, joint: int, share: float = 0.5) -> None:
-        """Let a joint fall behind its target, as with a defective brake or a motor without enough torque, until `clear`.
+        """Let a joint fall behind its target until `clear`, as with a defective brake or too little torque.
 
         When the deviation exceeds the limit, the controller stops the arm protectively.
 

@@ -47,8 +47,8 @@ _NOISE_LENGTH = 8191
 _RISE = 1.0
 # Time interval in s between the two speeds from which an acceleration is computed.
 _MOMENT = 1e-6
-# Fraction of the maximum torque with which the controller pushes a joint that deviates by 1 rad from its target. Assumed:
-# half of the maximum torque at the deviation that causes a stop.
+# Fraction of the maximum torque with which the controller pushes a joint that deviates by 1 rad from its target.
+# Assumed: half of the maximum torque at the deviation that causes a stop.
 _PUSH = 0.5 / number("position_deviation_limit")
 
 

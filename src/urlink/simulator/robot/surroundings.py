@@ -300,7 +300,7 @@ class Overload(NamedTuple):
 
     Attributes:
         reason: Reason, as a text.
-        code: Number and argument of the code that the controller reports. Which code a real controller sends is assumed.
+        code: Number and argument of the code that the controller reports. The choice of the code is assumed.
     """
 
     reason: str
