@@ -1,5 +1,6 @@
 """Tests of `robot.safety.explain`, `SafetyStop.explanation`, `urlink explain` and `urlink doctor`."""
 
+import asyncio
 import copy
 import json
 import pickle
@@ -11,6 +12,8 @@ import pytest
 import urlink
 import urlink.cli
 from urlink import Robot, SafetyStop
+
+pytestmark = pytest.mark.simulated_time
 
 GOAL = [1.5, -1.5, 2.0, -2.0707963267948966, -1.5707963267948966, 0.0]
 
@@ -104,12 +107,15 @@ def test_explanation_is_copied_but_not_pickled() -> None:
     assert SafetyStop("stopped", "fault").explanation is None
 
 
-async def test_async_explain_returns_the_same_class() -> None:
-    async with await urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
-        assert await robot.safety.explain() is None
-        robot.simulator.faults.emergency_stop()
-        await robot.safety.wait_for_stop(timeout=10)
-        found = await robot.safety.explain(timeout=5)
+def test_async_explain_returns_the_same_class() -> None:
+    async def run() -> urlink.StopExplanation | None:
+        async with await urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
+            assert await robot.safety.explain() is None
+            robot.controller.faults.emergency_stop()
+            await robot.safety.wait_for_stop(timeout=10)
+            return await robot.safety.explain(timeout=5)
+
+    found = asyncio.run(run())
     assert found is not None
     assert found.cause.name == "emergency"
 
