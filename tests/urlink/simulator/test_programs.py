@@ -160,7 +160,7 @@ def test_joint_target_out_of_range_is_a_runtime_error(watched: Watched) -> None:
 
 def test_pose_out_of_reach_causes_a_protective_stop(watched: Watched) -> None:
     watched.take("def f():\n  movel(p[-10.2, 0.26, 0.56, 0.68, -1.08, -2.08], a=1.5, v=1.5)\nend\n").step(3)
-    assert watched.story[1].startswith("C154 Protective stop: ")
+    assert watched.story[1].startswith("C191 Protective stop: elbow")
     assert watched.controller.modes.safety_mode is SafetyMode.PROTECTIVE_STOP
     watched.step(5)
     assert watched.dashboard("unlock protective stop") == "Protective stop releasing"
