@@ -79,13 +79,15 @@ def _tool_analog_types(state: ControllerState) -> int:
 def robot_current(state: ControllerState) -> float:
     """Return the current of electronics, joint power and motor heat, in A.
 
-    The model is that of a UR3e; it is assumed to be the same for other arms.
+    The joint power is that of the motor currents, so it includes friction. The model is that of a UR3e; it is assumed
+    to be the same for other arms.
     """
     if not state.modes.is_powered:
         return 0.0
     s = state.arm.sample
     # Avoid `sum`, which rounds differently since Python 3.12. The same run must send the same bytes on every version.
-    power: float = reduce(add, map(mul, s.M_target, s.qd_target))
+    torques = map(mul, s.I_actual, state.arm.motors.torque_constants)
+    power: float = reduce(add, map(mul, torques, s.qd_actual))
     heat: float = reduce(add, map(mul, s.I_actual, s.I_actual))
     return max(_IDLE + _OF_POWER * power + _OF_HEAT * heat, 0.0)
 

@@ -190,8 +190,8 @@ class ControllerState:
         self.surroundings = Surroundings()
         self._like = like
         self._first_source = source
-        self.arm = self._make_arm()
         self._next_firmware = firmware
+        self.arm = self._make_arm()
         self._begin()
 
     def _begin(self) -> None:
@@ -219,7 +219,8 @@ class ControllerState:
 
     def _make_arm(self) -> SimulatedArm:
         setpoint = self._first_source.advance(0.0)
-        return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, self._like)
+        is_cb2 = self._next_firmware.is_cb2
+        return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, self._like, is_cb2)
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
         """Reboot: go down for a time, then come up with this firmware or the current one.

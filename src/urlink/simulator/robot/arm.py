@@ -16,7 +16,7 @@ from urlink.arm.kinematics import Arm as Kinematics
 from urlink.arm.motors import motors_of
 
 from .characteristics import SensorParameters
-from .sensors import Sample, Sensors
+from .sensors import Progress, Sample, Sensors
 from .setpoint_sources import BRAKING, Setpoint
 from .surroundings import ForceSensor, Surroundings
 
@@ -36,6 +36,7 @@ class SimulatedArm:
         surroundings: Surroundings that act on the tool.
         like: Identified properties of an arm: motors, sensors, TCP and payload, as far as they are known. None selects
             the known properties of the model.
+        is_cb2: Whether the arm has a CB2 controller.
 
     Attributes:
         kinematics: Kinematics of the arm.
@@ -57,6 +58,7 @@ class SimulatedArm:
         seed: int | None,
         surroundings: Surroundings,
         like: ArmFile | None,
+        is_cb2: bool = False,
     ) -> None:
         self.kinematics = kinematics
         self.model = kinematics.model
@@ -76,13 +78,17 @@ class SimulatedArm:
         self._carried: tuple[tuple[float, ...], ...] | None = None
         self._setpoint = setpoint
         parameters = SensorParameters.of(self.model) if like is None else SensorParameters.of(self.model).like(like)
-        self._sensors = Sensors(kinematics, self.motors, parameters, setpoint.q, seed)
+        self._sensors = Sensors(kinematics, self.motors, parameters, setpoint.q, seed, is_cb2)
         self._surroundings = surroundings
         self.force_sensor = ForceSensor(kinematics, surroundings)
         self._is_following = True
         # Start of the braking, its duration, and the elapsed time, in s.
         self._brake: tuple[Setpoint, float, float] | None = None
-        self._cycle = self._rests = 0
+        self._progress = Progress(0.002, 0, 0, 0, [0] * 6, 0, None)
+        # Joints that moved in the last cycle; empty if none did.
+        self._moving: tuple[bool, ...] = ()
+        # Error of the force sensor when it was zeroed, in the frame of the flange.
+        self._zeroed_error: Sequence[float] = _ZERO
         self._time = 0.0
         self._sample: Sample | None = None
         if like is not None:
@@ -107,11 +113,12 @@ class SimulatedArm:
 
     def advance(self, seconds: float, setpoint: Setpoint | None) -> None:
         """Advance by one cycle, to this set-point; None brakes the arm, and then keeps it at rest."""
-        self._cycle += 1
+        progress = self._progress
+        progress.cycle += 1
+        progress.period = seconds
         self._time += seconds
         if self._transition is not None:
             self._go_over(*self._transition, seconds)
-        was_moving = any(self._setpoint.qd)
         if setpoint is not None:
             self._setpoint, self._brake = setpoint, None
         else:
@@ -120,9 +127,26 @@ class SimulatedArm:
             if self._brake is not None:
                 self._go_on_braking(*self._brake, seconds)
         self._is_following = setpoint is not None
-        self._rests += was_moving and not any(self._setpoint.qd)
+        qd = self._setpoint.qd
+        if any(qd):
+            progress.moved += 1
+            moving = tuple(map(bool, qd))
+            if moving != self._moving:
+                self._count_rests(moving)
+        elif self._moving:
+            progress.rest += 1
+            progress.stopped = progress.cycle
+            self._count_rests(())
         self._sample = None
         self.force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
+
+    def _count_rests(self, moving: tuple[bool, ...]) -> None:
+        """Begin a rest of the joints that no longer move; `moving` is empty if no joint moves."""
+        for joint, was_moving in enumerate(self._moving):
+            if was_moving and not (moving and moving[joint]):
+                self._progress.joint_rests[joint] += 1
+        self._progress.joint_changes += 1
+        self._moving = moving
 
     def carry(self, payload: Sequence[float], seconds: float) -> None:
         """Set mass, centre and inertia of the payload, in kg, m and kg m².
@@ -218,7 +242,12 @@ class SimulatedArm:
 
         It is the force of `sample` without noise.
         """
-        return self.external_force if self.uses_external_force else self.force_sensor.wrench
+        return self.external_force if self.uses_external_force else self._measured
+
+    @property
+    def _measured(self) -> Sequence[float]:
+        """Wrench that the force sensor measures, apart from its noise, in N and Nm in the base frame."""
+        return self._sensors.measured(self._setpoint.q, self.force_sensor.wrench, self._zeroed_error, self._progress)
 
     @property
     def pushed_joints(self) -> Sequence[float]:
@@ -241,12 +270,13 @@ class SimulatedArm:
     @property
     def raw_wrench(self) -> list[float]:
         """Wrench at the TCP without the offset of `zero_force`, in N and Nm in the base frame."""
-        shown, measured, external = self.sample.force, self.force_sensor.wrench, self.force_sensor.external
-        return [f - m + e for f, m, e in zip(shown, measured, external, strict=True)]
+        raw = self._sensors.measured(self._setpoint.q, self.force_sensor.external, _ZERO, self._progress)
+        return [f - m + e for f, m, e in zip(self.sample.force, self._measured, raw, strict=True)]
 
     def zero_force(self) -> None:
         """Make the current force at the TCP the new zero."""
         self.force_sensor.zero()
+        self._zeroed_error = self._sensors.force_error(self._progress)
         self._sample = None
 
     # -- what it shows -------------------------------------------------------------------------------
@@ -261,8 +291,8 @@ class SimulatedArm:
                 self.dynamics,
                 self.force_sensor.external,
                 self.force_sensor.wrench,
-                self._cycle,
-                self._rests,
+                self._zeroed_error,
+                self._progress,
                 self._time,
                 self.is_powered,
             )
@@ -278,7 +308,7 @@ class SimulatedArm:
         """
         if self._sample is not None:
             return self._sample.q_actual
-        return self._sensors.positions(self._setpoint, self._cycle, self._rests, self.is_powered)
+        return self._sensors.positions(self._setpoint, self._progress, self.is_powered)
 
     @property
     def qd_actual(self) -> list[float]:
@@ -288,7 +318,7 @@ class SimulatedArm:
         """
         if self._sample is not None:
             return self._sample.qd_actual
-        return self._sensors.speeds(self._setpoint, self._cycle)
+        return self._sensors.speeds(self._setpoint, self._progress)
 
     @property
     def dynamics(self) -> Dynamics:

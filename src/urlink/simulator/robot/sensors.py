@@ -5,12 +5,15 @@
 - **Moments** include the rigid bodies and the rotors (`urlink.dynamics`).
 - **Currents** are these moments divided by the torque constants, plus friction (`urlink.arm.motors`), minus the effect
   of external forces on the tool. Stiction also holds a joint at rest. So the actual current has an error, a fraction of
-  the stiction, which differs from rest to rest.
-- **Positions at rest** have an error of some encoder steps, which differs from rest to rest too.
-- **The force** at the TCP is computed by `surroundings`.
-- **Temperatures** rise slowly, and more in joints with a higher load.
-- **Tool accelerometer**: on an e-Series, it shows the acceleration that supports and accelerates the flange, in the
-  frame of the tool. On a CB arm, it shows gravity, with the sign of a real CB2 packet.
+  the stiction, which differs from rest to rest of the joint. The error of a moving joint has a slow and a fast part.
+- **Control currents** of a CB arm are the actual currents without their noise; those of an e-Series are the targets.
+- **Positions at rest** have an error of some encoder steps, which differs from rest to rest too. After a stop, each
+  joint oscillates for some tenths of a second.
+- **The force** at the TCP is computed by `surroundings`. The sensor adds an offset, an error that changes while the arm
+  moves, a drift, and noise. Offset, error and drift are fixed in the frame of the flange.
+- **Temperatures** are those of an arm that has been on. They rise slowly, and more in joints with a higher load.
+- **Tool accelerometer**: it shows the acceleration that supports and accelerates the flange, in the frame of the tool.
+  On a CB2 arm, it shows gravity, with the sign of a real CB2 packet.
 
 For lags, offsets, noise and steps, see `characteristics`. It is assumed that the elbow of real-time packets is the
 point in the safety data of a CB3 capture.
@@ -21,10 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from operator import add
-
-import numpy as np
+from operator import add, mul, sub
 
 from urlink.arm.dynamics import GRAVITY, Dynamics
 from urlink.arm.kinematics import Arm as Kinematics
@@ -32,13 +32,33 @@ from urlink.arm.kinematics.geometry import chain, flange, velocity
 from urlink.arm.motors import Motors
 from urlink.arm.rigid import FLOATS, IDENTITY, Rigid, from_pose, product, to_pose
 
-from .characteristics import AMBIENT, JOINT_VOLTAGE, STEPS, TEMPERATURE_RISE, WARMING, SensorParameters
+from .characteristics import (
+    AMBIENT,
+    CURRENT_TIME,
+    DRIFT_TIME,
+    FORCE_SETTLING_TIME,
+    JOINT_VOLTAGE,
+    SETTLING_FREQUENCY,
+    SETTLING_TIME,
+    STEPS,
+    TEMPERATURE_RISE,
+    TRACKING_TIME,
+    WANDER_TIME,
+    WARMED_BEFORE,
+    WARMING,
+    SensorParameters,
+)
+from .noise import Noise
 from .setpoint_sources import Setpoint
 
 _ZERO = [0.0] * 6
-# Random numbers are drawn once and then read in turn. Their number is prime, so that the channels do not repeat
-# together.
-_NOISE_LENGTH = 8191
+# Channels of the noise.
+_POSITION, _SPEED, _ACCELEROMETER, _CURRENT, _VOLTAGE, _FORCE, _OFFSET, _STICTION = range(8)
+_TRACKING, _SETTLING, _SLOW_CURRENT, _WANDER, _DRIFT = range(8, 13)
+# Numbers of cycles of motion, and of any cycles, after which the slow errors of the force are computed again.
+_WANDER_STEP, _DRIFT_STEP = 8, 64
+# Number of settling times after which the oscillation that follows a stop has ended.
+_SETTLED = 6.0
 # Additional temperature rise in K, per square root of the holding current in A.
 _RISE = 1.0
 # Time interval, in s, for computing an acceleration from speeds.
@@ -82,6 +102,38 @@ class Sample:
     speed_target: list[float]
 
 
+@dataclass(slots=True, eq=False)
+class Progress:
+    """History of an arm that its sensors depend on.
+
+    Attributes:
+        period: Duration of a cycle, in s.
+        cycle: Number of the cycle.
+        moved: Number of cycles in which the arm has moved.
+        rest: Number of the current or last rest.
+        joint_rests: Number of the current or last rest of each joint, shape (6,).
+        joint_changes: Number of changes of `joint_rests`.
+        stopped: Number of the cycle in which the last motion ended; None before the first motion.
+    """
+
+    period: float
+    cycle: int
+    moved: int
+    rest: int
+    joint_rests: list[int]
+    joint_changes: int
+    stopped: int | None
+
+    @property
+    def still(self) -> float:
+        """Time since the last motion, in s; infinite before the first one."""
+        return math.inf if self.stopped is None else (self.cycle - self.stopped) * self.period
+
+    def cycles(self, seconds: float) -> int:
+        """Return a time as a number of cycles, at least 1."""
+        return max(round(seconds / self.period), 1)
+
+
 class Sensors:
     """Sensors of one arm.
 
@@ -90,14 +142,36 @@ class Sensors:
         motors: Motors of its joints.
         parameters: Parameters of the sensors.
         q: Joint positions for computing the temperature of each joint, shape (6,), in rad.
-        seed: Seed of the noise; None for no noise.
+        seed: Seed of the noise; None for ideal sensors, without noise, offset and drift.
+        is_cb2: Whether the arm has a CB2 controller.
     """
 
     def __init__(
-        self, kinematics: Kinematics, motors: Motors, parameters: SensorParameters, q: Sequence[float], seed: int | None
+        self,
+        kinematics: Kinematics,
+        motors: Motors,
+        parameters: SensorParameters,
+        q: Sequence[float],
+        seed: int | None,
+        is_cb2: bool,
     ) -> None:
         model = kinematics.model
-        self._kinematics, self._seed, self._of = kinematics, seed, parameters
+        self._kinematics, self._of, self._is_ideal, self._is_cb2 = kinematics, parameters, seed is None, is_cb2
+        self._noise = Noise(seed)
+        self._position_noise = Noise(seed, parameters.position_noise)
+        self._position_offset = Noise(seed, parameters.position_offset)
+        self._accelerometer_noise = Noise(seed, parameters.accelerometer_noise)
+        self._voltage_noise = Noise(seed, parameters.voltage_noise)
+        self._rest_current = [parameters.current_noise_at_rest] * 6
+        self._held: tuple[int, list[float]] | None = None
+        self._turn: Rigid[float] = IDENTITY
+        # Last error of the force sensor: the steps that it belongs to, and its value.
+        self._error: tuple[tuple[int, int], list[float]] | None = None
+        self._coulomb_error = [s * c for s, c in zip(parameters.stiction, motors.coulomb, strict=True)]
+        shares = parameters.current_correlation
+        self._slow_current = [n * math.sqrt(s) for n, s in zip(parameters.current_noise, shares, strict=True)]
+        self._fast_current = [n * math.sqrt(1.0 - s) for n, s in zip(parameters.current_noise, shares, strict=True)]
+        self._force_noise = [parameters.force_noise] * 3 + [parameters.torque_noise] * 3
         self._motors = motors
         self._dynamics = Dynamics(model)
         self._tcp: list[float] = list(_ZERO)
@@ -118,26 +192,65 @@ class Sensors:
         self._warmed_to = -1
         self._warm: list[float] = []
 
-    def positions(self, setpoint: Setpoint, cycle: int, rest: int, is_powered: bool) -> list[float]:
-        """Return the actual joint positions, in rad, during or after the rest with number `rest`."""
+    def positions(self, setpoint: Setpoint, progress: Progress, is_powered: bool) -> list[float]:
+        """Return the actual joint positions, in rad."""
         q, qd, _ = setpoint
         is_moving = any(qd)
-        if self._seed is None or not (is_powered or is_moving):
+        if self._is_ideal or not (is_powered or is_moving):
             # This is q(t - lag) to first order; the derivative is known exactly.
             return [p - self._of.lag * v for p, v in zip(q, qd, strict=True)] if is_moving else q
-        noise = self._noise(cycle, 0, self._of.position_noise)
+        noise = self._position_noise.white(progress.cycle, _POSITION)
         if is_moving:
-            return [_stepped(p - self._of.lag * v + n, s) for p, v, n, s in zip(q, qd, noise, STEPS, strict=True)]
-        offset = self._noise(rest, 6, self._of.position_offset)
-        return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
+            lag = self._of.lag
+            error = self._noise.wandering(progress.moved, progress.cycles(TRACKING_TIME), _TRACKING)
+            return [
+                _stepped(p - lag * v + e * t + n, s) if v else _stepped(p + n, s)
+                for p, v, e, t, n, s in zip(q, qd, error, self._of.tracking_error, noise, STEPS, strict=True)
+            ]
+        offset = self._position_offset.white(progress.rest, _OFFSET)
+        settling, _ = self._settling(progress)
+        if settling is None:
+            return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
+        return [_stepped(p + o + e + n, s) for p, o, e, n, s in zip(q, offset, settling, noise, STEPS, strict=True)]
 
-    def speeds(self, setpoint: Setpoint, cycle: int) -> list[float]:
+    def speeds(self, setpoint: Setpoint, progress: Progress) -> list[float]:
         """Return the actual joint speeds, in rad/s."""
         _, qd, qdd = setpoint
         if not any(qd):
+            return _ZERO if self._is_ideal else self._settling(progress)[1] or _ZERO
+        noise, lag = self._noise.white(progress.cycle, _SPEED), self._of.speed_lag
+        return [
+            v - lag * a + n * s if v else 0.0 for v, a, n, s in zip(qd, qdd, noise, self._of.speed_noise, strict=True)
+        ]
+
+    def _settling(self, progress: Progress) -> tuple[list[float] | None, list[float] | None]:
+        """Return the oscillation of the joints after a stop, in rad and rad/s; None if it has ended."""
+        past = progress.still / SETTLING_TIME
+        if past > _SETTLED:
+            return None, None
+        omega = 2.0 * math.pi * SETTLING_FREQUENCY
+        angle, decayed = omega * progress.still, self._of.settling * math.exp(-past)
+        share = decayed * math.cos(angle)
+        speed = -decayed * (omega * math.sin(angle) + math.cos(angle) / SETTLING_TIME)
+        amplitudes = self._noise.white(progress.rest, _SETTLING)
+        return [share * a for a in amplitudes], [speed * a for a in amplitudes]
+
+    def force_error(self, progress: Progress) -> list[float]:
+        """Return offset, slow error and drift of the force sensor in the frame of the flange, in N and Nm."""
+        if self._is_ideal:
             return _ZERO
-        noise = self._noise(cycle, 1, self._of.speed_noise)
-        return [v - self._of.speed_lag * a + n for v, a, n in zip(qd, qdd, noise, strict=True)]
+        key = progress.moved // _WANDER_STEP, progress.cycle // _DRIFT_STEP
+        if self._error is not None and self._error[0] == key:
+            return self._error[1]
+        of = self._of
+        wander = self._noise.wandering(key[0] * _WANDER_STEP, progress.cycles(WANDER_TIME), _WANDER)
+        drift = self._noise.wandering(key[1] * _DRIFT_STEP, progress.cycles(DRIFT_TIME), _DRIFT)
+        error = [
+            o + w * x + d * y
+            for o, w, x, d, y in zip(of.force_offset, of.force_wander, wander, of.force_drift, drift, strict=True)
+        ]
+        self._error = key, error
+        return error
 
     def sample(
         self,
@@ -146,8 +259,8 @@ class Sensors:
         dynamics: Dynamics,
         external: Sequence[float],
         wrench: Sequence[float],
-        cycle: int,
-        rest: int,
+        zeroed: Sequence[float],
+        progress: Progress,
         time: float,
         is_powered: bool,
     ) -> Sample:
@@ -158,9 +271,9 @@ class Sensors:
             tcp: Tool centre point in the flange frame, shape (6,), in m and rad.
             dynamics: Dynamics of the arm with its rotors and its payload.
             external: Wrench on the TCP, shape (6,), in N and Nm in the base frame.
-            wrench: The same wrench, with the offset of the force sensor, shape (6,).
-            cycle: Number of the cycle, which selects the noise.
-            rest: Number of the current or last rest, which selects the errors that differ from rest to rest.
+            wrench: Wrench that an ideal force sensor would show, shape (6,).
+            zeroed: Error of the force sensor when it was zeroed, in the frame of the flange, shape (6,).
+            progress: Cycle and history of the arm, which select the noise.
             time: Time since the arm was switched on, in s, for the temperatures.
             is_powered: Whether the motors have power.
         """
@@ -169,26 +282,62 @@ class Sensors:
         self._look_at(q, tcp, dynamics)
         s = Sample()
         s.q_target, s.qd_target, s.qdd_target = q, qd, qdd
-        s.q_actual = self.positions(setpoint, cycle, rest, is_powered)
-        s.qd_actual = self.speeds(setpoint, cycle)
+        s.q_actual = self.positions(setpoint, progress, is_powered)
+        s.qd_actual = self.speeds(setpoint, progress)
         s.pose_target = self._pose
         s.pose_actual = self._forward(s.q_actual)
         s.speed_target = s.speed_actual = _ZERO
         if any(qd):
             s.speed_target = self._velocity(q, qd, s.pose_target)
+        if any(s.qd_actual):
             s.speed_actual = self._velocity(s.q_actual, s.qd_actual, s.pose_actual)
         s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
         s.elbow_position, s.elbow_velocity = _elbow(*self._elbow, s.q_actual, s.qd_actual)
-        s.accelerometer = self._accelerations(setpoint, s.pose_actual, cycle, is_moving)
+        s.accelerometer = self._accelerations(setpoint, s.pose_actual, progress.cycle, is_moving)
         if is_powered:
-            self._measure_load(s, setpoint, self._moments(q, tcp, external), cycle, rest, is_moving)
-            n, o = self._noise(cycle, 5, 1.0), self._of.force_offset
-            noises = [self._of.force_noise] * 3 + [self._of.torque_noise] * 3
-            s.force = [f + each * scale + off for f, each, scale, off in zip(wrench, n, noises, o, strict=True)]
+            self._measure_load(s, setpoint, self._moments(q, tcp, external), progress, is_moving)
+            s.force = self._force(self.measured(q, wrench, zeroed, progress), progress, is_moving)
         else:
             s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = s.force = _ZERO
         s.T_motor = self._temperatures(int(time))
         return s
+
+    def measured(
+        self, q: Sequence[float], wrench: Sequence[float], zeroed: Sequence[float], progress: Progress
+    ) -> Sequence[float]:
+        """Return the wrench that the force sensor measures, apart from its noise, along the axes of the base frame.
+
+        Args:
+            q: Target joint positions, shape (6,), in rad.
+            wrench: Wrench that an ideal sensor would show, shape (6,).
+            zeroed: Error of the sensor when it was zeroed, in the frame of the flange, shape (6,).
+            progress: Cycle and history of the arm.
+        """
+        if self._is_ideal:
+            return wrench
+        error = self.force_error(progress)
+        a, b, c, d, e, f, g, h, i = (self._turn if q is self._posture else self._flange(q))[:9]
+        fx, fy, fz, mx, my, mz = map(sub, error, zeroed)
+        ox, oy, oz, px, py, pz = wrench
+        return [
+            ox + a * fx + b * fy + c * fz,
+            oy + d * fx + e * fy + f * fz,
+            oz + g * fx + h * fy + i * fz,
+            px + a * mx + b * my + c * mz,
+            py + d * mx + e * my + f * mz,
+            pz + g * mx + h * my + i * mz,
+        ]
+
+    def _force(self, wrench: Sequence[float], progress: Progress, is_moving: bool) -> list[float]:
+        """Return the wrench with its noise, which is larger while the arm moves and just after it."""
+        if self._is_ideal:
+            return list(wrench)
+        noise, scales = self._noise.white(progress.cycle, _FORCE), self._force_noise
+        after = 0.0 if is_moving else progress.still / FORCE_SETTLING_TIME
+        if after < _SETTLED:
+            share = math.exp(-after)
+            scales = [a + share * b for a, b in zip(scales, self._of.motion_noise, strict=True)]
+        return list(map(add, wrench, map(mul, noise, scales)))
 
     def _look_at(self, q: Sequence[float], tcp: Sequence[float], dynamics: Dynamics) -> None:
         """Compute the values that depend on targets, tool and payload, unless these are unchanged."""
@@ -198,7 +347,8 @@ class Sensors:
         if tcp != self._tcp:
             self._tcp, self._tool = list(tcp), from_pose(list(tcp))
         self._posture = q
-        self._pose = self._forward(q)
+        self._turn = self._flange(q)
+        self._pose = list(to_pose(product(self._turn, self._tool)))
         self._load = None
 
     def _forward(self, q: Sequence[float]) -> list[float]:
@@ -234,7 +384,7 @@ class Sensors:
         return moments
 
     def _measure_load(
-        self, s: Sample, setpoint: Setpoint, moments: Sequence[float], cycle: int, rest: int, is_moving: bool
+        self, s: Sample, setpoint: Setpoint, moments: Sequence[float], progress: Progress, is_moving: bool
     ) -> None:
         """Compute moments, currents and voltages, given these external torques on the joints."""
         if self._load != (setpoint, moments):
@@ -246,33 +396,42 @@ class Sensors:
             control = [i - m / k for i, m, k in zip(target, moments, self._motors.torque_constants, strict=True)]
             self._currents = needed, target, control
         s.M_target, s.I_target, s.I_control = self._currents
-        if self._seed is None:
+        if self._is_ideal:
             s.I_actual = s.I_control
-        elif is_moving:
-            s.I_actual = list(map(add, s.I_control, self._noise(cycle, 3, self._of.current_noise)))
         else:
-            held = self._noise(rest, 7, self._of.stiction)
-            noise = self._noise(cycle, 3, self._of.current_noise_at_rest)
-            s.I_actual = [
-                i + h * c + n for i, h, c, n in zip(s.I_control, held, self._motors.coulomb, noise, strict=True)
-            ]
-        noise = self._noise(cycle, 4, self._of.voltage_noise)
+            self._add_current_errors(s, setpoint.qd, progress, is_moving)
+        noise = self._voltage_noise.white(progress.cycle, _VOLTAGE)
         idle, drop, step = JOINT_VOLTAGE
         s.V_actual = [_stepped(idle - drop * abs(i) + n, step) for i, n in zip(s.I_control, noise, strict=True)]
+
+    def _add_current_errors(self, s: Sample, qd: Sequence[float], progress: Progress, is_moving: bool) -> None:
+        """Set the actual currents, and on a CB arm the control currents, from the control currents without errors."""
+        if self._held is None or self._held[0] != progress.joint_changes:
+            held = self._noise.held(progress.joint_rests, _STICTION)
+            self._held = progress.joint_changes, list(map(mul, held, self._coulomb_error))
+        error, noises = self._held[1], self._rest_current
+        if is_moving:
+            slow = self._noise.wandering(progress.moved, progress.cycles(CURRENT_TIME), _SLOW_CURRENT)
+            error = [w * n if v else e for v, w, n, e in zip(qd, slow, self._slow_current, error, strict=True)]
+            noises = [f if v else n for v, f, n in zip(qd, self._fast_current, noises, strict=True)]
+        measured = list(map(add, s.I_control, error))
+        s.I_actual = list(map(add, measured, map(mul, self._noise.white(progress.cycle, _CURRENT), noises)))
+        if not self._is_e:
+            s.I_control = measured
 
     def _temperatures(self, second: int) -> list[float]:
         if second != self._warmed_to:
             self._warmed_to = second
-            warm = 1.0 - math.exp(-second / WARMING)
+            warm = 1.0 - math.exp(-(second + WARMED_BEFORE) / WARMING)
             # Use steps of a sixteenth of a degree.
             self._warm = [round(16.0 * (AMBIENT + rise * warm)) / 16.0 for rise in self._rise]
         return self._warm
 
     def _accelerations(self, setpoint: Setpoint, pose: Sequence[float], cycle: int, is_moving: bool) -> list[float]:
         """Return the reading of the accelerometer in the tool, in m/s², in the frame of the tool."""
-        noise = self._noise(cycle, 2, self._of.accelerometer_noise)
+        noise = self._accelerometer_noise.white(cycle, _ACCELEROMETER)
         across = _upward(pose)
-        if not self._is_e:
+        if self._is_cb2:
             return [n - GRAVITY * u[2] for u, n in zip(across, noise, strict=False)]
         x, y, z = 0.0, 0.0, GRAVITY
         if is_moving:
@@ -280,17 +439,12 @@ class Sensors:
             q, qd, qdd = setpoint
             later = [p + _MOMENT * v for p, v in zip(q, qd, strict=True)]
             faster = [v + _MOMENT * a for v, a in zip(qd, qdd, strict=True)]
-            before = self._velocity(q, qd, self._flange(q)[9:])
+            before = self._velocity(q, qd, self._turn[9:])
             after = self._velocity(later, faster, self._flange(later)[9:])
             x, y, up = ((b - a) / _MOMENT for a, b in zip(before[:3], after[:3], strict=True))
             z += up
         bias = self._of.accelerometer_bias
         return [u[0] * x + u[1] * y + u[2] * z + b + n for u, b, n in zip(across, bias, noise, strict=False)]
-
-    def _noise(self, at: int, channel: int, scale: float) -> tuple[float, ...]:
-        """Return six random numbers with this standard deviation, for a cycle or for a rest."""
-        begin = (at * 6 + channel * 1171) % _NOISE_LENGTH
-        return _noise(self._seed, scale)[begin : begin + 6]
 
 
 def _stepped(value: float, step: float) -> float:
@@ -316,11 +470,3 @@ def _elbow(a2: float, d1: float, q: Sequence[float], qd: Sequence[float]) -> tup
         [out * c1, out * s1, d1 + a2 * s2],
         [speed * c1 - out * s1 * turn, speed * s1 + out * c1 * turn, a2 * c2 * lift],
     )
-
-
-@lru_cache(maxsize=64)
-def _noise(seed: int | None, scale: float) -> tuple[float, ...]:
-    if seed is None:
-        return (0.0,) * (_NOISE_LENGTH + 6)
-    numbers: list[float] = (scale * np.random.default_rng(seed).standard_normal(_NOISE_LENGTH)).tolist()
-    return (*numbers, *numbers[:6])
