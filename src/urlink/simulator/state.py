@@ -119,6 +119,7 @@ class ControllerState:
         seed: Seed of the sensor noise.
         noise: Whether the sensors are noisy.
         scaling_parameters: Behaviour of the speed scaling.
+        zeroes_force: Whether the start of a program zeroes the force sensor.
         like: Identified properties of an arm. None selects the known properties of the model.
 
     Attributes:
@@ -147,7 +148,7 @@ class ControllerState:
         slider: Effective fraction of the speed slider; it follows `speed_fraction` gradually.
         scaling: Fraction of their speed with which the commands of programs are executed. It follows `slider`, and is 0
             at the start of a program.
-        scaling_parameters: The argument of the same name.
+        scaling_parameters, zeroes_force: The arguments of the same names.
         remote_control: Whether an e-Series is in remote control.
         has_local_control: Whether an e-Series in local control rejects commands that do not come from the pendant.
         control_mode: Quantity that the running program controls; position if there is no program.
@@ -171,10 +172,12 @@ class ControllerState:
         seed: int,
         noise: bool,
         scaling_parameters: ScalingParameters,
+        zeroes_force: bool = False,
         like: ArmFile | None = None,
     ) -> None:
         self.kinematics = kinematics
         self.scaling_parameters = scaling_parameters
+        self.zeroes_force = zeroes_force
         self.serial = serial
         self._noise_seed = seed if noise else None
         self.cycle = 0

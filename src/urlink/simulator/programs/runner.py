@@ -129,6 +129,8 @@ class ProgramRunner:
         self.main = state.source = RunningProgram(state, script, self._route, self._ended)
         # The program continues from the speed of the arm, even while the arm brakes.
         self._begins_anew = False
+        if state.zeroes_force:
+            state.arm.zero_force()
         state.outbox.put(messages.program_started(state, script.name))
         state.update_modes(0.0)
 
