@@ -149,7 +149,7 @@ def _correlation(values: Array) -> float:
 
 def compare(log: dict[str, Array], simulated: dict[str, Array]) -> list[Row]:
     """Return the table of one log."""
-    rest = ~log["target_qd"].any(axis=1)
+    rest = np.asarray(~log["target_qd"].any(axis=1))
     table = []
     for field, target in FIELDS.items():
         if field == "force_at_rest":

@@ -24,7 +24,8 @@ def script() -> ModuleType:
     """Return the benchmark that prints the table."""
     path = Path(__file__).resolve().parents[3] / "benchmarks/real_arms.py"
     spec = importlib.util.spec_from_file_location("real_arms", path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
