@@ -2,8 +2,8 @@
 
 Each log's targets are the set-points of a simulated arm of the same model, payload and tool. The table shows R², the
 largest error, and mean, standard deviation and correlation of the residual. The residual is the actual value of the log
-or of the simulator, less the target of the log; the force has the frame of the tool, at rest. The correlation is that of
-neighbouring rows.
+or of the simulator, less the target of the log; the force has the frame of the tool, at rest. The correlation is that
+of neighbouring rows.
 
     python benchmarks/real_arms.py FOLDER            # folder with ur3e_rtde.csv and other logs
     python benchmarks/real_arms.py FOLDER --json     # prints one JSON object
@@ -104,11 +104,11 @@ class Replay:
 
 def read(path: Path) -> dict[str, Array]:
     """Return the columns of a log by the names of RTDE, with shape (n, 1), (n, 3) or (n, 6)."""
-    opened = gzip.open(path, "rt") if path.suffix == ".gz" else path.open(encoding="utf-8")
-    with opened as lines:
-        head = lines.readline()
-        split = "," if "," in head else " "
-        rows = np.loadtxt(lines, delimiter=split)
+    content = path.read_bytes()
+    text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
+    head, *lines = text.splitlines()
+    split = "," if "," in head else " "
+    rows = np.loadtxt(lines, delimiter=split)
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(head.strip().split(split)):
         base, _, axis = name.rpartition("_")

@@ -3,8 +3,8 @@
 The command for set-points is servoj. The commands for speeds are speedj, speedl, stopj and stopl.
 How a controller follows set-points is not published, except the purpose of the arguments: the look-ahead time smooths,
 the gain sharpens. The model here is assumed and has these properties. Each joint follows like a critically damped
-spring. It lags behind a set-point of constant speed by half the look-ahead time plus two divided by the gain, in
-seconds: 22 ms for 0.03 and 300. It never overshoots a set-point that is at rest. On firmware without the two arguments,
+spring. It lags behind a set-point of constant speed by 0.9 of the look-ahead time plus two divided by the gain, in
+seconds: 34 ms for 0.03 and 300. It never overshoots a set-point that is at rest. On firmware without the two arguments,
 the lag is the time of the set-point.
 
 A set-point that holds for several cycles is approached on a straight line over them. If none follows, the arm comes to
