@@ -449,7 +449,7 @@ def test_offset_of_the_sensor_is_zeroed_at_program_start_when_asked(zeroes: bool
     assert 74.0 < np.linalg.norm(controller.arm.sample.force[:3]) < 80.0
     controller.take("def f():\n  sleep(1)\nend\n")
     controller.step(10)
-    assert (np.linalg.norm(controller.arm.sample.force[:3]) < 1.0) is zeroes
+    assert bool(np.linalg.norm(controller.arm.sample.force[:3]) < 1.0) is zeroes
     controller.arm.zero_force()
     assert np.linalg.norm(controller.arm.sample.force[:3]) < 1.0
     assert np.linalg.norm(controller.arm.raw_wrench[:3]) > 74.0
