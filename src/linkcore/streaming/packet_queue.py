@@ -13,7 +13,6 @@ packets take hardly longer than one.
 from __future__ import annotations
 
 import abc
-import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -293,7 +292,7 @@ class PacketQueue(BoundedQueue):
         """Wait for a packet, and return it; return None after `timeout`, or when `is_over` is true."""
         until = None
         while True:
-            packet = self.take()
+            packet = self.take() if self._packets else None
             if packet is not None:
                 return packet
             if self._is_ended:
@@ -310,6 +309,9 @@ class PacketQueue(BoundedQueue):
             if not self._packets and not self._is_ended:
                 # Most loops have no timeout, so this saves them a call of `slice_of` for each packet.
                 left = clock.ENDLESS if until is None else clock.slice_of(until - now)
-                with contextlib.suppress(Empty):
+                # `contextlib.suppress` costs 3,900 instructions, and this runs for each packet.
+                try:  # noqa: SIM105
                     self._to_consumer.get(True, left)
+                except Empty:
+                    pass
             self._consumer_sleeps = False
