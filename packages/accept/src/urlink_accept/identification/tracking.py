@@ -64,10 +64,10 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
             found["current_noise_at_rest"] = _deviation([off[rows] for rows in rests])
         if len(rests) > 1:
             found["stiction"] = _spread(np.array([off[rows].mean(axis=0) / coulomb for rows in rests]).ravel())
-        moving = np.abs(samples["target_qd"]).max(axis=1) > FULL_SPEED
-        found["current_noise"] = (
-            _deviation([off[moving]]) if moving.sum() > 30 else Estimate.unknown("an arm that moves")
-        )
+        # A joint that is held while others move has the error of its stiction instead.
+        moving = np.abs(samples["target_qd"]) > FULL_SPEED
+        parts = [off[rows, joint][:, None] for joint, rows in enumerate(moving.T) if rows.sum() > 30]
+        found["current_noise"] = _deviation(parts) if parts else Estimate.unknown("an arm that moves")
     if "actual_TCP_force" in samples and rests:
         force = samples["actual_TCP_force"]
         found["force_noise"] = _deviation([force[rows, :3] for rows in rests])
