@@ -58,8 +58,10 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
         found["position_noise"] = _deviation([off[rows] for rows in rests])
         if len(rests) > 1:
             found["position_offset"] = _spread(np.array([off[rows].mean(axis=0) for rows in rests]).ravel())
-    if {"actual_current", "joint_control_output"} <= samples.keys():
-        off = samples["actual_current"] - samples["joint_control_output"]
+    # The control current of a CB3 is the measured current, smoothed, so it cannot show the error of the current.
+    expected = next((name for name in ("target_current", "joint_control_output") if name in samples), None)
+    if expected is not None and "actual_current" in samples:
+        off = samples["actual_current"] - samples[expected]
         if rests:
             found["current_noise_at_rest"] = _deviation([off[rows] for rows in rests])
         if len(rests) > 1:
@@ -67,7 +69,9 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
         # A joint that is held while others move has the error of its stiction instead.
         moving = np.abs(samples["target_qd"]) > FULL_SPEED
         parts = [off[rows, joint][:, None] for joint, rows in enumerate(moving.T) if rows.sum() > 30]
-        found["current_noise"] = _deviation(parts) if parts else Estimate.unknown("an arm that moves")
+        found["current_noise"] = (
+            _spread(np.concatenate(parts).ravel()) if parts else Estimate.unknown("an arm that moves")
+        )
     if "actual_TCP_force" in samples and rests:
         force = samples["actual_TCP_force"]
         found["force_noise"] = _deviation([force[rows, :3] for rows in rests])
